@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.experiment.presets import PRESETS
-from evaluation.experiment.settings import Settings, check_drawing
+from evaluation.experiment.settings import Settings
 from evaluation.reporting.announcements import (
     broken,
     condensed,
@@ -146,7 +146,6 @@ def _command(arguments: Sequence[str] | None) -> int:
         _say(broken(), stream=sys.stderr)
         return DONE
     settings = settings_from(options)
-    check_drawing()
     from evaluation.reporting.progress import progress_bar  # noqa: PLC0415 - as said below
     from evaluation.runs.workers import ahead  # noqa: PLC0415 - as said below
 

@@ -24,7 +24,10 @@ from evaluation.analysis.strongest import cross_fitted, strongest
 from evaluation.experiment.constants import OTHER_LAW
 from evaluation.experiment.plan import Plan, plan
 from evaluation.experiment.settings import Settings, check_drawing
+from evaluation.reporting import page
 from evaluation.reporting.announcements import plan_lines
+from evaluation.reporting.figures.figure import figures_of
+from evaluation.reporting.figures.figure import write as write_figures
 from evaluation.reporting.finished import load
 from evaluation.reporting.progress import progress_bar
 from evaluation.reporting.rows import Results
@@ -79,44 +82,34 @@ def run(
     if progress is True:
         for line in plan_lines(ready):
             sys.stderr.write(f"{line}\n")
-    if pictures:
-        check_drawing()
     folder.check_folder(ready.out)
     shown = progress_bar([]) if progress is True else contextlib.nullcontext(progress or _silent)
     with given_back(), locked(ready.out), _one_thread(), shown as update:
         with ahead():
             execute(ready, update)
-        return build(ready.out, pictures=pictures, jobs=ready.jobs)
+        return build(ready.out, pictures=pictures)
 
 
 def _silent(_done: int, _total: int, _what: str) -> None:
     pass
 
 
-def rebuild(out: Path | str, *, pictures: bool = True, pdf: bool = False) -> Results:
-    """Write tables, figures and page of a run folder anew, and return its results.
-
-    Parameters
-    ----------
-    out : Path or str
-    pictures : bool
-        Without them there are neither figures nor `report.html`.
-    pdf : bool
-        Whether the figures are drawn as PDF, too.
+def rebuild(out: Path | str, *, pdf: bool = False) -> Results:
+    """Write tables, figures and page of a run folder anew, with `pdf` figures as PDF, too.
 
     Raises IsacTrackError if the folder holds no run, or a cell is missing or not as it was written.
     """
     out = Path(out)
-    if pictures:
+    if pdf:
         check_drawing()
     manifest = read_manifest(out)
     with locked(out), _one_thread():
         check_sound(out, (name for entry in manifest["cells"] for name in entry["files"]))
-        return build(out, pictures=pictures, pdf=pdf)
+        return build(out, pdf=pdf)
 
 
-def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1) -> Results:
-    """Write summary, tables and figures of a run folder, drawn by `jobs` workers, and return them.
+def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
+    """Write summary, tables and figures of a run folder, and return them.
 
     Otherwise as `rebuild`, which locks the folder and checks its cells first.
     """
@@ -171,15 +164,12 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1)
     write_text(results)
     folder.remove_figures(out)  # those of an earlier report tell of other results
     if pictures:
-        _draw(results, pdf=pdf, jobs=jobs)
+        _draw(results, pdf=pdf)
     return results
 
 
-def _draw(results: Results, *, pdf: bool, jobs: int) -> None:
-    # matplotlib is slow to import, and only needed to draw.
-    from evaluation.reporting import page  # noqa: PLC0415 - a run without pictures needs neither
-    from evaluation.reporting.figures.drawing import draw_all, figures_of  # noqa: PLC0415 - a run without pictures needs neither
-
-    folder.note_figures(results.out, [one.name for one in figures_of(results)])
-    drawn = draw_all(results, folder=results.out / "figures", jobs=jobs, pdf=pdf)
-    page.write(results, drawn=drawn)
+def _draw(results: Results, *, pdf: bool) -> None:
+    figures = figures_of(results)
+    folder.note_figures(results.out, [one.name for one in figures])
+    write_figures(figures, folder=results.out / "figures", dataset=results.dataset, pdf=pdf)
+    page.write(results, figures=figures)

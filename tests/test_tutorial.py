@@ -13,7 +13,6 @@ import pandas as pd
 import pytest
 from helpers.processes import ROOT
 
-from evaluation.reporting.figures import drawing
 from evaluation.results import build
 
 EXAMPLE = ROOT / "examples" / "tutorial"
@@ -29,16 +28,13 @@ FILES = (
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    """The run as its files hold it, and what the script said; of the figures one is enough."""
+    """The run as its files hold it, and what the script said."""
     folder, said = tmp_path_factory.mktemp("tutorial"), io.StringIO()
     for path in EXAMPLE.glob("*.py"):
         shutil.copy(path, folder)
-    figures = drawing.figures_of
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(said):
         patch.chdir(folder)
         patch.syspath_prepend(folder)
-        after = lambda run: [one for one in figures(run) if one.name == "after_attack"]  # noqa: E731 - shorter than a function of three lines
-        patch.setattr(drawing, "figures_of", after)
         runpy.run_path("tutorial.py")
     del sys.modules["geometric_median"]  # the name is free again
     out = folder / "tutorial-run"
@@ -123,4 +119,4 @@ def test_the_numbers_of_the_text_are_those_of_the_run(finished):
 
 
 def test_a_folder_can_be_redrawn_without_the_attack(finished):
-    assert MINE in set(build(finished.out, pictures=False).summary["consumer"])
+    assert MINE in set(build(finished.out).summary["consumer"])

@@ -1,23 +1,25 @@
-"""Charts of the page: marks on two axes in a few SVG elements, texts as text.
+"""Charts: marks on two axes in a few SVG elements, texts as text.
 
-A chart is as wide as a phone. Colours are classes of the page, so that they change in the dark, and
-a mark's shape and filling say the same in grey. Every mark is named.
+A chart is as wide as a phone. Colours are classes, so that they change in the dark, and a mark's
+shape and filling say the same in grey. Every mark is named.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from evaluation.analysis.frontier import front
+from evaluation.analysis.keys import level_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from isac_track.intervals import Estimate
+    from isac_track.types import Floats
 
 WIDTH: Final = 360.0
 CHARACTER: Final = 5.6
@@ -34,8 +36,11 @@ _SHAPES: Final = (
 )
 """Paths that begin 3.4 left of their middle, each of a colour."""
 LOOKS: Final = len(_SHAPES)
-_STEPS: Final = (1.0, 2.0, 5.0, 10.0, 20.0)
-_MOST_TICKS: Final = 6
+_STEPS: Final = (1.0, 2.0, 5.0, 10.0)
+_MOST_STEPS: Final = 5
+_TOP: Final = 6.0
+_RIGHT: Final = WIDTH - 12.0
+_FEW_DECADES: Final = 2.0
 
 
 class Look(NamedTuple):
@@ -64,6 +69,24 @@ class Point(NamedTuple):
     y: Estimate
 
 
+class Curve(NamedTuple):
+    """A line over something, with marks and intervals."""
+
+    look: Look
+    name: str
+    x: Floats
+    """(P,) in the unit of the axis"""
+    y: Floats
+    """(3, P) values and both ends of their intervals, NaN where unknown"""
+
+
+class Axis(NamedTuple):
+    """An axis: its label, and whether it is logarithmic."""
+
+    label: str
+    log: bool = False
+
+
 @dataclass(eq=False, slots=True)
 class Chart:
     """What is drawn, in units of the picture; the template knows how."""
@@ -85,13 +108,28 @@ class Chart:
         """Where the horizontal axis is."""
         return self.height - 30.0
 
-    def x_axis(self, most: float) -> float:
-        """Draw an axis from zero to a value or above in %; return how long one of them is."""
-        ticks = _ticks(most)
-        unit = (WIDTH - 12.0 - self.left) / ticks[-1]
-        self.x_ticks = [(self.left + unit * one, f"{one:g}") for one in ticks]
+    @property
+    def texts(self) -> list[tuple[float, float, str, str]]:
+        """Place, class and words of all texts but that of the upright axis."""
+        found = [(at, self.bottom + 12.0, "x", text) for at, text in self.x_ticks]
+        found += [(0.5 * (self.left + _RIGHT), self.bottom + 26.0, "x", self.x_label)]
+        return found + [(self.left - 5.0, at + 3.4, "y", text) for at, text in self.y_ticks]
+
+    def x_axis(self, values: Floats, *, log: bool = False) -> Callable[[Any], Any]:
+        """Draw the axis of values; return where one of them is."""
+        place, self.x_ticks = _axis(values, (self.left, _RIGHT), log=log)
         self.grid += "".join(f"M{at:.1f} 6V{self.bottom:.1f}" for at, _ in self.x_ticks)
-        return unit
+        return place
+
+    def y_axis(self, values: Floats, *, log: bool = False) -> Callable[[Any], Any]:
+        """Draw the upright axis of values; return where one of them is."""
+        place, self.y_ticks = _axis(values, (self.bottom, _TOP), log=log)
+        self.grid += "".join(self.across(at) for at, _ in self.y_ticks)
+        return place
+
+    def across(self, y: float) -> str:
+        """Return the path of a line from side to side."""
+        return f"M{self.left:.1f} {y:.1f}H{_RIGHT:.0f}"
 
 
 def rows_chart(
@@ -109,24 +147,23 @@ def rows_chart(
     longest = max(map(len, rows), default=0)
     chart = Chart(x_label, 12.0 + step * len(rows) + 30.0, min(150.0, 10.0 + CHARACTER * longest))
     known = [one for _, of in series.values() for one in of if one is not None]
-    unit = chart.x_axis(PERCENT * max((_high(one) for one in known), default=1.0))
+    at = chart.x_axis(_shares(known))
     for place, row in enumerate(rows):
         middle = 8.0 + step * (place + 0.5)
         chart.y_ticks.append((middle, row))
-        chart.grid += f"M{chart.left:.1f} {middle:.1f}H{WIDTH - 12:.1f}"
+        chart.grid += chart.across(middle)
         for turn, (name, (look, of)) in enumerate(series.items()):
             one = of[place]
             if one is None:
                 continue
             y = middle + 4.5 * (turn - 0.5 * (len(series) - 1))
-            ends = [chart.left + unit * PERCENT * end for end in (one.ci_low, one.ci_high)]
+            x, *ends = at(_shares([one]))
             chart.lines.append((f"bar k{look.place}", _bar(ends, at=y)))
-            x = chart.left + unit * PERCENT * one.value
             chart.marks.append((look.css, look.path(x, y), f"{row}: {name} {share(one)}"))
     for look, value in across:
         if np.isfinite(value):
-            at = chart.left + unit * PERCENT * value
-            chart.lines.append((f"across k{look.place}", f"M{at:.1f} 6V{chart.bottom:.1f}"))
+            x = at(PERCENT * value)
+            chart.lines.append((f"across k{look.place}", f"M{x:.1f} 6V{chart.bottom:.1f}"))
     return chart
 
 
@@ -145,37 +182,68 @@ def plane_chart(
     """
     points = [point for curve in curves for point in curve]
     chart = Chart(x_label, 290.0, 40.0, y_label)
-    unit = chart.x_axis(PERCENT * max((_high(one.x) for one in points), default=1.0))
-    ticks = _ticks(PERCENT * max((_high(one.y) for one in points), default=1.0))
-    y_unit = (chart.bottom - 6.0) / ticks[-1]
-
-    def at(x: float, y: float) -> tuple[float, float]:
-        return chart.left + unit * PERCENT * x, chart.bottom - y_unit * PERCENT * y
-
-    chart.y_ticks = [(at(0.0, one / PERCENT)[1], f"{one:g}") for one in ticks]
-    chart.grid += "".join(f"M{chart.left:.1f} {y:.1f}H{WIDTH - 12:.1f}" for y, _ in chart.y_ticks)
+    at_x = chart.x_axis(_shares([one.x for one in points]))
+    at_y = chart.y_axis(_shares([one.y for one in points]))
     if limit is not None:
-        y = at(0.0, limit)[1]
-        chart.lines.append(("across k6", f"M{chart.left:.1f} {y:.1f}H{WIDTH - 12:.1f}"))
+        chart.lines.append(("across k6", chart.across(at_y(PERCENT * limit))))
     for curve in curves:
-        way = [at(one.x.value, one.y.value) for one in curve]
+        way = [(at_x(_shares([one.x]))[0], at_y(_shares([one.y]))[0]) for one in curve]
         chart.lines.append((f"curve k{curve[0].look.place}", _line(way)))
     if has_front and points:
         values = np.array([(one.x.value, one.y.value) for one in points])
         corners = values[front(*values.T)]
-        corners = corners[np.argsort(corners[:, 0])]
-        way = [at(corners[0, 0], ticks[-1] / PERCENT), at(*corners[0])]
-        for (_, y), (x, below) in pairwise(corners.tolist()):
-            way += [at(x, y), at(x, below)]
-        chart.lines.append(("front", _line([*way, (WIDTH - 12.0, way[-1][1])])))
+        corners = corners[np.argsort(corners[:, 0])] * PERCENT
+        x, y = at_x(corners[:, 0]).tolist(), at_y(corners[:, 1]).tolist()
+        way = [(x[0], _TOP), (x[0], y[0])]
+        for (_, above), (right, below) in pairwise(zip(x, y, strict=True)):
+            way += [(right, above), (right, below)]
+        chart.lines.append(("front", _line([*way, (_RIGHT, way[-1][1])])))
     for one in points:
-        x, y = at(one.x.value, one.y.value)
-        path = _bar([at(end, 0.0)[0] for end in (one.x.ci_low, one.x.ci_high)], at=y)
-        ends = [at(0.0, end)[1] for end in (one.y.ci_low, one.y.ci_high)]
-        path += _bar(ends, at=x, upright=True)
+        (x, *x_ends), (y, *y_ends) = at_x(_shares([one.x])), at_y(_shares([one.y]))
+        path = _bar(x_ends, at=y) + _bar(y_ends, at=x, upright=True)
         chart.lines.append((f"bar k{one.look.place}", path))
-        name = f"{one.name}: {_axis(x_label)} {share(one.x)}, {_axis(y_label)} {share(one.y)}"
+        name = f"{one.name}: {_axis_word(x_label)} {share(one.x)}, "
+        name += f"{_axis_word(y_label)} {share(one.y)}"
         chart.marks.append((one.look.css, one.look.path(x, y), name))
+    return chart
+
+
+def curves_chart(
+    curves: Sequence[Curve],
+    *,
+    x: Axis,
+    y: Axis,
+    across: Sequence[tuple[str, float]] = (),
+    marked: Sequence[tuple[Look, float, float, str]] = (),
+) -> Chart:
+    """Return curves on two axes from zero or logarithmic.
+
+    `across` are lines from side to side, a class and a value each; `marked` further marks with
+    their values and names, the first of which is infinite at the right edge.
+    """
+    chart = Chart(x.label, 190.0, 40.0, y.label)
+    shown = [*(one.y.ravel() for one in curves), [one for _, one in across]]
+    at_x = chart.x_axis(np.concatenate([one.x for one in curves]), log=x.log)
+    at_y = chart.y_axis(
+        np.concatenate([*shown, [value for _, _, value, _ in marked]]).astype(np.float64), log=y.log
+    )
+    for css, value in across:
+        chart.lines.append((f"across {css}", chart.across(at_y(value))))
+    for one in curves:
+        known = np.isfinite(one.y[0])
+        places, (middle, *ends) = at_x(one.x[known]), at_y(one.y[:, known])
+        way = list(zip(places.tolist(), middle.tolist(), strict=True))
+        bars = zip(places, *ends, strict=True)
+        kind = f"k{one.look.place}"
+        chart.lines.append((f"curve {kind}", _line(way)))
+        bar = "".join(_bar(pair, at=at, upright=True) for at, *pair in bars)
+        chart.lines.append((f"bar {kind}", bar))
+        marks = "".join(one.look.path(*at) for at in way)
+        chart.marks.append((one.look.css, marks, one.name))
+    for look, at, value, name in marked:
+        place = at_x(at) if np.isfinite(at) else _RIGHT
+        path = look.path(float(place), float(at_y(value)))
+        chart.marks.append((look.css, path, name))
     return chart
 
 
@@ -193,21 +261,55 @@ def share(one: Estimate) -> str:
     return f"{PERCENT * one.value:.1f} %" + ends * bool(np.isfinite(one.ci_low))
 
 
-def _axis(label: str) -> str:
+def _shares(of: Sequence[Estimate]) -> Floats:
+    """Return values in % with both ends of their intervals, one after the other."""
+    found = np.array([(one.value, one.ci_low, one.ci_high) for one in of], dtype=np.float64)
+    return PERCENT * found.reshape(-1)
+
+
+def _axis_word(label: str) -> str:
     return label.removesuffix(" (%)")
-
-
-def _high(one: Estimate) -> float:
-    return float(np.nanmax([one.value, one.ci_high]))
 
 
 def _line(way: Sequence[tuple[float, float]]) -> str:
     return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in way)
 
 
+def _axis(
+    values: Floats, ends: tuple[float, float], *, log: bool
+) -> tuple[Callable[[Any], Any], list[tuple[float, str]]]:
+    """Return where a value is on an axis between two places, and its ticks."""
+    known, length = values[np.isfinite(values)], ends[1] - ends[0]
+    if log and (known > 0).any():
+        known = known[known > 0]
+        low, high = np.log10([known.min() / 1.1, 1.1 * known.max()]).tolist()
+        steps = (1.0, 2.0, 5.0) if high - low < _FEW_DECADES else (1.0,)
+        decades = 10.0 ** np.arange(np.floor(low), np.ceil(high))
+        ticks = [one for one in np.outer(decades, steps).ravel() if low <= np.log10(one) <= high]
+
+        def place(of: Any) -> Any:  # noqa: ANN401 - a number or an array, which it gives back
+            return ends[0] + length * (np.log10(np.maximum(of, 10.0**low)) - low) / (high - low)
+
+        return place, [(float(place(one)), _short(one)) for one in ticks]
+    ticks = _ticks(float(known.max(initial=0.0)))
+    unit = length / ticks[-1]
+    return lambda of: ends[0] + unit * of, [
+        (ends[0] + unit * one, level_text(one)) for one in ticks
+    ]
+
+
+def _short(value: float) -> str:
+    """Return a tick, large powers of ten as such."""
+    exponent = round(np.log10(value))
+    if exponent >= 4 and np.isclose(value, 10.0**exponent):  # noqa: PLR2004 - 1000 is short
+        return "10" + str(exponent).translate(str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return level_text(value)
+
+
 def _ticks(most: float) -> list[float]:
-    """Return the ticks of an axis from zero that reaches a value, but not beyond 100 %."""
-    most = min(PERCENT, most)
-    step = next((one for one in _STEPS if most <= one * (_MOST_TICKS - 1)), _STEPS[-1])
+    """Return the ticks of an axis from zero that reaches a value."""
+    least = max(most, 1e-9) / _MOST_STEPS
+    unit = 10.0 ** np.floor(np.log10(least))
+    step = next(one * unit for one in _STEPS if least <= one * unit * (1.0 + 1e-9))
     n = max(1, int(np.ceil(most / step - 1e-9)))
     return [step * place for place in range(n + 1)]

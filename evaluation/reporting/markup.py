@@ -23,6 +23,7 @@ _OPTIONS: dict[str, Any] = {
     "lstrip_blocks": True,
 }
 HTML: Final = Environment(autoescape=True, **_OPTIONS)
+HTML.filters["plain"] = printable
 _LATEX = Environment(  # noqa: S701 - what is not HTML needs another escape: `tex`
     **_OPTIONS,
     block_start_string="<%",

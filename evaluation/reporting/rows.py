@@ -8,12 +8,8 @@ from functools import cached_property, partial
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-import pandas as pd
-
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, Family, families_in
 from evaluation.analysis.keys import Source, Where, level_text, rows_of
-from evaluation.analysis.metrics import MISSED_RATE
 from evaluation.experiment.presets import DISSOCIATION, SHARED
 from evaluation.reporting import frames
 from evaluation.reporting.table import Column, level, said
@@ -22,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
+    import pandas as pd
     from matplotlib.axes import Axes
 
     from evaluation.analysis.linkability import LinkedTask
@@ -156,12 +153,6 @@ def is_control(one: Family) -> bool:
     return one.family in CONTROLS
 
 
-def parameters_text(one: Family) -> str:
-    """Return a mechanism's parameters without its adding rule, short."""
-    text = one.parameters.replace(",", ", ")
-    return text.replace("d_sigma=", "Δσ=").replace("tau_s=", "τ=")
-
-
 def mechanism_columns(known: Mapping[str, Family]) -> list[Column]:
     """Return the columns mechanism, adding rule and level of records that have them."""
     return [
@@ -194,23 +185,6 @@ def of_source(frame: pd.DataFrame, source: Source) -> pd.DataFrame:
     """Return the rows of a summary that are of some positions."""
     is_same = frame["knowledge"].fillna("") == source.knowledge
     return frame[is_same & (frame["consumer"] == source.consumer)]
-
-
-def rank1_rows(task: LinkedTask, source: Source) -> pd.DataFrame:
-    """Return rank 1 of an attack where it is known, levels rising, as a summary has metrics.
-
-    Columns: mechanism, level, value, ci_low, ci_high, chance, and whether it links.
-    """
-    from evaluation.analysis.linkability import remarks  # noqa: PLC0415 - see `load`
-
-    rows = [
-        [mechanism, math.nan if level is None else level]
-        + [row[key] for key in ("rank1", "ci_low", "ci_high", "chance")]
-        + [not remarks(row)]
-        for (mechanism, level), block in task.cells.items()
-        if (row := block.get(source)) is not None and math.isfinite(row["rank1"])
-    ]
-    return pd.DataFrame(rows, columns=["mechanism", "level", *ENDS, "chance", "links"])
 
 
 def telling(
@@ -295,41 +269,3 @@ def schemes(summary: pd.DataFrame) -> list[Scheme]:
         place, axis = names.index(one.name), _KNOWN.get(one.name, usual)
         found.append(Scheme(one.mechanism, one.name, one.rules, *axis, place))
     return found
-
-
-def shown_in(known: Iterable[Scheme], *frames: pd.DataFrame) -> list[Scheme]:
-    """Return those of some schemes of which any of some frames has rows."""
-    return [one for one in known if any(len(one.of(frame)) for frame in frames)]
-
-
-def rules_of(known: Iterable[Scheme]) -> list[str]:
-    """Return the adding rules of some schemes."""
-    every = {rule for one in known for rule in one.rules}
-    return [rule for rule in ADDING_RULES if rule in every]
-
-
-def by_title(known: Iterable[Scheme]) -> dict[str, Scheme]:
-    """Return some schemes by what they are called, whatever their rule."""
-    return {one.title: one for one in known}
-
-
-def compared_levels(summary: pd.DataFrame) -> list[Where]:
-    """Return raw, the strictest FID level and of all else the level that costs as much.
-
-    Under each adding rule; without FID the level that costs most.
-    """
-    rates = summary[(summary["metric"] == MISSED_RATE) & summary["value"].notna()]
-    rates = rates[rates["consumer"] == next(iter(rates["consumer"]), "")]
-    found: dict[str, float | None] = {"raw": None} if (rates["mechanism"] == "raw").any() else {}
-    known = shown_in(schemes(summary), rates)
-    for rule in rules_of(known):
-        target = np.inf
-        for one in known:
-            if rule not in one.rules or one.mechanism in found:
-                continue
-            rows = one.of(rates)
-            nearest = (rows["value"] - min(target, rows["value"].max())).abs().idxmin()
-            row = rows.iloc[0] if one.name == FID else rows.loc[nearest]
-            target = row["value"] if one.name == FID else target
-            found[one.mechanism] = float(row["level"])
-    return list(found.items())

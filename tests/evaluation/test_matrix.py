@@ -81,8 +81,8 @@ def test_what_cannot_be_a_folder_is_said_before_anything_is_announced(out, small
     assert shown.endswith("choose another --out\n")
 
 
-def test_a_backend_that_matplotlib_does_not_know_is_said_before_anything_is_announced(small):
-    words = [sys.executable, "-m", "evaluation.matrix", *map(str, small)]
+def test_a_backend_that_matplotlib_does_not_know_is_said_before_anything_is_printed():
+    words = [sys.executable, "-m", "evaluation.report", "--pdf", "nowhere"]
     environment = os.environ | {"MPLBACKEND": "nonsense"}
     done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 2

@@ -263,7 +263,7 @@ class TestTheSource:
         assert found == {
             "evaluation/__init__.py",
             "evaluation/__main__.py",
-            "evaluation/reporting/figures/drawing.py",
+            "evaluation/reporting/figures/figure.py",
             "evaluation/runs/dask.py",
             "evaluation/runs/workers.py",
             "isac_track/kalman/__init__.py",

@@ -238,7 +238,7 @@ def test_every_kind_of_damage_is_found_and_computed_again(place, many_scenes, ca
     assert_same(out, expected)
     for name in ("summary.csv", "decisions.csv", "verdict.json"):
         (out / name).unlink()
-    rebuild(out, pictures=False)  # it is drawn from the cells alone
+    rebuild(out)  # it is drawn from the cells alone
     assert_same(out, expected)
     check = ["sha256sum", "--check", "--quiet", "SHA256SUMS"]
     checked = subprocess.run(check, cwd=out, capture_output=True, text=True, check=False)

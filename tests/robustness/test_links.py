@@ -25,7 +25,7 @@ def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("finished")
     write_walks(folder / "walks.csv")
     settings = smoke(folder / "walks.csv", folder / "run", scenes=4)
-    evaluation.run(settings, pictures=False)
+    evaluation.run(settings)
     return folder / "run"
 
 
@@ -49,7 +49,7 @@ def victim(tmp_path):
 def test_a_linked_file_is_not_written_to(run, victim, name):
     (run / name).unlink(missing_ok=True)
     (run / name).symlink_to(victim)
-    rebuild(run, pictures=False)
+    rebuild(run)
     assert (run / name).is_symlink() == (name in GUESSED)
 
 
@@ -59,7 +59,7 @@ def test_a_linked_folder_is_refused(run, victim, name):
         shutil.rmtree(run / name)
     (run / name).symlink_to(victim.parent)
     with pytest.raises((DataError, SettingsError), match=re.escape(f"{run / name} is a link")):
-        rebuild(run, pictures=False)
+        rebuild(run)
 
 
 @pytest.mark.parametrize("name", [".lock", "SHA256SUMS", "manifest.json", "gallery.parquet"])
@@ -68,7 +68,7 @@ def test_what_is_no_file_of_the_run_is_refused(run, victim, name, planted):
     (run / name).unlink(missing_ok=True)
     (run / name).symlink_to(victim) if planted == "link" else os.mkfifo(run / name)
     with pytest.raises((DataError, SettingsError), match=re.escape(str(run / name))):
-        rebuild(run, pictures=False)
+        rebuild(run)
 
 
 def test_a_linked_cell_counts_as_damaged(run, victim):
@@ -77,7 +77,7 @@ def test_a_linked_cell_counts_as_damaged(run, victim):
     cell.unlink()
     cell.symlink_to(victim.parent.parent / "elsewhere")
     with pytest.raises((DataError, SettingsError), match=re.escape(cell.name)):
-        rebuild(run, pictures=False)
+        rebuild(run)
 
 
 def test_what_a_killed_run_left_goes(run):

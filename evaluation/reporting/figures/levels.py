@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import re
-from functools import partial
 from itertools import groupby
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,232 +16,150 @@ from evaluation.analysis.paper import DATASET, PREDICTOR, PUBLISHED
 from evaluation.analysis.strongest import most_knowing
 from evaluation.experiment.presets import IDENTITY, SHARED
 from evaluation.reporting import rows as picked
-from evaluation.reporting.figures import drawing
-from evaluation.reporting.figures.drawing import LOOKS, Drawing, Line, Look
+from evaluation.reporting.charts import LOOKS, Axis, Curve, Look, curves_chart
+from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.result_tables import after_attack, sources_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     import pandas as pd
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _FILES = {FID: "fid_threshold", FIXED: "fixed_error"}
-_EXPOSURE_LABEL = "Exposure, shared (s)"
-_MOST_BANDS = 2
 _MOST_CHARACTERS = 80
 """Of a file's name."""
-_SHARED_LOOK = Look("#000000", "o", "-")
-# Apart from the looks of the predictors, with which they share a legend.
-_SWEPT_LOOKS = {
-    EXPOSURE: _SHARED_LOOK,
-    "ael": Look("#56B4E9", "v", "-"),
-    "mel": Look("#000000", "D", "--"),
+_SHARED_LOOKS = {EXPOSURE: Look(5), "ael": Look(4, hollow=True), "mel": Look(5, hollow=True)}
+_PAPER_LOOK = Look(LOOKS - 1)
+_PANELS = {
+    "missed conflicts (%)": (MISSED_RATE,),
+    "PLR, shared (%)": (EXPOSURE,),
+    "exposure, shared (s)": ("ael", "mel"),
 }
-# The oracle is set apart: grey, thin and hollow.
-_ORACLE: dict[str, Any] = {"linewidth": 0.8, "markerfacecolor": "white"}
-_ORACLE_LOOKS = Look("#777777", "D", (0, (2, 1.5))), Look("#999999", "v", (0, (4, 1.5)))
 
 
-def drawings(run: picked.Results) -> list[Drawing]:
-    """Return that after attack, and one of each swept mechanism."""
-    every = "PLR as shared and after each attack, over the level"
-    found = [
-        Drawing("after_attack", "after", every, _attack_figure, _attack_words),
-    ]
+def figures(run: picked.Results) -> Iterator[Figure]:
+    """Yield that after attack, and one of each swept mechanism."""
+    yield from _attacked(run)
+    names: list[str] = []
     for swept, of in groupby(picked.schemes(run.ours), key=attrgetter("name")):
         known = list(of)
         plain = f"sweep-{re.sub(r'[^A-Za-z0-9=.-]+', '_', swept)[:_MOST_CHARACTERS]}"
         name = _FILES.get(swept, plain)
-        name += f"-{known[0].place}" * any(one.name == name for one in found)
-        title = f"Missed conflicts, PLR and exposure over the level: {known[0].title}"
-        draw, words = partial(_sweep_figure, known=known), partial(_sweep_words, known=known)
-        found.append(Drawing(name, "figures", title, draw, words))
-    return found
+        names.append(f"{name}-{known[0].place}" if name in names else name)
+        yield from _sweep(run, known, name=names[-1])
 
 
-def _sweep_figure(run: picked.Results, *, known: Sequence[picked.Scheme]) -> Figure | None:
-    """Return a column for each adding rule, a row for each quantity; None without levels."""
-    lines = {
-        of: line for of, line in _swept_lines(run).items() if picked.shown_in(known, line.rows)
-    }
-    known = picked.shown_in(known, *(line.rows for line in lines.values()))
-    if not known:
-        return None
-    labels = list(dict.fromkeys(_axis(metric) for _, metric in lines))
-    is_papers = run.dataset == DATASET and known[0].name in _FILES
-    of_paper = [one for one in known if is_papers and "linear" in one.rules]
-    figure, panels = drawing.panels(
-        len(labels), len(known), height_in=1.35 * len(labels) + 0.9, sharex=True, sharey="row"
-    )
-    for scheme, axes in zip(known, panels.T, strict=True):
-        axes[0].set_title(scheme.rule_text)
-        axes[-1].set_xlabel(scheme.label)
-        for (consumer, metric), line in lines.items():
-            ax = axes[labels.index(_axis(metric))]
-            line.draw(ax, scheme)
-            if scheme in of_paper and consumer in (SHARED, PREDICTOR):
-                _draw_paper(ax, metric, look=line.look, scheme=scheme)
-    drawing.level_axis(panels[0, 0], log=known[0].log)
-    for label, ax in zip(labels, panels[:, 0], strict=True):
-        ax.set_ylabel(label)
-        drawn = [line for (_, metric), line in lines.items() if _axis(metric) == label]
-        values = [line.shown.scale * one.of(line.rows)["value"] for line in drawn for one in known]
-        alone = [one for line in drawn for one in line.alone(RAW)]
-        drawing.value_axis(ax, [*values, alone], log=label == _EXPOSURE_LABEL)
-    predictors = [line for (_, metric), line in lines.items() if metric == MISSED_RATE]
-    # An only predictor is in the title, and PLR has its own axis.
-    named = predictors if len(predictors) > 1 else []
-    named += [line for (_, metric), line in lines.items() if metric in ("ael", "mel")]
-    banded = "" if all(line.has_band for line in predictors) else predictors[0].label
-    handles = [
-        *(line.handle for line in named),
-        any(line.alone(RAW) for line in lines.values()) and drawing.black_handle("raw", dashes=":"),
-        drawing.band_handle("95 % interval" + f" (predictors: {banded})" * bool(banded)),
-        bool(of_paper) and drawing.black_handle("paper (raw at the edge)", marker="o", hollow=True),
+def curve(
+    rows: pd.DataFrame, scheme: picked.Scheme, *, label: str, look: Look, metric: str
+) -> list[Curve]:
+    """Return the curve of a metric over the levels of a scheme, named by its ends; none without."""
+    shown, of = METRICS[metric], scheme.of(rows)
+    of = of[np.isfinite(of["value"])]
+    if of.empty:
+        return []
+    y = shown.scale * of[picked.ENDS].to_numpy(dtype=np.float64).T
+    ends = [
+        f"{value:.{shown.digits}f} {shown.unit} at {scheme.at(level)}"
+        for value, level in zip(y[0], of["level"], strict=True)
     ]
-    what = f", predictor {predictors[0].label}" if len(predictors) == 1 else ""
-    return drawing.finish(figure, handles, dataset=run.dataset, what=f"{known[0].title}{what}")
+    told = " to ".join(dict.fromkeys([ends[0], ends[-1]]))
+    return [Curve(look, f"{label}: {told}", of["level"].to_numpy(dtype=np.float64), y)]
 
 
-def _sweep_words(run: picked.Results, *, known: Sequence[picked.Scheme]) -> str:
-    lines = _swept_lines(run)
-    first = next(consumer for consumer, _ in lines)
-    told = {
-        f"{'missed conflicts of ' * (metric == MISSED_RATE)}{line.label} from": line
-        for (consumer, metric), line in lines.items()
-        if consumer in (first, SHARED)
-    }
-    said = _ends({one.rule_text: one for one in known}, told)
-    return f"Panels over the level, with 95 % bands. {said}"
+def alone(rows: pd.DataFrame, mechanism: str, metric: str) -> list[float]:
+    """Return a metric where a mechanism has no level, as it is shown."""
+    found = rows.loc[rows["mechanism"] == mechanism, "value"]
+    return [METRICS[metric].scale * one for one in found if np.isfinite(one)]
 
 
-def _ends(named: Mapping[str, picked.Scheme], lines: Mapping[str, Line]) -> str:
-    """Return the ends of lines in words, as `NAME: PLR 18.7 % at η = 1 to 51.9 % at η = 1000; ...`.
+def _sweep(run: picked.Results, known: Sequence[picked.Scheme], *, name: str) -> Iterator[Figure]:
+    """Yield the figure of a swept mechanism: a column for each adding rule, a row for each axis."""
+    ours = run.ours[~is_attack(run.ours)]
+    predictors = ours.loc[ours["metric"] == MISSED_RATE, "consumer"].unique()[: LOOKS - 2]
+    looks = {(one, MISSED_RATE): Look(place) for place, one in enumerate(predictors)}
+    looks |= {(SHARED, metric): look for metric, look in _SHARED_LOOKS.items()}
+    panels, key = [], dict[str, Look]()
+    for label, metrics in _PANELS.items():
+        for scheme in known:
+            curves, across, marked = list[Curve](), list[tuple[str, float]](), []
+            for (consumer, metric), look in looks.items():
+                if metric not in metrics:
+                    continue
+                rows = ours[(ours["consumer"] == consumer) & (ours["metric"] == metric)]
+                head = METRICS[metric].head if consumer == SHARED else consumer
+                found = curve(rows, scheme, label=head, look=look, metric=metric)
+                curves += found
+                across += [(f"k{look.place}", one) for one in alone(rows, RAW, metric)]
+                key |= {head: look} if found else {}
+                if run.dataset == DATASET and consumer in (SHARED, PREDICTOR):
+                    marked += _papers(metric, scheme)
+            if curves:
+                x, y = Axis(scheme.label, scheme.log), Axis(label, label.endswith("(s)"))
+                chart = curves_chart(curves, x=x, y=y, across=across, marked=marked)
+                panels.append((f"{scheme.title}, {scheme.rule_text}", chart))
+                key |= {"paper (raw at the edge)": _PAPER_LOOK} if marked else {}
+    if panels:
+        title = f"Missed conflicts, PLR and exposure over the level: {known[0].title}"
+        said = "Dashed: raw."
+        yield Figure(name, "figures", title, panels, len(known), key, said)
 
-    The names of `lines` are the words before their ends; what has no rows is left out.
-    """
-    parts = []
-    for name, scheme in named.items():
-        found = []
-        for before, line in lines.items():
-            of, shown = scheme.of(line.rows).to_dict("records"), line.shown
-            ends = " to ".join(
-                f"{shown.scale * row['value']:.{shown.digits}f} {shown.unit} "
-                f"at {scheme.at(row['level'])}"
-                for row in of[:1] + of[1:][-1:]
-            )
-            found += [f"{before} {ends}"] * bool(ends)
-        parts += [f"{name}: {'; '.join(found)}."] * bool(found)
-    return " ".join(parts)
 
-
-def _axis(metric: str) -> str:
-    return _EXPOSURE_LABEL if metric in ("ael", "mel") else drawing.label(metric)
-
-
-def _swept_lines(run: picked.Results) -> dict[tuple[str, str], Line]:
-    """Return what may be drawn, by consumer and metric."""
-    known = run.ours[~is_attack(run.ours) & np.isfinite(run.ours["value"])]
-    predictors = list(known.loc[known["metric"] == MISSED_RATE, "consumer"].unique())[: len(LOOKS)]
-    # The bands of many predictors would hide each other.
-    n_bands = len(predictors) if len(predictors) <= _MOST_BANDS else 1
-    looks = {(name, MISSED_RATE): look for name, look in zip(predictors, LOOKS, strict=False)}
-    looks |= {(SHARED, metric): look for metric, look in _SWEPT_LOOKS.items()}
-    return {
-        (consumer, metric): Line(
-            METRICS[metric].head if consumer == SHARED else consumer,
-            look,
-            known[(known["consumer"] == consumer) & (known["metric"] == metric)],
-            METRICS[metric],
-            has_band=metric != MISSED_RATE or consumer in predictors[:n_bands],
-            is_raw_across=True,
+def _papers(metric: str, scheme: picked.Scheme) -> list[tuple[Look, float, float, str]]:
+    """Return the paper's numbers; raw, which has no level, goes to the edge next to it."""
+    if scheme.name not in _FILES or "linear" not in scheme.rules:
+        return []
+    edge = np.inf if scheme.log else 0.0
+    shown = METRICS[metric]
+    return [
+        (
+            _PAPER_LOOK,
+            edge if at is None else at,
+            value * shown.scale,
+            f"paper: {shown.head} {value * shown.scale:.4g} {shown.unit} at "
+            + ("raw" if at is None else scheme.at(at)),
         )
-        for (consumer, metric), look in looks.items()
-    }
+        for mechanism, at, of, value in PUBLISHED
+        if of == metric and mechanism in (RAW, scheme.name)
+    ]
 
 
-def _draw_paper(ax: Axes, metric: str, *, look: Look, scheme: picked.Scheme) -> None:
-    """Mark the paper's numbers; raw, which has no level, goes to the edge next to it."""
-    for mechanism, level, of, value in PUBLISHED:
-        if of == metric and mechanism in ("raw", scheme.name):
-            transform = ax.get_yaxis_transform() if level is None else ax.transData
-            at = [float(scheme.log) if level is None else level], [value * METRICS[metric].scale]
-            mark: dict[str, Any] = {"marker": look.marker, "markersize": 5, "clip_on": False}
-            mark |= {"markerfacecolor": "white", "markeredgecolor": "black", "zorder": 5}
-            ax.plot(*at, **mark, transform=transform)
-
-
-def _attack_figure(run: picked.Results) -> Figure | None:
-    """Return PLR over the level, as shared and after each attack; None without attacks or levels.
+def _attacked(run: picked.Results) -> Iterator[Figure]:
+    """Yield PLR over the level, as shared and after each attack; none without attacks or levels.
 
     Of each attack the adversary is drawn that knows most short of the oracle; an attack that only
-    the oracle can run is drawn as a reference. The control, which repeats what was shared, is left
-    out, and so is what lies beyond the looks that there are.
+    the oracle can run is hollow. The control, which repeats what was shared, is left out, and so is
+    what lies beyond the looks that there are.
     """
-    rows = _exposure(after_attack(run.ours))
-    known = picked.schemes(rows)
-    lines = {
-        of: line for of, line in _attack_lines(rows).items() if picked.shown_in(known, line.rows)
-    }
-    if not lines.keys() - {AS_SHARED}:
-        return None
-    known = picked.shown_in(known, *(line.rows for line in lines.values()))
-    swept = [list(of) for _, of in groupby(known, key=attrgetter("name"))]
-    columns, height_in = picked.rules_of(known), 2.0 * len(swept) + 0.9
-    figure, panels = drawing.panels(
-        len(swept), len(columns), height_in=height_in, sharex="row", sharey=True
-    )
-    for of, axes in zip(swept, panels, strict=True):
-        for rule, ax in zip(columns, axes, strict=True):
-            scheme = next((one for one in of if rule in one.rules), None)
-            if scheme is None:
-                ax.set_axis_off()
-                continue
-            ax.set(title=f"{scheme.title}, {scheme.rule_text}", xlabel=scheme.label)
-            for line in lines.values():
-                line.draw(ax, scheme)
-        drawing.level_axis(axes[0], log=of[0].log)
-        axes[0].set_ylabel("PLR, shared or attacked (%)")
-    # A share: the whole axis, with a little room for markers at its ends.
-    panels[0, 0].set_ylim(-3.0, 103.0)
-    has_raw = any(line.alone(RAW) for line in lines.values())
-    handles = [
-        *(line.handle for line in lines.values()),
-        has_raw and drawing.black_handle("raw (attacks: at its edge)", dashes=":"),
-        drawing.band_handle("95 % interval"),
-    ]
-    what = "what an adversary who filters gets back"
-    return drawing.finish(figure, handles, dataset=run.dataset, what=what)
+    rows = after_attack(run.ours)
+    rows = rows[rows["metric"] == EXPOSURE]
+    looks = _attack_looks(rows)
+    if not looks.keys() - {AS_SHARED}:
+        return
+    of = {source: picked.of_source(rows, source) for source in looks}
+    panels, key = [], dict[str, Look]()
+    for scheme in picked.schemes(rows):
+        curves = []
+        for source, look in looks.items():
+            label = "as shared" if source == AS_SHARED else source.label
+            found = curve(of[source], scheme, label=label, look=look, metric=EXPOSURE)
+            curves += found
+            key |= {label: look} if found else {}
+        if curves:
+            raw = alone(of.get(AS_SHARED, rows[:0]), RAW, EXPOSURE)
+            x, y = Axis(scheme.label, scheme.log), Axis("PLR, shared or attacked (%)")
+            chart = curves_chart(curves, x=x, y=y, across=[("k6", one) for one in raw])
+            panels.append((f"{scheme.title}, {scheme.rule_text}", chart))
+    title = "PLR as shared and after each attack, over the level"
+    if panels:
+        said = "Dashed: raw as shared. Hollow: the oracle, a reference."
+        yield Figure("after_attack", "after", title, panels, 2, key, said)
 
 
-def _attack_words(run: picked.Results) -> str:
-    strongest, rows = run.strongest.get(""), _exposure(after_attack(run.ours))
-    if strongest is None:
-        return ""
-    of = {"as shared": AS_SHARED, f"after {strongest.label}": strongest}
-    told = {name: Line("", _SHARED_LOOK, picked.of_source(rows, one)) for name, one in of.items()}
-    known = {f"{one.title}, {one.rule_text}": one for one in picked.schemes(run.ours)}
-    return f"Lines of PLR over the level. {_ends(known, told)}"
-
-
-def _exposure(rows: pd.DataFrame) -> pd.DataFrame:
-    found: pd.DataFrame = rows[(rows["metric"] == EXPOSURE) & np.isfinite(rows["value"])]
-    return found
-
-
-def _attack_lines(rows: pd.DataFrame) -> dict[Source, Line]:
-    """Return what is drawn, with its looks."""
+def _attack_looks(rows: pd.DataFrame) -> Mapping[Source, Look]:
+    """Return whose positions are drawn, and how."""
     chosen = [source for source in most_knowing(sources_of(rows)) if source.consumer != IDENTITY]
     oracle = [source for source in chosen if source.knowledge == ORACLE]
     others = [source for source in chosen if source.knowledge and source not in oracle]
-    # Raw after attacks would crowd each other.
-    shared = Line("as shared", _SHARED_LOOK, picked.of_source(rows, AS_SHARED), is_raw_across=True)
-    lines = {AS_SHARED: shared} if AS_SHARED in chosen else {}
-    for of, look in zip(others, LOOKS, strict=False):
-        lines[of] = Line(of.label, look, picked.of_source(rows, of))
-    for of, look in zip(oracle, _ORACLE_LOOKS, strict=False):
-        label = f"{of.label}, a reference"
-        lines[of] = Line(label, look, picked.of_source(rows, of), apart=_ORACLE)
-    return lines
+    looks = {AS_SHARED: Look(LOOKS - 1)} if AS_SHARED in chosen else {}
+    looks |= {of: Look(place) for place, of in enumerate(others[: LOOKS - 1])}
+    return looks | {of: Look(place, hollow=True) for place, of in enumerate(oracle[: LOOKS - 1])}

@@ -4,7 +4,7 @@ import pytest
 from helpers.finished_runs import levels, make_gallery, make_run, make_summary, with_links
 
 from evaluation.reporting import page
-from evaluation.reporting.figures.drawing import draw_all
+from evaluation.reporting.figures.figure import figures_of
 
 
 @pytest.fixture(scope="session")
@@ -12,4 +12,4 @@ def page_path(tmp_path_factory):
     out, at = tmp_path_factory.mktemp("run"), levels(rules=("",))
     summary = make_summary(at, predictors=("least_squares", "kalman_cv"))
     run = with_links(make_run(out, at=at, gallery=make_gallery(), summary=summary))
-    return page.write(run, drawn=draw_all(run, folder=out / "figures"))
+    return page.write(run, figures=figures_of(run))

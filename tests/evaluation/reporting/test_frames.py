@@ -109,7 +109,7 @@ def test_a_table_that_is_not_there_has_a_way_out(made, tmp_path, spoil, told):
     with pytest.raises(DataError, match=re.escape(told)):
         evaluation.load(out)
     if told != "holds no run":
-        rebuild(out, pictures=False)
+        rebuild(out)
         assert evaluation.load(out).verdict == made.run.verdict
 
 

@@ -112,7 +112,7 @@ GROUND = "() => getComputedStyle(document.body).backgroundColor"
 @pytest.mark.parametrize(
     ("scheme", "ground", "ink"),
     [
-        ("light", "rgb(255, 255, 255)", "rgb(0, 0, 0)"),
+        ("light", "rgb(255, 255, 255)", "rgb(27, 29, 32)"),
         ("dark", "rgb(23, 25, 28)", "rgb(232, 232, 230)"),
     ],
 )

@@ -23,7 +23,6 @@ from evaluation.analysis.families import families_in
 from evaluation.analysis.linkability import linked_tasks
 from evaluation.reporting import tables
 from evaluation.reporting.answer_tables import effect, paper_table
-from evaluation.reporting.figures.drawing import figures_of
 from evaluation.reporting.markup import markdown
 from evaluation.reporting.result_tables import (
     attack_table,
@@ -63,7 +62,6 @@ def test_what_is_shown_of_a_run_is_letter_for_letter_what_was_read_and_approved(
     told = [name for name in found if re.match("matched|cells-h|doubts|flags|contr|verd", name)]
     parts = [shown(run, tmp_path), *(f"{name}\n{markdown(found[name])}" for name in told)]
     parts += [(tmp_path / f"{name}.tex").read_text("utf-8") for name in ("linkability", "verdict")]
-    parts += [f"{one.name}: {one.words(run)}\n" for one in figures_of(run)]
     text = "\n".join(parts)
     assert_as_approved(text, Path(__file__).with_name("shown.txt"))
 

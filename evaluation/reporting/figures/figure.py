@@ -1,0 +1,176 @@
+"""The figures of a run: panels of charts, on the page and as files of their own.
+
+A file in this folder with a function `figures` makes some.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import warnings
+from dataclasses import dataclass, replace
+from importlib import import_module
+from pkgutil import iter_modules
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from evaluation.reporting.charts import CHARACTER, WIDTH, Chart, Look
+from evaluation.reporting.markup import HTML
+from evaluation.reporting.table import printable, shortened
+from evaluation.runs.files import write_whole
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from evaluation.reporting.rows import Results
+
+_TOP, _LEFT, _HEADING, _GAP = 26.0, 10.0, 16.0, 14.0
+_INKS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#1b1d20")
+_MARKERS: Final = "os^DvP*"
+_PRINTED: Final[dict[str, dict[str, Any]]] = {
+    "grid": {"color": "#d9dce0", "linewidth": 0.6},
+    "bar": {"linewidth": 1.1, "alpha": 0.55},
+    "curve": {"linewidth": 0.8, "alpha": 0.5},
+    "across": {"linewidth": 1.0, "linestyle": (0, (2, 2))},
+    "front": {"color": "#555b63", "linewidth": 2.2, "alpha": 0.6},
+}
+"""By class, what `chart.css` says, as matplotlib's lines take it."""
+_ROOM: Final = 40
+"""Characters of a data set's name."""
+_PIECE: Final = re.compile(r"([MLHV])([-\d. ]+)")
+_MARK: Final = re.compile(r"M([-\d.]+) ([-\d.]+)")
+_ALIGNED: Final = {"x": "center", "y": "right"}
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Figure:
+    """Panels that belong together."""
+
+    name: str
+    """Of its files."""
+    section: str
+    """Of the page."""
+    title: str
+    panels: Sequence[tuple[str, Chart]]
+    """Heading and chart, row by row."""
+    columns: int
+    key: Mapping[str, Look]
+    """What each mark is of."""
+    caption: str = ""
+
+
+class Layout(NamedTuple):
+    """Where everything of a figure stands."""
+
+    width: float
+    height: float
+    panels: list[tuple[float, float, str, Chart]]
+    """Left, top, heading and chart."""
+    key: list[tuple[float, float, str, Look]]
+    """Middle of each mark, and what it is of."""
+
+
+def figures_of(run: Results) -> list[Figure]:
+    """Return the figures of a run, of every file of this folder that has any."""
+    folder = __name__.rpartition(".")[0]
+    names = [one.name for one in iter_modules(import_module(folder).__path__)]
+    modules = [import_module(f"{folder}.{name}") for name in names]
+    return [one for module in modules if hasattr(module, "figures") for one in module.figures(run)]
+
+
+def write(figures: Iterable[Figure], *, folder: Path, dataset: str, pdf: bool) -> None:
+    """Write every figure of a data set as SVG and, if asked for, as PDF.
+
+    Raises DataError if the folder cannot be written.
+    """
+    with contextlib.suppress(OSError):  # write_whole says what is wrong
+        folder.mkdir(parents=True, exist_ok=True)
+    template = HTML.get_template("figure.svg.j2")
+    for of in figures:
+        title = f"{shortened(dataset, room=_ROOM)}: {of.title}"
+        one = replace(of, title=printable(title))
+        text = template.render(of=one, at=_layout(one))
+        write_whole(folder / f"{one.name}.svg", text.encode())
+        if pdf:
+            write_whole(folder / f"{one.name}.pdf", _printed(one))
+
+
+def _layout(of: Figure) -> Layout:
+    columns = min(of.columns, len(of.panels))
+    width, top, panels = columns * (WIDTH + _GAP), _TOP, []
+    for start in range(0, len(of.panels), of.columns):
+        row = of.panels[start : start + of.columns]
+        panels += [
+            (place * (WIDTH + _GAP), top + _HEADING, heading, chart)
+            for place, (heading, chart) in enumerate(row)
+        ]
+        top += _HEADING + max(chart.height for _, chart in row) + _GAP
+    key, x = [], _LEFT
+    for name, look in of.key.items():
+        needed = CHARACTER * len(name) + 26.0
+        if x > _LEFT and x + needed > width:
+            x, top = _LEFT, top + 15.0
+        key.append((x, top, name, look))
+        x += needed
+    return Layout(width, top + 12.0, panels, key)
+
+
+def _printed(of: Figure) -> bytes:
+    """Return a figure as PDF, the same bytes each time, whatever the user's own settings are."""
+    import matplotlib as mpl  # noqa: PLC0415 - slow to import, and seldom needed
+    from matplotlib.figure import Figure as Page  # noqa: PLC0415 - as said
+
+    at = _layout(of)
+    usual = mpl.rcParamsDefault | {"text.parse_math": False}
+    with mpl.rc_context(usual), warnings.catch_warnings():
+        # A data set may be named in a script that the bundled font lacks.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from")
+        page = Page(figsize=(at.width / 72.0, at.height / 72.0))
+        ax = page.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0.0, at.width), ylim=(at.height, 0.0))
+        ax.set_axis_off()
+        ax.text(8.0, 16.0, of.title, fontsize=11.0, weight="bold")
+        for left, top, heading, chart in at.panels:
+            ax.text(left + 8.0, top - 4.0, heading, fontsize=9.5, weight="bold")
+            for x, y, kind, text in chart.texts:
+                ax.text(left + x, top + y, text, fontsize=8.5, ha=_ALIGNED[kind])
+            middle = top + 0.5 * chart.bottom
+            ax.text(left + 10.0, middle, chart.y_label, fontsize=8.5, rotation=90, va="center")
+            for css, path in [("grid", chart.grid), *chart.lines]:
+                kind, _, colour = css.partition(" k")
+                ink = {"color": _INKS[int(colour or 0)], **_PRINTED[kind]}
+                for line in _strokes(path):
+                    ax.plot(*(np.array(line) + np.array([left, top])).T, **ink)
+            for css, path, _ in chart.marks:
+                for x, y in _MARK.findall(path):
+                    _mark(ax, left + float(x) + 3.4, top + float(y), css)
+        for x, y, name, look in at.key:
+            _mark(ax, x, y, look.css)
+            ax.text(x + 8.0, y + 3.0, name, fontsize=8.5)
+        sink = io.BytesIO()
+        dated = dict.fromkeys(("CreationDate", "Creator", "Producer"))
+        page.savefig(sink, format="pdf", metadata=dated)
+    return sink.getvalue()
+
+
+def _mark(ax: Any, x: float, y: float, css: str) -> None:  # noqa: ANN401 - matplotlib's axes
+    place, is_hollow = int(css.split()[1][1:]), css.endswith("hollow")
+    face = "white" if is_hollow else _INKS[place]
+    look = {"color": _INKS[place], "markerfacecolor": face, "markersize": 5.0}
+    ax.plot([x], [y], _MARKERS[place], **look)
+
+
+def _strokes(path: str) -> Iterator[list[tuple[float, float]]]:
+    """Yield the lines of a path of absolute steps."""
+    line: list[tuple[float, float]] = []
+    for step, text in _PIECE.findall(path):
+        numbers = [float(one) for one in text.split()]
+        if step == "M":
+            yield from [line] * bool(line)
+            line = []
+        x, y = line[-1] if line else (0.0, 0.0)
+        ends = {"H": (numbers[0], y), "V": (x, numbers[0])}
+        line.append(ends.get(step, (numbers[0], numbers[-1])))
+    yield from [line] * bool(line)

@@ -1,0 +1,186 @@
+"""Figures: a curve stands where its numbers are, odd data survive, and files are well formed."""
+
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from helpers.finished_runs import (
+    INDEPENDENT,
+    emptied,
+    levels,
+    make_linkability,
+    make_run,
+    make_summary,
+    with_links,
+)
+
+from evaluation.reporting.charts import Axis, Curve, Look, curves_chart
+from evaluation.reporting.figures.figure import figures_of, write
+from evaluation.reporting.rows import schemes
+
+SWEPT = (("fid", (1.0, 1000.0, 1e5)), ("fixed", (0.1, 0.7, 1.0)))
+BOTH = levels(swept=SWEPT)
+LINEAR = levels(swept=SWEPT, rules=("",), others=[])
+STRANGERS = [
+    *LINEAR,
+    *[("ou", at) for at in (0.2, 0.4, 0.8)],
+    *[("mine", at) for at in (1.0, 10.0, 1000.0)],
+]
+ODD_NAMES = ["<script>", "a_$b^{c}$ & \\d", "広場 & 'x'", "line\nbreak\x1b[31m", "x" * 300, ""]
+NAMES = ("fid_threshold", "fixed_error", "operating_points", "after_attack", "linkability")
+MIDDLE = re.compile(r"M([-\d.]+) ([-\d.]+)")
+
+
+def drawn(**changes):
+    """The figures of a run by name."""
+    return {one.name: one for one in figures_of(make_run(**changes))}
+
+
+def values(path, chart, *, log):
+    """Where the marks of a path are, as the ticks say, (P, 2); one begins left of its middle."""
+    found = []
+    for x, y in MIDDLE.findall(path):
+        at = []
+        for place, ticks, is_log in (
+            (float(x) + 3.4, chart.x_ticks, log[0]),
+            (float(y), chart.y_ticks, log[1]),
+        ):
+            short = [one for one in ticks if one[1].isascii()]  # not 10⁴
+            places, numbers = np.array(short, dtype=float).T
+            numbers = np.log10(numbers) if is_log else numbers
+            slope, start = np.polyfit(places, numbers, 1)
+            at.append(10 ** (start + slope * place) if is_log else start + slope * place)
+        found.append(at)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("log", [(False, False), (True, False), (True, True)])
+def test_marks_bars_and_lines_stand_where_the_numbers_are(log):
+    x, y = np.array([1.0, 20.0, 300.0, 900.0]), np.array([0.5, 30.0, np.nan, 60.0])
+    curve = Curve(Look(1), "mine", x, np.stack([y, 0.9 * y, 1.1 * y]))
+    axes = Axis("level", log[0]), Axis("seen (%)", log[1])
+    marked = [(Look(6), np.inf, 10.0, "paper")]
+    chart = curves_chart([curve], x=axes[0], y=axes[1], across=[("k6", 20.0)], marked=marked)
+    (_, marks, _), (_, paper, name) = chart.marks
+    known, close = np.isfinite(y), {"rtol": 0.03, "atol": 0.4}
+    np.testing.assert_allclose(
+        values(marks, chart, log=log), np.column_stack([x, y])[known], rtol=0.03, atol=2.0
+    )
+    paths = dict(chart.lines)
+    ends = re.sub(r"M(\S+) [\d.]+V([\d.]+)", r"M\1 \2", paths["bar k1"])
+    np.testing.assert_allclose(values(ends, chart, log=log)[:, 1], 1.1 * y[known], **close)
+    for path, value in ((paper, 10.0), (paths["across k6"], 20.0)):
+        assert values(path, chart, log=log)[0, 1] == pytest.approx(value, rel=0.03)
+    assert name == "paper"
+
+
+def test_a_line_over_the_level_is_the_run_and_its_name_tells_the_ends():
+    summary = make_summary(LINEAR)
+    _, chart = drawn(summary=summary)["fid_threshold"].panels[1]
+    (_, path, name), *papers = chart.marks
+    of = summary[(summary["mechanism"] == "fid") & (summary["consumer"] == "shared")]
+    plr = 100.0 * of[of["metric"] == "plr"].sort_values("level")["value"].to_numpy()
+    np.testing.assert_allclose(values(path, chart, log=(True, False))[:, 1], plr, atol=0.5)
+    assert name == f"PLR: {plr[0]:.1f} % at η = 1 to {plr[-1]:.1f} % at η = 100000"
+    assert sorted(told for *_, told in papers) == [
+        "paper: PLR 18.4 % at η = 1", "paper: PLR 24 % at η = 1000", "paper: PLR 52.6 % at raw",
+    ]  # fmt: skip
+
+
+def test_the_paper_is_marked_on_its_own_recording_under_linear_adding_only():
+    def papers(dataset, name="fid_threshold", at=BOTH):
+        one = drawn(dataset=dataset, summary=make_summary(at, dataset=dataset))[name]
+        return [sum("paper" in mark[2] for mark in chart.marks) for _, chart in one.panels]
+
+    assert papers("students03") == [3, 0, 3, 0, 4, 0]
+    assert not any(papers("plaza") + papers("students03", "sweep-ou", STRANGERS))
+
+
+@pytest.mark.parametrize(
+    ("keep", "expected"),
+    [
+        (lambda f: f["mechanism"] == "fid", [True, False, True]),
+        (lambda f: f["mechanism"].isin(["raw", "fixed"]), [False, True, True]),
+        (lambda f: f["mechanism"] == "raw", [False] * 3),
+        (lambda f: f["consumer"] == "shared", [True, True, False]),
+        (lambda f: f["metric"] == "missed_conflict_rate", [True, True, False]),
+        (lambda f: f["level"].isna() | (f["level"] == 1.0), [True, True, True]),
+    ],
+)
+def test_missing_parts_leave_out_no_more_than_they_must(keep, expected):
+    frame = make_summary(LINEAR, attacks=())
+    frame[["ci_low", "ci_high"]] = np.nan
+    found = drawn(summary=frame[keep(frame)], linkability=make_linkability(LINEAR)[:0])
+    assert [name in found for name in NAMES[:3]] == expected
+    assert found.keys().isdisjoint(NAMES[3:])
+
+
+def test_attacks_have_looks_of_their_own_and_the_control_has_none():
+    many = [("identity", "blind"), *((f"mine_{n}", "blind") for n in range(9)), ("o", "oracle")]
+    one = drawn(summary=make_summary(BOTH, attacks=many))["after_attack"]
+    assert list(one.key) == ["as shared", *(f"mine_{n} (blind)" for n in range(6)), "o (oracle)"]
+    assert len(set(one.key.values())) == len(one.key)
+    assert [name for name, look in one.key.items() if look.hollow] == ["o (oracle)"]
+    assert len(one.panels) == 4
+
+
+def test_the_strongest_linkers_of_each_task_come_first():
+    tasks = {"rerelease": {"shape": 0.3, "dtw": 0.6}, "split": {"histogram": 0.3, "dtw": 0.1}}
+    linked = make_linkability(LINEAR, tasks=tasks)
+    one = drawn(summary=make_summary(LINEAR), linkability=linked)["linkability"]
+    assert list(one.key) == ["dtw (informed)", "histogram (informed)", "shape (informed)"]
+    heads = [heading.partition(":")[0] for heading, _ in one.panels]
+    assert heads == ["rerelease", "rerelease", "split", "split"]
+
+
+class TestFiles:
+    def test_the_users_own_style_changes_no_byte_and_each_kind_is_there(self, tmp_path):
+        of = figures_of(with_links(make_run(summary=make_summary(LINEAR))))
+        write(of, folder=tmp_path / "a", dataset="mine", pdf=True)
+        with mpl.rc_context({"font.size": 30, "lines.linewidth": 9}):
+            write(of, folder=tmp_path / "b", dataset="mine", pdf=True)
+        paths = sorted((tmp_path / "a").iterdir())
+        assert [path.name for path in paths] == sorted(
+            f"{name}.{kind}" for name in NAMES for kind in ("pdf", "svg")
+        )
+        for path in paths:
+            assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
+
+    @pytest.mark.parametrize("name", ODD_NAMES)
+    def test_odd_names_are_drawn_as_they_are(self, tmp_path, name):
+        frame = make_summary([("fid", 1.0), ("fid", 10.0)], dataset=name, attacks=())
+        frame = frame[frame["metric"] == "plr"]
+        of = figures_of(make_run(dataset=name, **emptied(make_run()) | {"summary": frame}))
+        write(of, folder=tmp_path, dataset=name, pdf=True)
+        assert {path.name for path in tmp_path.iterdir()} == {
+            "fid_threshold.pdf", "fid_threshold.svg",
+        }  # fmt: skip
+        text = "".join(ET.parse(tmp_path / "fid_threshold.svg").getroot().itertext())
+        assert re.sub(r"[\n\x1b]", "?", name[:18]) in text
+
+    def test_names_of_files_are_plain_and_each_is_there_once(self):
+        at = [("fid", 1.0), ("my.module:Mine,a=../x", 1.0), ("my.module:Mine,a=.._x", 2.0)]
+        names = [one.name for one in figures_of(make_run(at=at))]
+        assert len(set(names)) == len(names)
+        assert all(Path(name).name == name and not name.startswith(".") for name in names)
+        assert sum(name.startswith("sweep-my.module") for name in names) == 2
+
+
+def test_each_mechanism_is_a_scheme_but_controls_and_its_rules_stand_together():
+    names = [one.name for one in schemes(make_summary(levels()))]
+    assert names == ["fid", "fid", "fixed", "fixed"]
+    at = [("ou:tau=3", 1.0), ("ou:tau=3,adding=independent", 1.0), ("ou:tau=9", 1.0)]
+    assert [one.name for one in schemes(make_summary(at))] == ["ou:tau=3"] * 2 + ["ou:tau=9"]
+    found = schemes(make_summary([*STRANGERS, *levels(rules=(INDEPENDENT,), others=[])]))
+    assert [(one.mechanism, one.log, one.rule_text) for one in found] == [
+        ("fid", True, "linear adding"),
+        (f"fid{INDEPENDENT}", True, "independent adding"),
+        ("fixed", False, "linear adding"),
+        (f"fixed{INDEPENDENT}", False, "independent adding"),
+        ("ou", False, "any adding"),
+        ("mine", True, "linear adding"),
+    ]
+    assert found[4].rules == ("linear", "independent")  # without a rule it is shown under both
