@@ -22,21 +22,17 @@ if TYPE_CHECKING:
     from evaluation.experiment.axes import Consumer
     from isac_track.plugins import Plugin
 
-SHOWS = frozenset({Knowledge.SIGMA, Knowledge.SCENE})
-"""Knowledge that shows in the release itself."""
+SHOWS = frozenset({Knowledge.SIGMA, Knowledge.SCENE})  # Knowledge that shows in the release itself.
 FAR_M = 1000.0
-LONG_S = 86_400.0
-"""How far off, and how long ago, an adversary's frame and clock may begin."""
+LONG_S = 86_400.0  # How far off, and how long ago, an adversary's frame and clock may begin.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Frame:
     """A frame and a clock, one for all samples or one each: turned by an angle, then shifted."""
 
-    turn: Complexes | complex = 1.0
-    """(M,) or one: cosine and sine of the angle"""
-    shift_m: Floats | float = 0.0
-    """(M, 2) m or (2,)"""
+    turn: Complexes | complex = 1.0  # (M,) or one: cosine and sine of the angle
+    shift_m: Floats | float = 0.0  # (M, 2) m or (2,)
     clock_s: Floats | float = 0.0
 
     def points(self, xy: Floats) -> Floats:

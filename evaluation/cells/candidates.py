@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from attacks.tasks.task_list import Task
     from isac_track.types import Floats, Ints, Release
 
-CHECKED = 100
-"""Probes with a mate that are searched in full as well, over all searches of a cell."""
+CHECKED = 100  # Probes with a mate that are searched in full as well, over all searches of a cell.
 AT_ONCE = 64
 """Probes of a call of a linker of ours, which takes 1 to 2 ms however few they are. Probes that are
 alike have much the same candidates: together they are compared with six times as many as alone."""
@@ -34,12 +33,9 @@ _ITERATIONS = 10
 class Approximated(NamedTuple):
     """Scores of a search of which a linker gave some, and the hits that shows the loss."""
 
-    scores: Floats
-    """(P, G) as the linker gave them, or lower than any of these."""
-    exact: Floats
-    """(n,) `rank1` of the probes that are searched in full, by all pairs."""
-    approximate: Floats
-    """(n,) of the same probes, by `scores`."""
+    scores: Floats  # (P, G) as the linker gave them, or lower than any of these.
+    exact: Floats  # (n,) `rank1` of the probes that are searched in full, by all pairs.
+    approximate: Floats  # (n,) of the same probes, by `scores`.
 
 
 def first_stage(task: Task) -> Histogram | Kinematic:
@@ -64,23 +60,11 @@ def among_candidates(
 ) -> Approximated:
     """Return what a linker makes of a search if it is asked about some candidates of each probe.
 
-    Parameters
-    ----------
-    score : callable
-        The linker, fitted: (p, g) of two releases.
-    probe, gallery : Release
-        Of P and G walks.
-    mate : (P,)
-        Place in the gallery, or -1: for what is lost alone.
-    first : (P, G)
-        Scores of the first stage. Equal ones are put in a random order.
-    n_candidates : int
-        How many of each probe are scored; at most G are.
-    n_checked : int
-        How many probes with a mate are searched in full, if there are as many.
-    n_at_once : int
-        Probes of a call, `AT_ONCE` or 1. All of a call are compared with the candidates of any.
-    rng : Generator
+    `score` is the linker, fitted, of two releases of P and G walks; the places of the mates, (P,),
+    are for what is lost alone. `first`, (P, G), are the scores of the first stage; equal ones are
+    put in a random order. Of each probe `n_candidates` are scored, at most G; `n_checked` probes
+    with a mate are searched in full, if there are as many. `n_at_once`, `AT_ONCE` or 1, are the
+    probes of a call: all of it are compared with the candidates of any.
     """
     n_probes, n_gallery = first.shape
     n_candidates = min(n_candidates, n_gallery)

@@ -50,8 +50,7 @@ _NUMBERS = (
     *("realised_fpr_1pct", "realised_fpr_01pct", "d_sys_bins", "is_inverted"),
     "minimum_detectable_rank1",
 )
-_NEVER = 1e300
-"""A score that no pair reaches."""
+_NEVER = 1e300  # A score that no pair reaches.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -59,17 +58,14 @@ class Linked:
     """Outcome of one cell: raw scores, and all that is read off them."""
 
     searches: tuple[linkability.Search, ...]
-    probe_person: tuple[Ints, ...]
-    """Person of each probe, search by search."""
+    probe_person: tuple[Ints, ...]  # Person of each probe, search by search.
     gallery_person: tuple[Ints, ...]
-    calibration: Mapping[int, linkability.Calibration]
-    """By fold."""
+    calibration: Mapping[int, linkability.Calibration]  # By fold.
     scored: linkability.Scorecard
     cohorts: Mapping[str, Mapping[str, float]]
     """Rank 1 without the confounders, by who is left out; none for a control."""
     is_control: bool
-    is_assigned: bool
-    """Whether probes can be left alone at a known cost, or need not be."""
+    is_assigned: bool  # Whether probes can be left alone at a known cost, or need not be.
     checked: tuple[Floats, Floats] | None = None
     """Where some candidates alone are scored: hits of probes that are searched in full as well,
     (n,), by all pairs and as they are."""

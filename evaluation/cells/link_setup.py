@@ -33,25 +33,20 @@ SIDES = ("probe", "gallery")
 class Pairing:
     """Some windows of both sides, and who is who in them: a search, or a training set."""
 
-    probe: Ints
-    """(p,) rows of the probe side."""
-    gallery: Ints
-    """(g,) rows of the gallery side."""
-    mate: Ints
-    """(p,) place in `gallery`, or -1."""
+    probe: Ints  # (p,) rows of the probe side.
+    gallery: Ints  # (g,) rows of the gallery side.
+    mate: Ints  # (p,) place in `gallery`, or -1.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Half:
     """What belongs to one fold: whom its adversary attacks, and from whom it learns."""
 
-    searches: tuple[tuple[int, Pairing], ...]
-    """Number of the search, and its windows."""
+    searches: tuple[tuple[int, Pairing], ...]  # Number of the search, and its windows.
     learns: Pairing
     calibrates: tuple[Pairing, ...]
     """Searches of the people on whose scores those of this fold are calibrated."""
-    mate_rate: float
-    """Share of those people's probes that have a mate, kept off 0 and 1."""
+    mate_rate: float  # Share of those people's probes that have a mate, kept off 0 and 1.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -59,23 +54,16 @@ class SensedSessions:
     """Both sessions of a task as they are sensed, and what else all of its levels share."""
 
     sessions: Sessions
-    sensed: tuple[Sensed, ...]
-    """Probe and gallery."""
-    frames: tuple[Frame, ...]
-    """Of the walks of either; none where the task shows the scene."""
+    sensed: tuple[Sensed, ...]  # Probe and gallery.
+    frames: tuple[Frame, ...]  # Of the walks of either; none where the task shows the scene.
     halves: tuple[Half, ...]
-    drawn_as: Ints
-    """(C,) which cluster of the run's scenes each cluster is, or -1."""
-    n_groups: int
-    """Clusters of the run's scenes."""
-    weights: Floats
-    """(B, C) bootstrap weights of the clusters."""
-    cluster: Ints
-    """(K,) cluster of each person: a column of the weights."""
+    drawn_as: Ints  # (C,) which cluster of the run's scenes each cluster is, or -1.
+    n_groups: int  # Clusters of the run's scenes.
+    weights: Floats  # (B, C) bootstrap weights of the clusters.
+    cluster: Ints  # (K,) cluster of each person: a column of the weights.
     privacy: PrivacySettings
     seed: int
-    candidates: int = 0
-    """How many of a gallery are scored for each probe; 0: all."""
+    candidates: int = 0  # How many of a gallery are scored for each probe; 0: all.
 
 
 _last: dict[bytes, SensedSessions] = {}

@@ -92,10 +92,8 @@ class LinkedLevel:
     whole: SensedSessions
     known: SensedSessions
     """Without the samples that were left out; the same as `whole` if there are none."""
-    shared: tuple[Release, ...]
-    """Of the probe and of the gallery side, in the true frame."""
-    seen: _Sides
-    """The same in the frames of the adversary, with the declared standard deviations."""
+    shared: tuple[Release, ...]  # Of the probe and of the gallery side, in the true frame.
+    seen: _Sides  # The same in the frames of the adversary, with the declared standard deviations.
     sides: dict[tuple[object, ...], _Sides] = field(default_factory=dict)
     """By whether SIGMA shows, the reconstruction in front, what it was granted, and fold."""
 

@@ -34,12 +34,10 @@ if TYPE_CHECKING:
     from isac_track.config import StageSettings
     from isac_track.plugins import Plugin
 
-N_REPEATS = 2
-"""Further releases of the same walks, for who is granted REPEATS."""
+N_REPEATS = 2  # Further releases of the same walks, for who is granted REPEATS.
 TRAINING_PEOPLE = 20
 """At most so many source tracks train an attack: more would cost time and change little."""
-BENCHMARK_Q = KalmanRTS.DEFAULT_Q
-"""m^2/s^3, motion of the benchmark."""
+BENCHMARK_Q = KalmanRTS.DEFAULT_Q  # m^2/s^3, motion of the benchmark.
 _BENCHMARK = ("benchmark_mse_m2", "benchmark_plr")
 _FOLDS = (0, 1)
 _SCENE = frozenset({Knowledge.SCENE})
@@ -49,11 +47,9 @@ _LEAST_VARIANCE_M2 = 1e-12
 class Victims(NamedTuple):
     """Some n of the tracks of a block, which are attacked at once: m samples, end to end."""
 
-    tracks: Ints
-    """(n,) which of the block"""
+    tracks: Ints  # (n,) which of the block
     samples: sharing.Samples
-    truth: Floats
-    """(m, 2) m"""
+    truth: Floats  # (m, 2) m
 
     def of(self, release: Release) -> Release:
         """Return what a release holds of them."""
@@ -67,14 +63,12 @@ class AttackedBlock:
 
     scenes: Scenes
     sensed: Sensed
-    victims: tuple[Victims, ...]
-    """Tracks of each half of the people."""
+    victims: tuple[Victims, ...]  # Tracks of each half of the people.
     turn: Ints
     """(N,) pass over the recording: in none does a walk occur twice, in the first all do once"""
     training: tuple[tuple[Scenes, Sensed] | None, ...]
     """For each half people of the other one, each once; None if there are none."""
-    again: tuple[Sensed, ...]
-    """The walks of the block sensed anew, for REPEATS."""
+    again: tuple[Sensed, ...]  # The walks of the block sensed anew, for REPEATS.
     stages: StageSettings
     seed: int
 
@@ -85,24 +79,18 @@ class AttackedLevel:
 
     mechanism: Plugin
     block: AttackedBlock
-    key: tuple[str | int, ...]
-    """Names of its random streams; what follows is the half."""
-    scenes: Scenes
-    """Without the samples that the release left out."""
+    key: tuple[str | int, ...]  # Names of its random streams; what follows is the half.
+    scenes: Scenes  # Without the samples that the release left out.
     release: Release
-    victims: tuple[Victims, ...]
-    """Each half of its tracks."""
-    own: tuple[Release, ...]
-    """Each half of the release, in the true frame."""
+    victims: tuple[Victims, ...]  # Each half of its tracks.
+    own: tuple[Release, ...]  # Each half of the release, in the true frame.
     views: Mapping[tuple[int, frozenset[Knowledge]], tuple[Release, Frame]]
     """Each half of the release as it shows to who is granted SIGMA, SCENE, both or neither; and in
     which frame."""
     training: Mapping[tuple[int, frozenset[Knowledge]], TrainingSet]
     """People to learn from for each half, in a frame of theirs; none where there are none."""
-    again: tuple[Release, ...]
-    """Further releases of the same walks, in the true frame."""
-    benchmark: Rows
-    """Columns of what the benchmark expects of each track."""
+    again: tuple[Release, ...]  # Further releases of the same walks, in the true frame.
+    benchmark: Rows  # Columns of what the benchmark expects of each track.
 
 
 def folds(groups: tuple[str, ...], *, seed: int) -> Ints:

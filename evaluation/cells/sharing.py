@@ -45,10 +45,8 @@ _PER_SAMPLE = ("t", "xy", "sigma", "unit_error", "sigma_raw", "information", "fi
 class Samples(NamedTuple):
     """Some of the samples of a batch of tracks."""
 
-    rows: Ints
-    """(m,) which of the M samples."""
-    offsets: Ints
-    """(n + 1,) of the tracks among them."""
+    rows: Ints  # (m,) which of the M samples.
+    offsets: Ints  # (n + 1,) of the tracks among them.
 
 
 def guarded(who: str, call: Callable[[], Any]) -> Any:  # noqa: ANN401 - whatever a plug-in returns

@@ -83,5 +83,4 @@ def track_means(values: Floats, offsets: Ints) -> Floats:
     """Return the mean over the samples of each track, (N,)."""
     if offsets.size == 1:  # reduceat wants something to reduce
         return np.zeros(0)
-    mean: Floats = np.add.reduceat(values, offsets[:-1]) / np.diff(offsets)
-    return mean
+    return np.asarray(np.add.reduceat(values, offsets[:-1]) / np.diff(offsets))

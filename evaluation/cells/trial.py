@@ -34,8 +34,7 @@ if TYPE_CHECKING:
     from isac_track.plugins import Plugin
     from isac_track.types import Release
 
-N_PEOPLE = 12
-"""At least so many: a plug-in may need some to hide among, or to learn from."""
+N_PEOPLE = 12  # At least so many: a plug-in may need some to hide among, or to learn from.
 _SEED = 0
 _MECHANISM = "fixed:0.5"
 """Whose release a predictor or an attack is called with: it declares a sigma."""
@@ -47,8 +46,7 @@ class Trial:
     """What is called once: a mechanism, or what reads a release."""
 
     plugin: Plugin
-    consumer: Consumer | None = None
-    """None: the plug-in is a mechanism."""
+    consumer: Consumer | None = None  # None: the plug-in is a mechanism.
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,33 +6,25 @@ Workers import this at once; what they compute with comes with their work.
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 @dataclass(frozen=True, slots=True)
 class Failed:
     """A plug-in or a worker failed; what came before it in the work is finished."""
 
-    at: tuple[str, ...]
-    """As noted with `note`; empty if that is not known."""
+    at: tuple[str, ...]  # As noted with `note`; empty if that is not known.
     why: str
-    died: bool = False
-    """The worker did, and what it was at with it: another try may go well."""
-    is_late: bool = False
-    """It was ended for the time that it took."""
+    died: bool = False  # The worker did, and what it was at with it: another try may go well.
+    is_late: bool = False  # It was ended for the time that it took.
 
 
 class _Here(threading.local):
     """Where this process is, for the one that waits for it; in a Dask worker, this thread."""
 
-    at: tuple[str, ...] = ()
-    """As noted last."""
-    tell: Callable[[tuple[str, ...]], None] | None = None
-    """Gets what is noted, too."""
+    at: tuple[str, ...] = ()  # As noted last.
+    tell: Callable[[tuple[str, ...]], None] | None = None  # Gets what is noted, too.
 
 
 here = _Here()

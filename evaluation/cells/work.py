@@ -58,11 +58,9 @@ class Block:
 
     number: int
     first_scene: int
-    order: Ints
-    """(S, A) rows of the tracks."""
+    order: Ints  # (S, A) rows of the tracks.
     levels: Levels
-    law: ErrorLaw | None = None
-    """Under which errors are drawn; None: that of the run."""
+    law: ErrorLaw | None = None  # Under which errors are drawn; None: that of the run.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -70,8 +68,7 @@ class LinkWork:
     """Work of one linkage task."""
 
     sessions: Sessions
-    groups: tuple[str, ...]
-    """Clusters of the run's scenes."""
+    groups: tuple[str, ...]  # Clusters of the run's scenes.
     levels: Levels
     keep_scores: bool = False
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -21,9 +22,6 @@ from evaluation.reporting.rows import (
     mechanism_columns,
 )
 from evaluation.reporting.table import Cell, Column, Table
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
 
 CRITERIA = {
     MISSED: "equal rise of missed conflicts",

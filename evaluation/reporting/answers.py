@@ -45,10 +45,8 @@ class Answer:
     """A question about a run, and what the run says to it."""
 
     question: str
-    topic: str
-    """The question in a word or two."""
-    sentence: str
-    """Values in % with 95 % intervals."""
+    topic: str  # The question in a word or two.
+    sentence: str  # Values in % with 95 % intervals.
 
 
 def answers(run: Results, of: Headline | None = None) -> tuple[Answer, ...]:

@@ -29,16 +29,14 @@ if TYPE_CHECKING:
 
 _MOST_SHOWN = 20
 _ROOM = 24
-_SURE = 0.001
-"""Smaller p-values are not written out."""
+_SURE = 0.001  # Smaller p-values are not written out.
 _PAIRED = {
     comparing.DRAWS: "paired over people and draws",
     comparing.PEOPLE: "paired over people, not over draws (scenes and errors are others)",
     comparing.NONE: "not paired: intervals as of independent estimates",
 }
 _FINDINGS = comparing.DIFFERS, comparing.UNDECIDED, comparing.IDENTICAL, comparing.UNTESTED
-_MARKS = {comparing.PEOPLE: "~", comparing.NONE: "*"}
-"""Of a difference that is not paired in full."""
+_MARKS = {comparing.PEOPLE: "~", comparing.NONE: "*"}  # Of a difference that is not paired in full.
 _ABOUT_ITEMS = (
     "(Signs of decisions: base against the run's own verdict, all others against base. lost: "
     "decided before, not now; gained: the reverse; missing: not tested there.)"

@@ -30,13 +30,10 @@ if TYPE_CHECKING:
 LINES: Final = 40
 _CORNER: Final = "in %; ind. = independent"
 TABLES: Final = "tables.txt"
-_BEFORE: Final = 5
-"""Lines that were said until then, unless who calls knows."""
+_BEFORE: Final = 5  # Lines that were said until then, unless who calls knows.
 _LEAST_LEVELS: Final = 5
-_LABEL, _HEAD = 28, 8
-"""Characters of a level and over a column."""
-_SLACK: Final = 0.05
-"""Of missed conflicts, above what raw costs: what the next question allows."""
+_LABEL, _HEAD = 28, 8  # Characters of a level and over a column.
+_SLACK: Final = 0.05  # Of missed conflicts, above what raw costs: what the next question allows.
 
 
 def first_screen(run: Results, *, before: int = _BEFORE) -> list[str]:

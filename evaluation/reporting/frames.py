@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from isac_track.types import Floats
 
 STRONGEST: Final = "strongest"
-AFTER: Final = "_after"
-"""Ends the name of a descriptor after the strongest attack."""
+AFTER: Final = "_after"  # Ends the name of a descriptor after the strongest attack.
 LEVEL: Final = "level"
 SHORT: Final = {"missed": MISSED_RATE, "false_alarm": "false_alarm_rate"}
 """Names of metrics that are long to type."""
@@ -39,8 +38,7 @@ _MOST_SHOWN = 14
 class Measured:
     """What a run measured."""
 
-    summary: pd.DataFrame
-    """Without the rows of other assumptions."""
+    summary: pd.DataFrame  # Without the rows of other assumptions.
     families: Mapping[str, Family]
     strongest: Mapping[str, Source]
 

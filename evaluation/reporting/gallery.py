@@ -11,8 +11,7 @@ if TYPE_CHECKING:
 
     from isac_track.types import Bools, Floats
 
-SIZE: Final = (180.0, 135.0)
-"""Of a panel, in its own units."""
+SIZE: Final = (180.0, 135.0)  # Of a panel, in its own units.
 _BAR_M: Final = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 
 
@@ -22,12 +21,9 @@ class Panel(NamedTuple):
     person: int
     mechanism: str
     shared: float
-    rebuilt: float
-    """Shares of samples that leak."""
-    paths: list[tuple[str, str]]
-    """Class and path of each layer."""
-    bar: tuple[float, str]
-    """How long a metre or a few are."""
+    rebuilt: float  # Shares of samples that leak.
+    paths: list[tuple[str, str]]  # Class and path of each layer.
+    bar: tuple[float, str]  # How long a metre or a few are.
 
 
 def panels(rows: pd.DataFrame) -> list[Panel]:

@@ -28,8 +28,7 @@ class Picture(NamedTuple):
 
     title: str
     chart: Chart
-    key: Mapping[str, Look]
-    """What each mark is of."""
+    key: Mapping[str, Look]  # What each mark is of.
 
 
 def pictures(of: Headline) -> list[Picture | None]:

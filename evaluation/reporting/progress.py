@@ -5,20 +5,15 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
+from collections.abc import Callable, Iterator
 from datetime import timedelta
-from typing import TYPE_CHECKING, Final
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+from typing import Final
 
 _REPORT: Final = 0.12
 """What the report takes of the time of the cells, measured: 11 to 13 % of a default run."""
-_LEAST_S, _LEAST_SHARE = 3.0, 0.03
-"""Before, nobody can say how long it will take."""
-_MARKS: Final = (0.1, 0.5, 1.0)
-"""Shares at which a line is written where there is no terminal."""
-_BAR, _WHAT = 10, 34
-"""Characters: with the times they fill 80 columns."""
+_LEAST_S, _LEAST_SHARE = 3.0, 0.03  # Before, nobody can say how long it will take.
+_MARKS: Final = (0.1, 0.5, 1.0)  # Shares at which a line is written where there is no terminal.
+_BAR, _WHAT = 10, 34  # Characters: with the times they fill 80 columns.
 
 
 class Clock:

@@ -37,13 +37,10 @@ class Cell:
     text: str = ""
     low: str = ""
     high: str = ""
-    unit: str = ""
-    """Only where the cells of a column differ in it."""
-    mark: str = ""
-    """Stands behind the value; `Table.marks` says what it means."""
+    unit: str = ""  # Only where the cells of a column differ in it.
+    mark: str = ""  # Stands behind the value; `Table.marks` says what it means.
     value: float | None = None
-    tone: str = ""
-    """Name of a colour."""
+    tone: str = ""  # Name of a colour.
 
     @property
     def interval(self) -> str:
@@ -70,10 +67,8 @@ class Column:
     of: Callable[[Any], Cell] = lambda _: Cell()
     unit: str = ""
     align: Literal["left", "right"] = "right"
-    above: str = ""
-    """What stands above the name, such as an adding rule."""
-    is_long: bool = False
-    """Sentences: left out of terminals and of LaTeX."""
+    above: str = ""  # What stands above the name, such as an adding rule.
+    is_long: bool = False  # Sentences: left out of terminals and of LaTeX.
 
     @property
     def head(self) -> str:
@@ -92,18 +87,14 @@ class Table:
         If a row has not a cell for each column.
     """
 
-    name: str
-    """Unique in a report."""
+    name: str  # Unique in a report.
     title: str
     columns: Sequence[Column]
     rows: Sequence[Sequence[Cell]]
     notes: Sequence[str] = ()
-    marks: Mapping[str, str] | None = None
-    """Of every mark that may be used: what it means."""
-    n_headings: int = 0
-    """Leading columns that a terminal shows above the rows which agree in them."""
-    n_keys: int = 1
-    """Leading columns that say what a row is of: repeated where a table is split."""
+    marks: Mapping[str, str] | None = None  # Of every mark that may be used: what it means.
+    n_headings: int = 0  # Leading columns that a terminal shows above the rows which agree in them.
+    n_keys: int = 1  # Leading columns that say what a row is of: repeated where a table is split.
 
     @property
     def numeric(self) -> list[bool]:

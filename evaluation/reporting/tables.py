@@ -48,10 +48,8 @@ if TYPE_CHECKING:
     from evaluation.reporting.terminal import Part
 
 _BLOCK = re.compile(r"(<!-- table: (\S+) (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
-_WIDE: Final = 160
-"""Columns of `tables.txt`."""
-_REFERENCE: Final = "smoke"
-"""The preset whose numbers the tests hold a fresh run against."""
+_WIDE: Final = 160  # Columns of `tables.txt`.
+_REFERENCE: Final = "smoke"  # The preset whose numbers the tests hold a fresh run against.
 _SHOWN: Final = (*UTILITY, *RECONSTRUCTION, SUCCESS, SUCCESS_OF_100, "chance")
 
 

@@ -6,26 +6,21 @@ import os
 import re
 import sys
 import textwrap
-from typing import TYPE_CHECKING, TypeAlias
+from collections.abc import Collection, Iterable, Sequence
+from typing import TypeAlias
 
 from rich.console import Console
 from rich.text import Text
 
 from evaluation.reporting.table import Table, printable
 
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Sequence
-
-PIPE_WIDTH = 116
-"""Columns where there is no terminal: room for every interval of a sweep."""
+PIPE_WIDTH = 116  # Columns where there is no terminal: room for every interval of a sweep.
 Part: TypeAlias = "Table | str | tuple[str, str]"
 """Of what is printed: a table, or a text, which may have a style."""
 _HEAD_WIDTH = 10
 _SHORT = 8
-_LEAST_WORDS = 16
-"""Below this words are not wrapped to."""
-Lines: TypeAlias = "list[tuple[str, str]]"
-"""Each with its style."""
+_LEAST_WORDS = 16  # Below this words are not wrapped to.
+Lines: TypeAlias = "list[tuple[str, str]]"  # Each with its style.
 
 
 def standard_output() -> Console:

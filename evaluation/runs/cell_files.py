@@ -11,11 +11,13 @@ import contextlib
 import io
 import json
 from collections import defaultdict
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import groupby
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from pathlib import Path
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -38,12 +40,7 @@ from evaluation.runs.files import (
 from isac_track.errors import DataError
 from isac_track.intervals import Estimate, effective_clusters
 from isac_track.linkability.scoring import RANK_METRICS, ProbeRanks
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from isac_track.types import Floats, Ints
+from isac_track.types import Floats, Ints
 
 _INDEX: Final = b"isac_track.cells"
 _SCORES: Final = "scores"
@@ -64,10 +61,8 @@ class Held(NamedTuple):
     """What one consumer has in a file: its key, the code of its plug-ins, and its tables."""
 
     key: str
-    code: Mapping[str, str]
-    """Digest by module."""
-    tables: Mapping[str, tuple[int, int]]
-    """First row and number of rows."""
+    code: Mapping[str, str]  # Digest by module.
+    tables: Mapping[str, tuple[int, int]]  # First row and number of rows.
 
 
 class Index(NamedTuple):
@@ -81,20 +76,16 @@ class Index(NamedTuple):
 class Summed(NamedTuple):
     """A metric that is a ratio of sums over people."""
 
-    sums: Floats
-    """(2, C) numerator and denominator within each cluster"""
-    weights: Floats
-    """(B, C) how often each cluster is drawn"""
+    sums: Floats  # (2, C) numerator and denominator within each cluster
+    weights: Floats  # (B, C) how often each cluster is drawn
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LinkageOutcome:
     """What a linkage attack, or a control, achieves at one level."""
 
-    estimates: Mapping[str, Estimate]
-    """By metric."""
-    numbers: Mapping[str, Any]
-    """The rest of the `isac_track.linkability.Scorecard`, by its names."""
+    estimates: Mapping[str, Estimate]  # By metric.
+    numbers: Mapping[str, Any]  # The rest of the `isac_track.linkability.Scorecard`, by its names.
     cohorts: Mapping[str, Mapping[str, Any]]
     """Without confounders: rank1, ci_low, ci_high, chance, p_rank1, n_mated, n_clusters."""
     sums: Mapping[str, Summed] = field(default_factory=dict)

@@ -13,9 +13,10 @@ import threading
 import time
 import uuid
 from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from importlib import import_module
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, Final, Generic, TypeAlias, TypeVar
+from typing import Any, Final, Generic, TypeAlias, TypeVar
 
 from cloudpickle import dumps, loads
 from threadpoolctl import threadpool_limits
@@ -25,19 +26,14 @@ from evaluation.experiment.fingerprint import OURS, code_hash, source_digest
 from isac_track.command_line import check_interrupt
 from isac_track.errors import SettingsError, told
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
-
 W = TypeVar("W")
 R = TypeVar("R")
 Client: TypeAlias = Any
-Task: TypeAlias = Any
-"""A future. Neither has types, and both are an extra."""
+Task: TypeAlias = Any  # A future. Neither has types, and both are an extra.
 
 _CONNECT_S: Final = 5.0
 _FIRST_WORKER_S: Final = 10.0
-_NO_WORKER_S: Final = 60.0
-"""Longest time without any worker: those that died may be started again."""
+_NO_WORKER_S: Final = 60.0  # Longest time without any worker: those that died may be started again.
 _ANSWER_S: Final = 8.0
 """Longest time that a scheduler may take to say how many threads its workers have."""
 _ASK_S: Final = 2.0

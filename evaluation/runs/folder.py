@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from evaluation.experiment.fingerprint import can_be_found, source_digest
 from evaluation.runs.cell_files import Index, sound_files
@@ -22,9 +23,6 @@ from evaluation.runs.files import (
 )
 from evaluation.runs.manifest import CELL_NAME, parsed, read_manifest, undamaged, write_manifest
 from isac_track.errors import DataError, SettingsError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
 
 _SHOWN_DIFFERENCES = 3
 

@@ -33,12 +33,9 @@ Cell: TypeAlias = "tuple[int, Plugin, Consumer]"
 Place: TypeAlias = "tuple[int, str, str]"
 """Of a cell: its block, the SPEC of its mechanism, and the label of its consumer."""
 _TASKS_PER_WORKER = 2
-_LEVELS_PER_TASK = 12
-"""Of what is linked."""
-_BLOCKS_WITHIN = 0.75
-"""The share of the work with which the last block begins, for it takes long."""
-_CLUSTER_TASKS = 64
-"""At least so many, where there are as many levels and blocks."""
+_LEVELS_PER_TASK = 12  # Of what is linked.
+_BLOCKS_WITHIN = 0.75  # The share of the work with which the last block begins, for it takes long.
+_CLUSTER_TASKS = 64  # At least so many, where there are as many levels and blocks.
 _MOST_NAMED = 3
 
 

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
     from evaluation.experiment.plan import Plan, Unit
 
-MOST_S: Final = 60.0
-"""A call that takes longer is given up, and says nothing about the plug-in."""
+MOST_S: Final = 60.0  # A call that takes longer is given up, and says nothing about the plug-in.
 
 
 def try_plugins(ready: Plan) -> list[str]:

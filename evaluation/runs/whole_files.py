@@ -24,11 +24,9 @@ class ToCome(NamedTuple):
     """A file to come, and what it holds when it is whole: plug-ins are named, none is here."""
 
     name: str
-    unit: str
-    """Key of the unit of work."""
+    unit: str  # Key of the unit of work.
     code: Mapping[str, str]
-    consumers: Mapping[str, tuple[str, Mapping[str, str]]]
-    """Key and code of each, by its label."""
+    consumers: Mapping[str, tuple[str, Mapping[str, str]]]  # Key and code of each, by its label.
 
 
 class WholeFile(NamedTuple):

@@ -40,8 +40,7 @@ _ONE_THREAD: Final = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
 )
 """More would fight over the cores; and a sum depends on how many share it."""
-_LOOK_S: Final = 0.25
-"""How often running cells are held against their limit."""
+_LOOK_S: Final = 0.25  # How often running cells are held against their limit.
 _WORKER: Final = """
 import ctypes, os, signal, sys
 if sys.platform == "linux":  # 1: it ends with its parent, even where no other thread may run
@@ -58,8 +57,7 @@ serve(pipe, parent=int(sys.argv[2]))
 _waiting: Final[list[_Worker]] = []
 """Workers with nothing to do, yet or any more: who spreads work takes them first."""
 _IMPORTED: Final = ("evaluation.runs.whole_files", "evaluation.cells.sample_tracks", "numba")
-_M_ARENA_MAX: Final = -8
-"""Of glibc's malloc.h."""
+_M_ARENA_MAX: Final = -8  # Of glibc's malloc.h.
 
 
 def spread(

@@ -56,13 +56,8 @@ def prediction_errors(
 ) -> tuple[Squared, Squared] | None:
     """Return the squared error of a descriptor, and that of the mean of the other kinds.
 
-    None if fewer than two kinds have a descriptor.
-
-    Parameters
-    ----------
-    descriptor, success : (1 + B, L)
-        At all levels, raw among them; the descriptor rises with what is left of a track.
-    kinds : (L,)
+    None if fewer than two of the `kinds`, (L,), have a descriptor. `descriptor` and `success`,
+    (1 + B, L), are at all levels, raw among them; it rises with what is left of a track.
     """
     has_value = np.isfinite(descriptor).all(axis=0) & np.isfinite(success).all(axis=0)
     told = np.array(kinds)[has_value]

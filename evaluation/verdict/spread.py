@@ -85,14 +85,8 @@ def ratios(sums: Floats, counts: Floats, weights: Floats) -> Floats:
 def standard_error(drawn: Floats, left_out: Floats) -> Floats:
     """Return the standard error of each column: of the jackknife, or of the bootstrap if larger.
 
-    The jackknife holds with few clusters; where a curve is flat it can miss what replicates show.
-
-    Parameters
-    ----------
-    drawn : (B, K)
-        Replicates.
-    left_out : (C, K)
-        The estimate with one cluster left out.
+    The jackknife holds with few clusters; where a curve is flat it can miss what replicates,
+    `drawn`, (B, K), show. `left_out`, (C, K), is the estimate with one cluster left out.
     """
     n = len(left_out)
     jackknife = np.sqrt((n - 1.0) / n * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0))
@@ -105,14 +99,8 @@ def at_quartiles(
     """Return a sweep's descriptor and success at three fixed quartiles, (R, 3), and its places.
 
     The quartiles are of the range of the logarithm that sweep and fixed noise have in common; they
-    are set by the estimate, as a share of the descriptor at raw.
-
-    Parameters
-    ----------
-    descriptor, success : (R, E)
-        From the noisiest level to raw.
-    fixed : (R, F)
-        Descriptor of fixed noise, ordered alike.
+    are set by the estimate, as a share of the descriptor at raw. `descriptor` and `success`,
+    (R, E), go from the noisiest level to raw, and so does that of `fixed` noise, (R, F).
     """
     scale = monotone(descriptor, increasing=True)
     raw = scale[:, -1:]
@@ -130,13 +118,8 @@ def beside_fixed(
 
     And of each what can be tested, (K,), and where it is read. Beyond an end of the sweep fixed
     noise is taken at this end: below its least value it links no more than there, above raw no
-    less, so that one direction can still be shown.
-
-    Parameters
-    ----------
-    descriptor, success : (R, K)
-    fixed : (R, F), (R, F)
-        Descriptor and success of fixed noise from the noisiest level to raw.
+    less, so that one direction can still be shown. `descriptor` and `success` are (R, K), those of
+    `fixed` noise (R, F) from the noisiest level to raw.
     """
     scale, achieved = (monotone(one, increasing=True) for one in fixed)
     span, below = scale[0, -1] - scale[0, 0], scale[0, -1] - descriptor[0]
@@ -214,10 +197,7 @@ def decided(
 ) -> tuple[Ints, Floats, Floats]:
     """Return what is decided of each row, as a place in `ANSWERS`, and both ends of the spread.
 
-    Parameters
-    ----------
-    gaps : (R, K)
-    fall, span : (R,)
+    `gaps` are (R, K), `fall` and `span` (R,).
     """
     low, high = ends(one, wide, gaps)
     lower = low[:, one.decides].max(axis=1, initial=0.0)
