@@ -174,10 +174,11 @@ class LinkageSettings:
     """how much of a walk an adversary sees on either side of the gap, at most"""
     handover_least_s: float = _number(1.0, 0.01, 1e6)
     """who is there for less than this on one side of the gap is no candidate on that side"""
-    handover_instants: int = _number(16, 1, 10_000)
+    handover_instants: int = _number(10_000, 1, 10_000)
     """... and at most so many, evenly over the recording"""
-    most_people: int = _number(300, 1, 10_000)
-    """people who are linked in the other tasks, at most: of more, so many are drawn"""
+    most_people: int = _number(1000, 1, 100_000)
+    """people who are linked, at most: of more, so many are drawn; in a handover instants are, until
+    so many people are there, lest the crowd get thinner"""
     candidates: int = _number(0, 0, 10_000)
     """how many of a gallery a linker scores for each probe, those that a cheap one puts first;
     0: all. Then metrics of all pairs are refused and the loss of rank 1 is measured"""

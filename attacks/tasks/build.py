@@ -261,6 +261,8 @@ def handover(draft: Draft) -> Sessions:
     after = (draft.start_s <= begins_s) & (draft.end_s >= begins_s + least_s)
     # Where nobody is to be linked there is nothing to search.
     used = np.flatnonzero((before & after).any(axis=1))
+    n_everybody = int((before | after)[used].any(axis=0).sum())
+    used = np.intersect1d(used, _instants(draft, at_s, longest_gap_s))
     there = (before | after)[used]
     rows = np.flatnonzero(there.any(axis=0))
     draft.need_people(rows.size, "people are there when pseudonyms rotate")
@@ -310,9 +312,21 @@ def handover(draft: Draft) -> Sessions:
         mate=place[probe.search, probe.person],
         fold=fold,
         searches=tuple(labels),
-        too_short=len(tracks) - rows.size,
-        not_drawn=0,
+        too_short=len(tracks) - n_everybody,
+        not_drawn=n_everybody - rows.size,
     )
+
+
+def _instants(draft: Draft, at_s: Floats, gap_s: float) -> Ints:
+    """Return which instants are used: all, or so many as have `linkage.most_people` people.
+
+    At least two, drawn whatever the gap, and everybody who is there at these.
+    """
+    there = (draft.start_s <= at_s[:, None] + gap_s) & (draft.end_s >= at_s[:, None])
+    drawn = draft.rng("instants").permutation(at_s.size)
+    n_people = np.logical_or.accumulate(there[drawn], axis=0).sum(axis=1)
+    few = int((n_people <= draft.settings.linkage.most_people).sum())
+    return np.sort(drawn[: max(few, N_FOLDS)])
 
 
 _MAKERS: Final[Mapping[str, Callable[[Draft], Sessions]]] = {

@@ -206,11 +206,25 @@ def notices(manifest: Mapping[str, Any]) -> Iterator[str]:
     if redraws := manifest.get("exhausted_redraws"):
         told = "background agents found no place with scenes.clearance_m and kept their last draw"
         yield f"{redraws} {told}"
-    for task in (manifest.get("linkage") or {}).get("tasks", {}):
-        if told := approximation(manifest, task):
-            yield f"{task}: {told}"
+    yield from _who_is_linked(manifest)
     for why in manifest.get("gallery_without", ()):
         yield f"track gallery without {why}"
+
+
+def _who_is_linked(manifest: Mapping[str, Any]) -> Iterator[str]:
+    """Yield on how many people each task rests, why others are out, and what was approximated."""
+    tasks = (manifest.get("linkage") or {}).get("tasks", {})
+    people = (
+        f"{name} {one['people']:,}"
+        + f" ({one['too_short']:,} not there for long enough)" * bool(one["too_short"])
+        + f" ({one['not_drawn']:,} beyond linkage.most_people)" * bool(one["not_drawn"])
+        for name, one in tasks.items()
+    )
+    if tasks:
+        yield f"people linked: {'; '.join(people)}"
+    for task in tasks:
+        if told := approximation(manifest, task):
+            yield f"{task}: {told}"
 
 
 def approximation(manifest: Mapping[str, Any], task: str) -> str:

@@ -232,6 +232,19 @@ def test_every_setting_and_the_seed_change_what_is_linked(setting, value, name):
         assert len(sessions(name, tracks=tracks, stages=stages).source) == value
 
 
+def test_of_too_many_people_a_handover_draws_instants_and_takes_everybody_at_these():
+    stages = STAGES.changed({"linkage.most_people": 150, "linkage.handover_period_s": 5.0})
+    every = STAGES.changed({"linkage.handover_period_s": 5.0})
+    for name in HANDOVERS:
+        part, whole = (sessions(name, tracks=crowd(n=200), stages=one) for one in (stages, every))
+        assert len(part.source) <= 150 < len(whole.source) == len(part.source) + part.not_drawn
+        assert 2 <= len(part.searches) < len(whole.searches)
+        assert set(part.searches) <= set(whole.searches)
+        for few, all_of in zip(by_person(part), by_person(whole), strict=True):
+            assert few == {key: one for key, one in all_of.items() if key[1] in part.searches}
+    assert part.searches == sessions("handover-1s", tracks=crowd(n=200), stages=stages).searches
+
+
 def test_where_a_window_is_sensed_says_nothing_of_where_its_mate_was():
     tracks = crowd(n=400)
     found = sessions("rerelease", tracks=tracks)
