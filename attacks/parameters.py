@@ -1,7 +1,5 @@
 """What every attack checks of its parameters."""
 
-from __future__ import annotations
-
 from math import isfinite
 
 

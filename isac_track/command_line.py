@@ -1,7 +1,5 @@
 """What all commands share: errors in one line, exit codes, and a Ctrl-C that is never lost."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import errno

@@ -4,8 +4,6 @@ Only the private modules of compiled loops import this one, and they are importe
 importing numba takes longer than a command may take to print its help.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from typing import Any, TypeVar, cast

@@ -1,7 +1,5 @@
 """The robot's task: its path, the conflict rule, and how often a shared track misleads it."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.special import ndtr
 
@@ -61,7 +59,8 @@ def minimum_separation(*, robot: Floats, agents: Floats) -> Floats:
 
 def is_conflict(*, separation_m: Floats, safety_radius_m: float) -> Bools:
     """Return the conflict decision of each scene: strictly inside (eq. conflict_rule)."""
-    return np.asarray(separation_m < safety_radius_m)
+    decision: Bools = separation_m < safety_radius_m
+    return decision
 
 
 def disc_probability(*, mean: Floats, cov: Floats, radius_m: float) -> Floats:
@@ -93,7 +92,8 @@ def disc_probability(*, mean: Floats, cov: Floats, radius_m: float) -> Floats:
         density = np.exp(-0.5 * ((x - along) / wide_m) ** 2) / (np.sqrt(2.0 * np.pi) * wide_m)
         inside = ndtr((half_chord - across) / narrow_m) - ndtr((-half_chord - across) / narrow_m)
         total += weight * density * inside * half_chord
-    return np.asarray(np.clip(0.5 * (last - first) * total, 0.0, 1.0))
+    probability: Floats = np.clip(0.5 * (last - first) * total, 0.0, 1.0)
+    return probability
 
 
 def conflict_probability(*, robot: Floats, mean: Floats, cov: Floats, radius_m: float) -> Floats:

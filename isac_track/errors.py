@@ -1,7 +1,5 @@
 """What can go wrong for a user: one error and a handful of children, each with a way out."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path

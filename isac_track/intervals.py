@@ -3,8 +3,6 @@
 Of few clusters the bootstrap's are too narrow: there a jackknife takes its place.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final

@@ -1,7 +1,5 @@
 """How noisy is a track? What anybody can tell from the shared positions alone."""
 
-from __future__ import annotations
-
 from importlib import import_module
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Random streams keyed by name: no draw depends on order, workers or what else runs."""
 
-from __future__ import annotations
-
 import hashlib
 
 import numpy as np

@@ -4,8 +4,6 @@
 how much error each sample gets.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache

@@ -5,8 +5,6 @@ neighbouring errors alike; `offset` moves a walk as a whole and keeps its shape;
 fewer samples. A descriptor that tells how linkable people are must tell under these as well.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar, Final, get_args

@@ -1,7 +1,5 @@
 """The least that a predictor can do: nobody moves on. What others must beat."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

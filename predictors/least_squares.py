@@ -1,7 +1,5 @@
 """The paper's predictor: a straight line through the most recent shared samples."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

@@ -3,8 +3,6 @@
 A pair's result does not hang on who else is there, but for the rounding of matrix products.
 """
 
-from __future__ import annotations
-
 from math import log, log1p
 from typing import TypeAlias
 

@@ -1,7 +1,5 @@
 """Compiled loops of plain means: of repeats, and over windows that slide along a track."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from isac_track.compiling import compiled, part_of_loop, read, written

@@ -18,8 +18,6 @@ once for each adversary that grants it something else (`isac_track.protocols.gra
 a check never flickers.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial

@@ -11,8 +11,6 @@ ridge shows how the constants move, and the other numbers with them, when what w
 is fixed elsewhere: the cap on sigma_raw is a fourth constant in all but name.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace

@@ -6,8 +6,6 @@ conflict (above p). Either score gives a curve over its threshold. Thresholds ar
 bootstrap needs, so that its cost does not grow with the scenes.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ silence is no privacy). A cell whose shortcut audit beats chance is invalid, and
 shortcut it was.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass

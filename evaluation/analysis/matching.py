@@ -6,8 +6,6 @@ of it while false alarms are held at raw's rate, or at an equal PLR as shared. C
 descriptors as shared, the same after each reconstruction attack, and what each linker achieves.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Final

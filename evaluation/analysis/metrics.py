@@ -4,8 +4,6 @@ Everything that lists metrics or descriptors reads it. A new metric is a row her
 that computes it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final, Literal
 

@@ -1,7 +1,5 @@
 """The presets: axes that a name stands for."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from evaluation.experiment.constants import IDENTITY, SHARED

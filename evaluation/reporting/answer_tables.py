@@ -1,7 +1,5 @@
 """Tables of answers: the paper's numbers and claims, equal costs, weak attacks, and the verdict."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """A finished run, read from its tables: `evaluation.load`."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """How far a run is: what is under way, how long it took, and how long it will take."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 import time

@@ -1,7 +1,5 @@
 """Lines on a terminal: literal text, columns that line up, and headings between them."""
 
-from __future__ import annotations
-
 import os
 import re
 import sys

@@ -7,8 +7,6 @@ in `rules.BAND_COVERAGE` of studies, q being that quantile over replicates of ma
 side of what parts its two answers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final

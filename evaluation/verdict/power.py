@@ -5,8 +5,6 @@ It is not the power at the observed effect, which says nothing beyond the p-valu
 Heisey, The American Statistician 55, 2001).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import Final

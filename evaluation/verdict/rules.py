@@ -4,8 +4,6 @@ All was set before looking. How an item of the verdict is told, in words and in 
 what decides it is in `spread` (validity) and `items` (all else), in words in docs/verdict.md.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, Final
 

@@ -1,7 +1,5 @@
 """What becomes of a verdict's items under other assumptions: the rows of `sensitivity.csv`."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from pathlib import Path

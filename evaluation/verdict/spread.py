@@ -8,8 +8,6 @@ noisy numbers); here are its ends, a value that is as often too low as too high 
 rows are draws of the people (the estimate first), columns are levels or contrasts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final

@@ -21,8 +21,6 @@ sections 5.2 (filter), 6.2 (models), 8.6 (smoother), 11.6.6 (IMM). Rauch, Tung, 
 switching coefficients", IEEE Trans. Automatic Control 33(8), 1988, 780-783.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from importlib import import_module
 

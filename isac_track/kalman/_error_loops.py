@@ -6,8 +6,6 @@ itself is e = s u. Neither the filter nor the smoother inverts a covariance: wit
 or none, it is singular.
 """
 
-from __future__ import annotations
-
 from math import exp, log, pi
 from typing import TypeAlias
 

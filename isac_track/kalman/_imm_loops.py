@@ -4,8 +4,6 @@ The state is (x, vx, y, vy). Mixing couples the axes, hence the full 4 x 4 covar
 """
 
 # ruff: noqa: C901, PLR0912 - small matrices are spelled out
-from __future__ import annotations
-
 from math import exp, inf, log, pi, sqrt
 from typing import TypeAlias
 

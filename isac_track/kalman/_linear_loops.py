@@ -12,8 +12,6 @@ samples that change nothing, bit by bit: no time passes, and the variance is a p
 that its gain vanishes. A track's result thus does not depend on its neighbours.
 """
 
-from __future__ import annotations
-
 from math import log, pi
 from typing import TypeAlias
 

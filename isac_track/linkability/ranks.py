@@ -10,8 +10,6 @@ Grother and Phillips, CVPR 2004 (cumulative match characteristic). Residual risk
 Wehmeyer, Tasnadi, PoPETs 2023(2).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

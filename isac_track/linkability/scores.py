@@ -10,8 +10,6 @@ Fawcett and Niculescu-Mizil, Machine Learning 68, 2007 (the ROC's hull is isoton
 D_sys: Gomez-Barrero, Galbally, Rathgeb, Busch, IEEE TIFS 13(6), 2018, with prior odds of 1.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

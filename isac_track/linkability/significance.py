@@ -3,8 +3,6 @@
 Numba is imported, and its loops compiled, at the first shuffle, not before.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -15,8 +15,6 @@ A package rather than one file, so that ``python -m`` and an import see one `Met
 this kit shares with the attack kit is in `isac_track.testing.engine`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """Checks of the robot's task (eqs. future_time_grid to conflict_rule) and of the FID rule."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from math import dist, exp, inf, nan
 

@@ -5,8 +5,6 @@ a sample, "1" for leaked: its segments are what remains between the zeros. This 
 oracle of the suite; it is meant to be read.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise, product

@@ -1,7 +1,5 @@
 """What is checked, and what a metric check is made of: the guard around functions, comparison."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ each adversary runs it) is the kit's own; the engine selects, catches, reports, 
 pytest.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter

@@ -7,8 +7,6 @@ two machines' mathematical functions may differ in the last bit; the state is th
 to a micrometre in every step, which makes such a difference very unlikely to survive.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -8,8 +8,6 @@ exponential repulsion at contact. Karamouzas, Skinner and Guy, Phys. Rev. Lett. 
 Moussaid, Perozo, Garnier, Helbing and Theraulaz, PLoS ONE 5, e10047 (2010): walking groups.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

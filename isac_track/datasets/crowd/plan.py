@@ -1,7 +1,5 @@
 """Who walks on the simulated plaza, and what they are up to: traits, groups, routes, stops."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
