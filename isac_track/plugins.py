@@ -53,7 +53,7 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
         "kinematic": "attacks.linkage.kinematic:Kinematic",
     },
 }
-_MECHANISMS = ("isac_track.sharing", "isac_track.sharing_controls")
+_MECHANISMS = ("isac_track.sharing", "isac_track.sharing_controls", "isac_track.protection")
 """Modules with a table ``MECHANISMS``: one that is added there is known here."""
 _METHOD: dict[Kind, str] = {"mechanisms": "share", "predictors": "predict", "attacks": "fit"}
 _MOST_LEVELS = 1000

@@ -206,12 +206,19 @@ def _drawn(
 
 
 def sense(
-    *, t: Floats, xy: Floats, offsets: Ints, channel: Channel, settings: SensingSettings
+    *,
+    t: Floats,
+    xy: Floats,
+    offsets: Ints,
+    channel: Channel,
+    settings: SensingSettings,
+    walk: Ints | None = None,
 ) -> Sensed:
     """Return what the network holds about N walks: raw estimates with their uncertainty.
 
     At the times `t`, (M,) s, they truly are at `xy`, (M, 2) m in the frame of the base station;
-    `offsets` are (N + 1,). ValueError for who stands on it (no distance, no path loss).
+    `offsets` are (N + 1,), `walk` those of `Sensed`. ValueError for who stands on it (no distance,
+    no path loss).
     """
     distance_m: Floats = np.hypot(xy[:, 0] - settings.bs_x_m, xy[:, 1] - settings.bs_y_m)
     if not (distance_m > 0).all():
@@ -229,7 +236,13 @@ def sense(
         fid=fisher_information_density(information=info, t=t, offsets=offsets),
         offsets=offsets,
         law=settings.law,
+        walk=np.arange(offsets.size - 1) if walk is None else walk,
     )
+
+
+def walk_numbers(*names: str | int, n_walks: int, seed: int) -> Ints:
+    """Return opaque numbers of the walks of a session that is called by `names`, (n_walks,)."""
+    return stream(seed, "walks", *names).integers(2**62, size=n_walks)
 
 
 def sense_scenes(
@@ -245,6 +258,16 @@ def sense_scenes(
         settings=settings,
         seed=seed,
     )
+    # A walk is shown in many scenes, each time elsewhere: every showing is a session of its own.
+    walks = [
+        walk_numbers("scene", int(index), n_walks=scenes.n_agents, seed=seed)
+        for index in scenes.index
+    ]
     return sense(
-        t=scenes.t, xy=scenes.xy, offsets=scenes.offsets, channel=channel, settings=settings
+        t=scenes.t,
+        xy=scenes.xy,
+        offsets=scenes.offsets,
+        channel=channel,
+        settings=settings,
+        walk=np.concatenate(walks),
     )

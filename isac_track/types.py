@@ -162,7 +162,13 @@ class Sensed:
     """Law of the raw error: `radial` (the norm is |N(0, sigma)|), `isotropic` (N(0, sigma) per
     axis) or `fixed_direction` (as `radial`, on one line through the truth along a track)."""
 
+    walk: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64), metadata=TRACK)
+    """(N,) opaque numbers: equal for releases of one walk in one session; by default all differ."""
+
     def __post_init__(self) -> None:
+        if np.size(self.walk) == 0:
+            object.__setattr__(self, "walk", np.arange(np.size(self.offsets) - 1))
+        _freeze(self, np.int64, walk="N")
         _check_batch(self)
         if not (self.sigma_raw >= 0).all():
             raise ValueError("sigma_raw must not be negative or NaN")

@@ -26,6 +26,7 @@ class Task:
     about: str
     shows_scene: bool = False  # Whether the releases come in the true frame and on the true clock.
     gap_s: float = 0.0  # Silence before all pseudonyms rotate.
+    is_one_walk: bool = True  # Whether probe and gallery show one walk of one session.
     simulated: bool = False  # Whether it needs the two-session crowd instead of a recording.
 
     @property
@@ -68,7 +69,12 @@ TASKS: Final[Mapping[str, Task]] = {
             )
             for gap_s in (1.0, 2.0, 5.0)
         ),
-        Task("new_traversal", "the same person on another day, simulated", simulated=True),
+        Task(
+            "new_traversal",
+            "the same person on another day, simulated",
+            is_one_walk=False,
+            simulated=True,
+        ),
     )
 }
 

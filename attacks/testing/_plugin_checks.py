@@ -172,6 +172,7 @@ def another_rng_another_release(mechanism: Mechanism) -> None:
         wrong = f"{min(again)!r} comes again under another rng" if again else "two tracks share one"
         _fail(mechanism, f"pseudonyms: {wrong}; `perturb` draws them afresh")
     is_independent = getattr(mechanism, "adding", "") == "independent"
+    is_independent &= getattr(mechanism, "reuse", "release") != "session"  # drawn from the walk
     adds = getattr(mechanism, "adds_error", True) and not np.array_equal(first.xy, _sensed().xy)
     if is_independent and adds and np.array_equal(first.xy, second.xy):
         _fail(mechanism, 'adding is "independent", but two rng give one error; draw it from rng')
@@ -189,12 +190,12 @@ def order_of_sensed_tracks_does_not_matter(mechanism: Mechanism) -> None:
     sensed = _sensed()
     rows = made.draws("plugin", "order").permutation(len(sensed))
     samples, offsets = stretches(sensed.offsets[rows], np.diff(sensed.offsets)[rows])
-    per_sample: dict[str, Any] = {
-        item.name: getattr(sensed, item.name)[samples]
+    moved: dict[str, Any] = {
+        item.name: getattr(sensed, item.name)[samples if per == "sample" else rows]
         for item in fields(sensed)
-        if item.metadata.get("per") == "sample"
+        if (per := item.metadata.get("per"))
     }
-    turned = _share(mechanism, replace(sensed, offsets=offsets, **per_sample))
+    turned = _share(mechanism, replace(sensed, offsets=offsets, **moved))
     plain, redrawn = (_share(mechanism, sensed, seed=seed).tracks(rows) for seed in range(2))
     if plain.t.shape != redrawn.t.shape:
         raise SkipTest("how many samples it shares is drawn")

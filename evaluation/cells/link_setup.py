@@ -16,7 +16,7 @@ import numpy as np
 from evaluation.cells.adversary import FAR_M, LONG_S, Frame
 from isac_track.intervals import cluster_weights
 from isac_track.rng import stream
-from isac_track.sensing import draw_channel, sense
+from isac_track.sensing import draw_channel, sense, walk_numbers
 from isac_track.types import Bools, Floats, Ints, Sensed, read_only
 
 if TYPE_CHECKING:
@@ -168,12 +168,17 @@ def _sensed(sessions: Sessions, side: str, *, stages: StageSettings, seed: int) 
         at = (sessions.searches[search],) if task.shows_scene else ()
         keys.append(("linkage", task.family, side, sessions.source[person], *at))
     sizes = np.diff(windows.offsets)[:, None]
+    session = () if task.is_one_walk else (side,)
+    walks = np.concatenate(
+        [walk_numbers("person", one, *session, n_walks=1, seed=seed) for one in sessions.source]
+    )
     return sense(
         t=windows.t,
         xy=windows.xy,
         offsets=windows.offsets,
         channel=draw_channel(n_samples=sizes, keys=keys, settings=stages.sensing, seed=seed),
         settings=stages.sensing,
+        walk=walks[windows.person],
     )
 
 
