@@ -43,6 +43,11 @@ class Family:
         return (self.adding,) if self.adding else ADDING_RULES
 
     @property
+    def has_one_rule(self) -> bool:
+        """Whether no parameter sets its rule, so that there is no other to ask for."""
+        return self.adding == "independent" and f"adding={self.adding}" not in self.mechanism
+
+    @property
     def is_added(self) -> bool:
         """Whether it does something to what was sensed: neither raw nor clean."""
         return self.family not in (RAW, CLEAN)

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from evaluation.analysis.families import RAW
-from evaluation.analysis.keys import AS_SHARED, ORACLE, Source
+from evaluation.analysis.keys import AS_SHARED, Source
 from evaluation.analysis.linkability import dataset_of
 from evaluation.analysis.matching import (
     AT_EQUAL_ALARMS,
@@ -35,9 +35,8 @@ from evaluation.analysis.metrics import (
     SUCCESS,
     SUCCESS_OF_100,
 )
-from evaluation.analysis.strongest import HEADLINE, by_task, cross_fitted, strongest_of
+from evaluation.analysis.strongest import BEYOND, HEADLINE, by_task, cross_fitted, strongest_of
 from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, percentile_intervals
-from isac_track.protocols import ADVERSARIES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -58,7 +57,6 @@ MARGIN: Final = 0.02
 """By how much a mechanism is beaten."""
 OF_ROBOT: Final = "plr_robot"
 """What a robot itself knows of where somebody was."""
-NOT_TOLD: Final = (*HEADLINE, ORACLE)
 COLUMNS: Final = [
     *("dataset", "mechanism", "family", "adding", "robot", "criterion", "target"),
     *("level", "level_low", "level_high", "consumer", "knowledge", "metric"),
@@ -115,8 +113,7 @@ def told(
         of: dict[str, list[Mapping[Source, float]]] = {}
         for (mechanism, _), block in blocks.items():
             of.setdefault(mechanism, []).append(block)
-        beyond = {one.knowledge for block in blocks.values() for one in block}
-        for among in (HEADLINE, *((one,) for one in ADVERSARIES if one in beyond - {*NOT_TOLD})):
+        for among in (HEADLINE, *((name,) for name in BEYOND)):
             best = {name: strongest_of(levels, among=among) for name, levels in of.items()}
             whose = {name: source for name, source in best.items() if source}
             if RAW not in whose:

@@ -45,7 +45,9 @@ class Valued(Protocol):
 
 
 HEADLINE: Final = ("blind", INFORMED)
-"""Adversaries of whom the strongest is the headline; all others are told beside it."""
+"""Adversaries of whom the strongest is the headline."""
+BEYOND: Final = ("repeats", "anchor", "companions", "insider")
+"""Adversaries who know more: told beside it, where they were run."""
 
 
 def strongest_of(

@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from evaluation.analysis.families import ADDING_RULES, RAW
+from evaluation.analysis.families import ADDING_RULES, CLEAN, RAW, SWEPT
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE
 from evaluation.analysis.strongest import by_task, strongest_of
 from evaluation.reporting import table as make
@@ -116,8 +116,9 @@ def _leaks(of: Headline, where: Where) -> str:
         return f"{told}; what an attack makes of them was not tested."
     other = of.at(where, of.attacked, other_law=True)
     law = f" ({_value(other)} if errors are isotropic)" if other else ""
-    after = f"{_both(of, where, of.attacked)}{law} after {of.attacked.measure.source.label}"
-    return f"{told}, {after}, {_HELD}."
+    is_headline = of.known[where[0]].family in (*SWEPT, CLEAN)
+    who = of.attacked.measure.source.label if is_headline else "the strongest attack on it"
+    return f"{told}, {_both(of, where, of.attacked)}{law} after {who}, {_HELD}."
 
 
 def _linked(of: Headline, where: Where) -> str:

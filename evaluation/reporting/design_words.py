@@ -15,7 +15,8 @@ from rich.text import Text
 from evaluation.analysis.families import FID, FIXED, LEVEL_UNITS
 from evaluation.analysis.keys import Source, level_text
 from evaluation.analysis.linkability import remarks
-from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
+from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE, SUCCESS
+from evaluation.analysis.strongest import BEYOND
 from evaluation.reporting import table as make
 from evaluation.reporting import terminal
 from evaluation.reporting.announcements import same_run, scenes_text
@@ -101,15 +102,11 @@ def reason(check: design.Check) -> str:
     """Return why a target or limit is not met; empty if it is."""
     if check.status == "met":
         return ""
-    metric = design.METRIC_OF.get(check.name, SUCCESS)
-    shown = METRICS[metric]
-    what = f"{shown.head} {check.whose}".strip()
+    what = _what(check)
     if check.why_unknown:
         return f"{what}: cannot say, {check.why_unknown}"
-    text = make.estimated(metric, check.measured)
-    excess = f"{(check.measured.ci_high - check.limit) * shown.scale:.2g}"
-    excess += " points" if shown.unit == "%" else f" {shown.unit}"
-    found = f"{what} {text.text} {shown.unit} {text.interval}: the upper end is {excess} too high"
+    value = _told(design.METRIC_OF.get(check.name, SUCCESS), check.measured)
+    found = f"{what} {value}: the upper end is {_off(check)} too high"
     if math.isnan(check.times_more):
         return found
     if math.isinf(check.times_more):
@@ -141,7 +138,46 @@ def reasons(scheme: design.Scheme) -> list[str]:
         f"{symbol} = {', '.join(map(level_text, scheme.also_meets))} would meet the targets, but a "
         "less strict level does not: not chosen, it may be chance"
     )
-    return [found, *[also] * bool(scheme.also_meets), *_reasons(scheme.checks)]
+    return [found, *[also] * bool(scheme.also_meets), *_reasons(scheme.checks), *_stakes(scheme)]
+
+
+def _stakes(scheme: design.Scheme) -> Iterator[str]:
+    """Yield by how much the limits hold, what the level costs, and what could break it."""
+    level = scheme.chosen
+    if level is None:
+        return
+    held = [check for check in scheme.checks if check.status == "met"]
+    if margins := ", ".join(f"{_what(check)} {_off(check)}" for check in held):
+        yield f"below the limits: {margins}"
+    costs = (
+        f"{name} {_told(MISSED_RATE, one)}"
+        for name, one in level.costs.items()
+        if math.isfinite(one.value)
+    )
+    yield f"it costs: missed by {', '.join(costs)}"
+    known = [
+        f"PLR after {Source(one.attack, one.knowledge).label} {_told(EXPOSURE, one.numbers['plr'])}"
+        for one in level.beyond
+    ]
+    left = [one for one in BEYOND if one not in {of.knowledge for of in level.beyond}]
+    known += [f"not measured: {', '.join(left)} (--adversary NAME)"] * bool(left)
+    yield f"could break it: {'; '.join(known)}"
+
+
+def _told(metric: str, one: Estimate) -> str:
+    cell = make.estimated(metric, one)
+    return f"{cell.text} {METRICS[metric].unit} {cell.interval}".strip()
+
+
+def _what(check: design.Check) -> str:
+    return f"{METRICS[design.METRIC_OF.get(check.name, SUCCESS)].head} {check.whose}".strip()
+
+
+def _off(check: design.Check) -> str:
+    """Return how far the upper end is from the limit."""
+    shown = METRICS[design.METRIC_OF.get(check.name, SUCCESS)]
+    off = f"{abs(check.measured.ci_high - check.limit) * shown.scale:.2g}"
+    return f"{off} points" if shown.unit == "%" else f"{off} {shown.unit}"
 
 
 def _reasons(checks: Iterable[design.Check]) -> list[str]:

@@ -162,7 +162,10 @@ def _left(one: Shown) -> tuple[str, str]:
     source = one.measure.source
     if source.task:
         return f"{source.task}: found again by {source.attack.label}", "found again (rank 1, %)"
-    return f"PLR after {source.label}", "PLR after attack (%)"
+    return (
+        f"PLR after {source.label}; of other families after the strongest",
+        "PLR after attack (%)",
+    )
 
 
 def _robot(consumer: str) -> str:

@@ -16,7 +16,7 @@ from evaluation.analysis import linkability
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW, Family, families_in
 from evaluation.analysis.keys import AS_SHARED, Key, Source, Where
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE, SUCCESS
-from evaluation.analysis.strongest import by_task, strongest_of
+from evaluation.analysis.strongest import BEYOND, by_task, strongest_of
 from evaluation.analysis.summary import COLUMNS
 from evaluation.experiment.constants import SHARED
 from evaluation.experiment.fingerprint import code_hash
@@ -98,6 +98,10 @@ class Level:
     """By name of `METRIC_OF`."""
     after_attack: Attacked | None
     tasks: tuple[Linked, ...]
+    costs: Mapping[str, Estimate]
+    """Missed conflicts of every robot of the run."""
+    beyond: tuple[Attacked, ...]
+    """After the strongest reconstruction of who knows more than the limits are about."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,7 +229,10 @@ class Choice:
         found: dict[str, list[Scheme]] = {}
         for scheme in (one for one in self.schemes if one.adding in self.adding):
             found.setdefault(scheme.name, []).append(scheme)
-        return {name: of for name, of in found.items() if len(of) == len(self.adding)}
+        rules = len(self.adding)
+        return {
+            name: of for name, of in found.items() if len(of) == rules or of[0].family.has_one_rule
+        }
 
     @property
     def met(self) -> bool:
@@ -266,7 +273,7 @@ def choose(
     summary, linked = _table(out, "summary.csv", COLUMNS), []
     if (out / "linkability.csv").exists():
         linked = linkability.linked_tasks(_table(out, "linkability.csv", linkability.COLUMNS))
-    levels = _levels(summary, linked, Source(robot), manifest)
+    levels = _levels(summary, linked, [robot, *(one for one in robots if one != robot)], manifest)
     raw = next((one for one in levels if one.mechanism == RAW), None)
     # FID is shown first, then fixed noise, all others as they were run.
     order = {FID: 0, FIXED: 1}
@@ -315,13 +322,14 @@ def _table(out: Path, name: str, columns: Sequence[str]) -> pd.DataFrame:
 def _levels(
     summary: pd.DataFrame,
     tasks: Sequence[linkability.LinkedTask],
-    robot: Source,
+    robots: Sequence[str],
     manifest: Mapping[str, Any],
 ) -> list[Level]:
     """Return what the levels of a run come to, each with all of its tasks.
 
-    Without those that the robot, or nobody, was shown; raw needs no predictor.
+    Without those that the first robot, or nobody, was shown; raw needs no predictor.
     """
+    robot = Source(robots[0])
     dataset, identity = manifest["dataset"]["name"], manifest["identity"]
     n_files = {one["consumer"]: len(one["files"]) for one in manifest["cells"]}
     is_in_all = n_files.get(robot.consumer, 0) != n_files.get(SHARED)
@@ -346,8 +354,14 @@ def _levels(
             attacked = best and Attacked(*best, numbers(where, best, DESCRIPTORS))
             known = numbers(where, robot, TARGETS) | numbers(where, AS_SHARED, DESCRIPTORS)
             linked = tuple(_strongest(task, where, dataset) for task in tasks)
+            more = (strongest_of([exposed], among=(name,)) for name in BEYOND)
+            beyond = tuple(Attacked(*one, numbers(where, one, DESCRIPTORS)) for one in more if one)
+            costs = {
+                name: found.get(Source(name).measure(MISSED_RATE).at(*where), UNKNOWN)
+                for name in robots
+            }
             scenes = identity["scenes"], every
-            levels.append(Level(*where, *scenes, known, attacked, linked))
+            levels.append(Level(*where, *scenes, known, attacked, linked, costs, beyond))
     return levels
 
 
