@@ -47,12 +47,13 @@ def built_in(kind):
 
 
 MECHANISMS = [
-    plugins.parse("mechanisms", spec)[0].instance
+    plugins.parse("mechanisms", spec)[0]
     for spec in (
         *("raw", "clean", "offset:0.3", "thin:3", "thin:3,d_sigma=0.5,adding=independent"),
         *("fixed:0", "fixed:0.5", "fixed:0.5,adding=independent", "fixed:0,adding=independent"),
         *("fixed:0.5,adding=independent,law=isotropic", "fid:100", "fid:1000,adding=independent"),
         *("correlated:0.5", "correlated:0.5,tau_s=9,adding=independent"),
+        *("ou:1", "ou:1,tau_s=0.5,reuse=session", "ou_fid:100", "laplace:0.7", "forecast:0.3"),
     )
 ]
 
@@ -62,7 +63,7 @@ def test_a_fair_attack_passes(attack, check):
     check(attack)
 
 
-@parametrize_mechanism_checks([*MECHANISMS, Noise()])
+@parametrize_mechanism_checks([*(one.instance for one in MECHANISMS), Noise()])
 def test_a_fair_mechanism_passes(mechanism, check):
     check(mechanism)
 
@@ -73,7 +74,7 @@ def test_a_fair_predictor_passes(predictor, check):
 
 
 def test_every_mechanism_is_among_them():
-    assert {type(one).__name__.lower() for one in MECHANISMS} == set(plugins.names("mechanisms"))
+    assert {one.family for one in MECHANISMS} == set(plugins.names("mechanisms"))
 
 
 @pytest.mark.parametrize(

@@ -156,7 +156,10 @@ def test_a_class_by_its_path(here):
     ("spec", "message"),
     [
         ("fdi:1", "unknown mechanism 'fdi'; did you mean 'fid'?"),
-        ("zzzzz", "unknown mechanism 'zzzzz'; known: clean, correlated, fid, fixed, offset, raw"),
+        (
+            "zzzzz",
+            "unknown mechanism 'zzzzz'; known: clean, correlated, fid, fixed, forecast, laplace",
+        ),
         ("fixed", "fixed needs a value for d_sigma, as in fixed:VALUE"),
         ("raw:3", "raw takes no value"),
         ("fid:1,alhpa=3", "fid has no parameter 'alhpa'; did you mean 'alpha'?"),
