@@ -115,10 +115,12 @@ class Sweeps:
     def together(self, by: Mapping[str, Measure]) -> dict[str, Floats]:
         """Return the curves of mechanisms that end in one raw, pooled over all, (1 + B, L) each.
 
-        `by` is what each is measured by, raw among them. Left out is what has fewer than two
-        levels, or lacks one.
+        `by` is what each is measured by; without raw among them there are none. Left out is what
+        has fewer than two levels, or lacks one.
         """
-        found = {}
+        found: dict[str, Floats] = {}
+        if RAW not in by:
+            return found
         raw = by[RAW].at(RAW, None)
         for name, measure in by.items():
             keys = [*(measure.at(name, level) for level in self.levels(name)), raw]

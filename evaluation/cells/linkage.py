@@ -72,8 +72,7 @@ class _Sides:
 
     probe: Release
     gallery: Release
-    std: tuple[Floats | None, ...] = ()
-    """(M,) m of either, that the reconstruction in front claims."""
+    std: tuple[Floats | None, ...] = ()  # (M,) m of either, that the reconstruction in front claims
     found: dict[int, tuple[Release, Release]] = field(default_factory=dict)
 
     def of(self, pairing: Pairing) -> tuple[Release, Release]:

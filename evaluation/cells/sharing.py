@@ -35,8 +35,7 @@ if TYPE_CHECKING:
     from isac_track.plugins import Plugin
 
 _Batch = TypeVar("_Batch", Release, Scenes, Sensed, Windows)
-OURS = ("isac_track.", "attacks.", "predictors.")
-"""Where plug-ins come from that are no stranger's."""
+OURS = ("isac_track.", "attacks.", "predictors.")  # Where plug-ins come from that are no stranger's
 Digest: TypeAlias = tuple[tuple[tuple[int, ...], int] | None, ...]
 """Shape and hash of arrays: equal in one process for what is equal bit by bit."""
 _PER_SAMPLE = ("t", "xy", "sigma", "unit_error", "sigma_raw", "information", "fid")

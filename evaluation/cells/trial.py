@@ -24,7 +24,7 @@ from isac_track.protocols import AttackContext, LinkageTrainingSet
 from isac_track.rng import stream
 from isac_track.scenes import cut, make_scenes, track_order
 from isac_track.sensing import sense_scenes
-from isac_track.types import Knowledge, Tracks
+from isac_track.types import Knowledge, Release, Tracks
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from evaluation.experiment.axes import Consumer
     from isac_track.config import StageSettings
     from isac_track.plugins import Plugin
-    from isac_track.types import Release
 
 N_PEOPLE = 12  # At least so many: a plug-in may need some to hide among, or to learn from.
 _SEED = 0

@@ -14,14 +14,13 @@ from evaluation.experiment.presets import PRESETS, UTILITY_PREDICTORS
 from isac_track import plugin_objects, plugins
 from isac_track.errors import SettingsError
 from isac_track.protocols import grants, kind_of
-from isac_track.types import Knowledge
+from isac_track.types import ErrorLaw, Knowledge
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from evaluation.experiment.settings import Settings
     from isac_track.plugins import Plugin
-    from isac_track.types import ErrorLaw
 
 
 MOST_DEFAULT_JOBS: Final = 8  # Unless more are asked for: each takes a few hundred MB.

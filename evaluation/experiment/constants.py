@@ -5,8 +5,7 @@ from typing import Final
 SHARED = "shared"  # Consumer of the descriptors as shared.
 IDENTITY = "identity"  # The attack that reproduces what was shared.
 WINDOWS = "windows"  # Consumer of the same of a linkage task, window by window, after the task.
-OTHER_LAW: Final = "isotropic"
-"""Error law under which the preset's `other_law` is computed as well."""
+OTHER_LAW: Final = "isotropic"  # Error law under which the preset's `other_law` is computed as well
 BLOCK_SCENES = 250
 """Scenes of a unit of work. Part of the keys of the sharing streams: a change changes the draws."""
 MOST_SCENES = 10_000_000
