@@ -42,6 +42,7 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
         "savgol": "attacks.reconstruction.moving_windows:Savgol",
         "kalman_rts": "attacks.reconstruction.kalman_rts:KalmanRTS",
         "radial_rts": "attacks.reconstruction.kalman_rts:RadialRTS",
+        "ou_rts": "attacks.reconstruction.ou_rts:OuRTS",
         "imm_rts": "attacks.reconstruction.kalman_rts:ImmRTS",
         "gaussian_process": "attacks.reconstruction.gaussian_process:GaussianProcess",
         "averaging": "attacks.reconstruction.averaging:Averaging",

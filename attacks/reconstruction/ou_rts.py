@@ -1,0 +1,176 @@
+"""An adversary who reckons with an error that changes slowly: it is smoothed as a state of its own.
+
+Who knows the mechanism is told how large and how slow the error is; everybody else finds out from
+the release. Where nothing slow is added it is `radial_rts`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+import numpy as np
+
+from attacks.parameters import positive
+from attacks.reconstruction.kalman_rts import PRIOR_STD, RadialRTS, looks_radial
+from attacks.reconstruction.learning import RADIAL_PER_AXIS, TOLD, around, choose
+from attacks.remembered import noise_m2, remembered
+from isac_track.kalman import Batch
+from isac_track.kalman.slow_errors import SlowError, added_error, filter_tracks, smooth_tracks
+from isac_track.noise import MIN_VARIANCE_M2
+from isac_track.types import Floats, Knowledge, Reconstruction, Release, derived
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from isac_track.protocols import AttackContext, Reconstructor
+
+_STD_M = (0.2, 0.4, 0.8, 1.6)
+_TAU_S = (1.0, 3.0, 9.0, 27.0)
+_STEPS = (1.5, 1.2, 1.08)
+"""Factors of the search about the best of the grid, one after the other."""
+_MOST_STEPS = 8
+_N_FITTED = 40
+"""Tracks that the error is fitted to, at most."""
+_LEAST_GAIN = 2.0
+"""Of log likelihood a track: below, a slow error explains no more than how people sway."""
+_LEAST_REST = 0.05
+"""Share of what innovations show that is never put down to a slow error."""
+
+
+class _Choice(NamedTuple):
+    """What an adversary reckons with."""
+
+    std_m: float
+    tau_s: float
+    q: float
+    passes: int
+
+
+@dataclass(frozen=True, slots=True)
+class OuRTS:
+    """Constant velocity behind an Ornstein-Uhlenbeck error; the rest is white, radial or not."""
+
+    q: float | None = None
+    """m^2/s^3; None: learnt from the training set, or `DEFAULT_Q` without one."""
+    std_m: float | None = None
+    """Per axis, of the slow error; None, with `tau_s`: as the mechanism says, or fitted."""
+    tau_s: float | None = None
+
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = TOLD
+    DEFAULT_Q: ClassVar[float] = RadialRTS.DEFAULT_Q
+
+    def __post_init__(self) -> None:
+        positive(q=self.q, std_m=self.std_m, tau_s=self.tau_s)
+        if (self.std_m is None) != (self.tau_s is None):
+            raise ValueError("give both std_m and tau_s, or neither to have them found")
+
+    def fit(self, context: AttackContext) -> Reconstructor:
+        """Return the smoother of releases like those in the training set."""
+        white = RadialRTS(self.q).fit(context)
+        told = self._told(context)
+        if told == (0.0, 0.0):
+            return white
+        q = self.DEFAULT_Q if self.q is None else self.q
+        if Knowledge.TRAIN not in context.granted:
+
+            def reconstruct(release: Release) -> Reconstruction:
+                std_m, tau_s = told or fitted(release, q)
+                if std_m == 0.0:
+                    return white(release)
+                passes = RadialRTS.USUAL_PASSES if looks_radial(release) else 1
+                return smooth(release, _Choice(std_m, tau_s, q, passes))
+
+            return reconstruct
+        densities = around(q, factor=4.0) if self.q is None else (q,)
+        best = self._learnt(context, told, densities)
+        return white if best.std_m == 0.0 else lambda release: smooth(release, best)
+
+    def _told(self, context: AttackContext) -> tuple[float, float] | None:
+        """Return std and tau of the slow error; 0 and 0 if there is none, None if nobody says."""
+        if self.std_m is not None and self.tau_s is not None:
+            return self.std_m, self.tau_s
+        if Knowledge.MECHANISM not in context.granted:
+            return None
+        mechanism = context.mechanism
+        std_m, tau_s = added_error(mechanism)
+        if std_m > 0.0 and tau_s > 0.0:
+            return std_m, tau_s
+        is_white = std_m > 0.0 or not getattr(mechanism, "adds_error", True)
+        return (0.0, 0.0) if is_white else None
+
+    def _learnt(
+        self, context: AttackContext, told: tuple[float, float] | None, densities: Sequence[float]
+    ) -> _Choice:
+        """Return what reconstructs the training set best: told, found there, or nothing slow."""
+        middle = densities[len(densities) // 2]
+        if self.std_m is not None and told is not None:
+            errors = [told]
+        else:
+            found = fitted(context.train.release, middle)
+            errors = [*filter(None, [told]), *([found] if found != told else [])]
+        numbers = (RadialRTS.USUAL_PASSES, 1)
+        first = [_Choice(*one, middle, number) for one in errors for number in numbers]
+
+        def reconstruct(choice: _Choice, release: Release) -> Floats:
+            return smooth(release, choice).xy
+
+        best = choose(context, default=first[0], candidates=first, reconstruct=reconstruct)
+        others = [best._replace(q=one) for one in densities]
+        return choose(context, default=best, candidates=others, reconstruct=reconstruct)
+
+
+def smooth(release: Release, choice: _Choice) -> Reconstruction:
+    """Return smoothed positions; the white rest is what is declared, or what innovations show."""
+    error = SlowError(choice.std_m, choice.tau_s)
+    batch = Batch(release.t, release.xy, _rest(release, error), release.offsets, PRIOR_STD)
+    position, spread = smooth_tracks(
+        batch, error, q=choice.q, passes=choice.passes, anneal=RadialRTS().anneal
+    )
+    return Reconstruction(position, np.sqrt(np.maximum(spread, 0.0)))
+
+
+def _rest(release: Release, error: SlowError) -> Floats:
+    """Return the variance per axis, (M,) m^2, of what is neither walk nor slow error."""
+    slow_m2 = float(error.std_m) ** 2
+    if release.sigma is not None:
+        return np.maximum(RADIAL_PER_AXIS * (release.sigma**2 - slow_m2), MIN_VARIANCE_M2)
+    level = noise_m2(release)
+    rest = level - slow_m2 * error.innovation_share(t=release.t, offsets=release.offsets)
+    return np.repeat(np.maximum(rest, _LEAST_REST * level), np.diff(release.offsets))
+
+
+@remembered
+def fitted(release: Release, q: float) -> tuple[float, float]:
+    """Return std, m, and tau, s, of the slow error under which a release is likeliest.
+
+    0 and 0 if it gains less than `_LEAST_GAIN` a track over none. A grid, then a search about the
+    best of it, over tracks spread evenly over the release.
+    """
+    rows = np.unique(np.linspace(0, len(release) - 1, min(_N_FITTED, len(release))).astype(int))
+    some = release.tracks(rows)
+    some = derived(some, sigma=None)
+
+    def likelihood(std_m: float, tau_s: float) -> float:
+        error = SlowError(std_m, tau_s)
+        batch = Batch(some.t, some.xy, _rest(some, error), some.offsets, PRIOR_STD)
+        return float(filter_tracks(batch, error, q=q)[0].log_likelihood.sum())
+
+    tried = {(std, tau): likelihood(std, tau) for std in _STD_M for tau in _TAU_S}
+    best = max(tried, key=tried.__getitem__)
+    for factor in _STEPS:
+        for _ in range(_MOST_STEPS):
+            std, tau = best
+            # Along the ridge, s^2 / tau, of what a short time shows, and across it.
+            beside = [
+                (std * by, tau * (by * by if along else 1.0))
+                for by in (factor, 1.0 / factor)
+                for along in (True, False)
+            ]
+            tried |= {one: likelihood(*one) for one in beside if one not in tried}
+            best, before = max(tried, key=tried.__getitem__), best
+            if best == before:
+                break
+    gain = tried[best] - likelihood(0.0, 0.0)
+    return best if gain > _LEAST_GAIN * len(some) else (0.0, 0.0)

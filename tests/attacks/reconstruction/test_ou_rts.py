@@ -1,0 +1,114 @@
+"""The smoother that reckons with a slow error: found out, told, taught; and where there is none."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from helpers.walks import cv_walks, flat_release
+
+from attacks.reconstruction.kalman_rts import KalmanRTS, RadialRTS
+from attacks.reconstruction.ou_rts import OuRTS, fitted
+from isac_track.plugins import parse
+from isac_track.protocols import AttackContext, TrainingSet
+from isac_track.rng import stream
+from isac_track.sharing import Fixed, Raw
+from isac_track.sharing_controls import Correlated, correlated_errors
+from isac_track.types import Knowledge
+
+Q, NOISE_M = 0.05, 0.1
+INFORMED = frozenset({Knowledge.MECHANISM, Knowledge.TRAIN})
+
+
+@dataclass(frozen=True)
+class Slow:
+    """What a mechanism with such an error says of itself."""
+
+    std_m: float
+    tau_s: float
+
+
+def walks(std_m, tau_s, *, n=40, size=150, white_m=NOISE_M):
+    """Walks of the model behind its errors, and where they truly were."""
+    t, path, offsets = cv_walks(*[size] * n, q=Q)
+    rng = stream(0, "test", "ou_rts", str((std_m, tau_s, white_m)))
+    xy = path + white_m * rng.standard_normal(path.shape)
+    if std_m:
+        slow = correlated_errors(t=t, offsets=offsets, law="isotropic", tau_s=tau_s, rng=rng)
+        xy = xy + std_m * slow
+    return flat_release(t, xy, offsets), path
+
+
+def context(*, taught=None, mechanism=None):
+    """As informed, where somebody is there to learn from, or blind."""
+    granted = INFORMED if mechanism is not None else frozenset()
+    return AttackContext(
+        rng=stream(0, "test", "attack"),
+        epsilon_m=0.3,
+        granted=granted,
+        mechanism=mechanism,
+        train=taught,
+    )
+
+
+def error_m2(attack, seen, truth, **knows):
+    """Mean squared error of a reconstruction."""
+    return float(((attack.fit(context(**knows))(seen).xy - truth) ** 2).mean())
+
+
+@pytest.mark.parametrize("error", [(0.5, 2.0), (1.0, 5.0), (0.8, 10.0)])
+def test_the_release_tells_how_large_and_how_slow_an_error_is(error):
+    release, _ = walks(*error)
+    std_m, tau_s = fitted(release, Q)
+    # Over seconds an error shows how fast it moves, less how large it would become.
+    assert std_m**2 / tau_s == pytest.approx(error[0] ** 2 / error[1], rel=0.15)
+    assert error[1] / 3 < tau_s < 3 * error[1]
+    truth = OuRTS(q=Q, std_m=error[0], tau_s=error[1]).fit(context())(release).xy
+    blind = OuRTS(q=Q).fit(context())(release).xy
+    assert np.sqrt(((blind - truth) ** 2).mean()) < 0.15 * error[0]
+
+
+def test_who_reckons_with_the_error_is_nearer_and_knows_how_near():
+    release, truth = walks(0.8, 2.0)
+    own = OuRTS(q=Q, std_m=0.8, tau_s=2.0).fit(context())(release)
+    square = (own.xy - truth) ** 2
+    assert square.mean() < 0.8 * error_m2(KalmanRTS(Q), release, truth)
+    assert (square.sum(axis=1) / (2 * own.std**2)).mean() == pytest.approx(1.0, abs=0.2)
+
+
+def test_half_or_twice_the_error_costs_little_next_to_none():
+    release, truth = walks(0.8, 2.0)
+    right = error_m2(OuRTS(q=Q, std_m=0.8, tau_s=2.0), release, truth)
+    none = error_m2(KalmanRTS(Q), release, truth)
+    for std_m, tau_s in ((0.4, 2.0), (1.6, 2.0), (0.8, 1.0), (0.8, 4.0)):
+        wrong = error_m2(OuRTS(q=Q, std_m=std_m, tau_s=tau_s), release, truth)
+        assert right < wrong < right + 0.6 * (none - right)
+
+
+def test_what_it_is_told_and_taught_serves_it():
+    release, truth = walks(0.8, 5.0)
+    other, known = walks(0.8, 5.0, n=20, size=120)
+    taught = {"taught": TrainingSet(other, known)}
+    told = error_m2(OuRTS(), release, truth, mechanism=Slow(0.8, 5.0), **taught)
+    misled = error_m2(OuRTS(), release, truth, mechanism=Slow(0.1, 90.0), **taught)
+    blind = error_m2(OuRTS(), release, truth)
+    assert told < 1.1 * blind
+    assert misled < 1.1 * told  # the training people show what the mechanism does not say
+    law = replace(Correlated(1.0, 5.0), adding="independent")  # says d_sigma: per axis 0.71 m
+    assert error_m2(OuRTS(), release, truth, mechanism=law, **taught) < 1.1 * told
+
+
+@pytest.mark.parametrize("mechanism", [None, Raw(), Fixed(0.5)])
+def test_where_nothing_slow_is_added_it_is_the_smoother_of_white_errors(mechanism):
+    release, truth = walks(0.0, 0.0, white_m=0.5)
+    taught = {} if mechanism is None else {"taught": TrainingSet(release, truth)}
+    own, white = (
+        attack.fit(context(mechanism=mechanism, **taught))(release)
+        for attack in (OuRTS(), RadialRTS())
+    )
+    np.testing.assert_array_equal(own.xy, white.xy)
+
+
+def test_parameters_that_cannot_be_are_refused():
+    for spec in ("ou_rts:0", "ou_rts:std_m=1", "ou_rts:std_m=1,tau_s=-1"):
+        with pytest.raises(Exception, match=r"must be positive|give both"):
+            parse("attacks", spec)
