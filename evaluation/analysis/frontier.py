@@ -51,12 +51,9 @@ TARGETS: Final = (0.03, 0.05, 0.075, 0.1)
 WHITE: Final = "fixed:adding=independent,law=isotropic"
 """What others are held against: white noise, equal in all directions."""
 NEAR: Final = 0.03
-ENOUGH_LEVELS: Final = 4
-"""Of a curve within `NEAR` of a target for an interval there."""
-MARGIN: Final = 0.02
-"""By how much a mechanism is beaten."""
-OF_ROBOT: Final = "plr_robot"
-"""What a robot itself knows of where somebody was."""
+ENOUGH_LEVELS: Final = 4  # Of a curve within `NEAR` of a target for an interval there.
+MARGIN: Final = 0.02  # By how much a mechanism is beaten.
+OF_ROBOT: Final = "plr_robot"  # What a robot itself knows of where somebody was.
 COLUMNS: Final = [
     *("dataset", "mechanism", "family", "adding", "robot", "criterion", "target"),
     *("level", "level_low", "level_high", "consumer", "knowledge", "metric"),
@@ -91,8 +88,7 @@ class Told(NamedTuple):
     metric: str
     whose: Mapping[str, Source]
     """By mechanism, raw among them: against each the adversary takes what is strongest there."""
-    is_axis: bool = False
-    """Whether mechanisms are held against one another by it."""
+    is_axis: bool = False  # Whether mechanisms are held against one another by it.
 
 
 def told(

@@ -44,8 +44,7 @@ class Valued(Protocol):
         """The estimate."""
 
 
-HEADLINE: Final = ("blind", INFORMED)
-"""Adversaries of whom the strongest is the headline."""
+HEADLINE: Final = ("blind", INFORMED)  # Adversaries of whom the strongest is the headline.
 BEYOND: Final = ("repeats", "anchor", "companions", "insider")
 """Adversaries who know more: told beside it, where they were run."""
 

@@ -36,8 +36,7 @@ TASKS: Final = {
 }
 """Tasks that are shown if a run has them: over a column, and in a sentence."""
 MOST_LEVELS: Final = 14
-LAW: Final = ":law="
-"""In a data set's name: the same under another error law."""
+LAW: Final = ":law="  # In a data set's name: the same under another error law.
 _MISSED, _KNOWN, _FOUND = "missed", "known in 0.3 m", "found again"
 _METRICS = (MISSED_RATE, EXPOSURE, SUCCESS, SUCCESS_OF_100, "chance")
 
@@ -50,8 +49,7 @@ class Shown:
     name: str
     measure: Measure
     chance: float = math.nan
-    candidates: float = math.nan
-    """Mean size of the gallery, where people are linked."""
+    candidates: float = math.nan  # Mean size of the gallery, where people are linked.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -60,16 +58,12 @@ class Headline:
 
     known: Mapping[str, Family]
     found: Mapping[Key, Estimate]
-    other_law: Mapping[Key, Estimate]
-    """The same under the other error law, where the run has it."""
+    other_law: Mapping[Key, Estimate]  # The same under the other error law, where the run has it.
     robots: Sequence[Shown]
     shared: Shown
-    attacked: Shown | None
-    """After the strongest reconstruction."""
-    linked: Sequence[Shown]
-    """By the strongest linker of each task."""
-    wheres: Sequence[Where]
-    """All levels of the run: the ceiling comes last."""
+    attacked: Shown | None  # After the strongest reconstruction.
+    linked: Sequence[Shown]  # By the strongest linker of each task.
+    wheres: Sequence[Where]  # All levels of the run: the ceiling comes last.
 
     @property
     def columns(self) -> list[Shown]:

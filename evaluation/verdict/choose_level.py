@@ -31,16 +31,14 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-TARGETS: Final = ("missed", "false_alarm")
-"""What chooses a level."""
+TARGETS: Final = ("missed", "false_alarm")  # What chooses a level.
 METRIC_OF: Final = {
     "missed": MISSED_RATE,
     "false_alarm": "false_alarm_rate",
     **dict(zip(DESCRIPTORS, DESCRIPTORS, strict=True)),
 }
 """By what it is called in the question and in the answer; rank 1 is asked for by task."""
-ASKED: Final = METRIC_OF | {SUCCESS: SUCCESS}
-"""What may be limited."""
+ASKED: Final = METRIC_OF | {SUCCESS: SUCCESS}  # What may be limited.
 UNKNOWN: Final = Estimate(math.nan)
 WEAK: Final = "attack too weak"
 _SWEEPS: Final = {FID: "fid:1..1000/10", FIXED: "fixed:0.1..1/10"}
@@ -62,16 +60,13 @@ class Linked:
 
     task: str
     dataset: str
-    limited: bool
-    """Whether a limit of rank 1 is about it: it links people of the recording."""
-    attack: str = ""
-    """Empty: the task was not run at this level."""
+    limited: bool  # Whether a limit of rank 1 is about it: it links people of the recording.
+    attack: str = ""  # Empty: the task was not run at this level.
     knowledge: str = ""
     rank1: Estimate = UNKNOWN
     chance: float = math.nan
     outcome: str = ""
-    invalid: str = ""
-    """Shortcuts that give people away here; empty: none."""
+    invalid: str = ""  # Shortcuts that give people away here; empty: none.
 
     @property
     def missing(self) -> str:
@@ -90,16 +85,12 @@ class Level:
 
     mechanism: str
     level: float | None
-    scenes: int
-    """That descriptors were measured on, and attacked."""
-    scenes_utility: int
-    """That the robot's predictor was measured on."""
-    numbers: Mapping[str, Estimate]
-    """By name of `METRIC_OF`."""
+    scenes: int  # That descriptors were measured on, and attacked.
+    scenes_utility: int  # That the robot's predictor was measured on.
+    numbers: Mapping[str, Estimate]  # By name of `METRIC_OF`.
     after_attack: Attacked | None
     tasks: tuple[Linked, ...]
-    costs: Mapping[str, Estimate]
-    """Missed conflicts of every robot of the run."""
+    costs: Mapping[str, Estimate]  # Missed conflicts of every robot of the run.
     beyond: tuple[Attacked, ...]
     """After the strongest reconstruction of who knows more than the limits are about."""
 
@@ -134,16 +125,12 @@ class Limits:
 class Check:
     """One target or limit at one level."""
 
-    name: str
-    """As in `Limits`; of rank 1 `rank1/TASK`."""
+    name: str  # As in `Limits`; of rank 1 `rank1/TASK`.
     limit: float
     measured: Estimate
-    scenes: int = 0
-    """That it was measured on; 0: it is not about scenes."""
-    whose: str = ""
-    """Whose positions or which attack it is of."""
-    missing: str = ""
-    """Why there is no number to judge; empty if there may be one."""
+    scenes: int = 0  # That it was measured on; 0: it is not about scenes.
+    whose: str = ""  # Whose positions or which attack it is of.
+    missing: str = ""  # Why there is no number to judge; empty if there may be one.
 
     @property
     def why_unknown(self) -> str:
@@ -175,23 +162,17 @@ class Check:
 class Scheme:
     """The answer for one mechanism under one adding rule."""
 
-    adding: str
-    """The rule that it is judged under."""
+    adding: str  # The rule that it is judged under.
     family: Family
-    falls: bool
-    """Whether smaller levels are stricter, as with FID."""
-    chosen: Level | None
-    """The strictest level that meets the targets as all less strict ones do."""
+    falls: bool  # Whether smaller levels are stricter, as with FID.
+    chosen: Level | None  # The strictest level that meets the targets as all less strict ones do.
     stricter: Level | None
     """The next stricter level, which misses a target; without `chosen` the least strict one."""
-    also_meets: tuple[float, ...]
-    """Levels beyond that one that meet the targets all the same."""
+    also_meets: tuple[float, ...]  # Levels beyond that one that meet the targets all the same.
     is_saturated: bool
     """Whether the strictest levels share the same, so that stricter ones would as well."""
-    checks: tuple[Check, ...]
-    """At the chosen level."""
-    missed: tuple[Check, ...]
-    """Targets at the stricter level."""
+    checks: tuple[Check, ...]  # At the chosen level.
+    missed: tuple[Check, ...]  # Targets at the stricter level.
 
     @property
     def name(self) -> str:
@@ -214,14 +195,10 @@ class Choice:
     adding: tuple[str, ...]
     limits: Limits
     raw: Level | None
-    raw_checks: tuple[Check, ...]
-    """Whether raw itself meets the targets."""
-    schemes: tuple[Scheme, ...]
-    """Of all families that were asked for."""
-    tasks: tuple[Linked, ...]
-    """Of the run, without numbers."""
-    is_current: bool
-    """Whether the run is of this version of the code."""
+    raw_checks: tuple[Check, ...]  # Whether raw itself meets the targets.
+    schemes: tuple[Scheme, ...]  # Of all families that were asked for.
+    tasks: tuple[Linked, ...]  # Of the run, without numbers.
+    is_current: bool  # Whether the run is of this version of the code.
 
     @property
     def answers(self) -> dict[str, list[Scheme]]:
