@@ -177,6 +177,8 @@ def axes(settings: Settings) -> Axes:
         axis: getattr(preset if getattr(settings, axis) is None else settings, axis)
         for axis in ("mechanisms", "predictors", "attacks", "tasks")
     }
+    if settings.mechanisms is None:
+        names["mechanisms"] += preset.protections
     attacks, links = _attacks(names["attacks"])
     mechanisms = plugin_objects.all_of("mechanisms", names["mechanisms"])
     predictors = plugin_objects.all_of("predictors", names["predictors"])

@@ -4,7 +4,8 @@ from dataclasses import dataclass, replace
 
 from evaluation.experiment.constants import IDENTITY, SHARED
 
-__all__ = ["DISSOCIATION", "IDENTITY", "PRESETS", "SHARED", "UTILITY_PREDICTORS", "Preset"]
+__all__ = ["DISSOCIATION", "IDENTITY", "PRESETS", "PROTECTIONS", "SHARED", "UTILITY_PREDICTORS"]
+__all__ += ["Preset"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,6 +20,8 @@ class Preset:
     attacks: tuple[str, ...]
     tasks: tuple[str, ...]
     summary: str
+    protections: tuple[str, ...] = ()
+    """Further mechanisms, which stand beside the panel of the verdict, not in it."""
     other_law: tuple[str, ...] = ()
     """Mechanisms that are shared, foreseen and reconstructed under `OTHER_LAW`, too."""
 
@@ -45,7 +48,24 @@ DISSOCIATION = (
     "thin:4,d_sigma=0.75,adding=independent",
 )
 """Controls of the question whether a descriptor tells how linkable people are."""
-UTILITY_PREDICTORS = ("least_squares", "kalman_cv")
+PROTECTIONS = (
+    *("ou:0.5", "ou:1", "ou:2", "laplace:0.5", "laplace:1"),
+    *(f"fixed:{std_m},adding=independent,law=isotropic" for std_m in ("0.5", "1", "2")),
+)
+"""What may survive a filter, and the white noise that it is held against."""
+_SLOW_M = ("0.15", "0.3", "0.45", "0.6", "0.8", "1", "1.25", "1.5", "2", "2.5")
+"""Standard deviations between which every robot's missed conflicts rise by 3 to 10 points."""
+_FRONTIER = (
+    "raw",
+    *(f"fixed:{std_m},adding=independent,law=isotropic" for std_m in _SLOW_M),
+    *(f"ou:{std_m},tau_s={tau_s}" for tau_s in (1, 2, 10, 20) for std_m in _SLOW_M),
+    *(f"{family}:{std_m}" for family in ("ou", "laplace", "forecast") for std_m in _SLOW_M),
+    *(f"fid:{eta},adding=independent" for eta in ("1", "30", "100", "300", "1000", "3000")),
+    *(f"ou_fid:{eta}" for eta in ("1", "30", "100", "300", "1000", "3000")),
+    *("offset:0.15", "offset:0.3", "offset:0.6", "offset:1", "offset:1.5", "offset:2"),
+    *("thin:2", "thin:4", "thin:8", "thin:12", "thin:16", "thin:24"),
+)
+UTILITY_PREDICTORS = ("least_squares", "kalman_cv", "kalman_cv:aware=true")
 """Of a preset's own predictors those that are read in all scenes: the cheap ones."""
 _PAPER = Preset(
     scenes=500,
@@ -61,8 +81,10 @@ _PAPER = Preset(
         *("behaviour", "histogram", "kinematic", "kinematic@radial_rts"),
     ),
     tasks=("rerelease", "split", "handover-1s", "handover-2s", "handover-5s", "new_traversal"),
+    protections=PROTECTIONS,
     other_law=SMOKE_LEVELS,
-    summary="2,000 scenes (500 attacked), raw, 13 eta, 10 fixed errors, both rules, 6 controls",
+    summary="2,000 scenes (500 attacked), raw, 13 eta, 10 fixed errors, both rules, 6 controls, "
+    "8 levels of slow, Laplace and white noise",
 )
 PRESETS = {
     "smoke": replace(
@@ -70,6 +92,7 @@ PRESETS = {
         scenes=40,
         utility_scenes=40,
         mechanisms=SMOKE_LEVELS,
+        protections=(),
         other_law=(),
         summary="40 scenes, the 5 levels that the paper gives numbers for",
     ),
@@ -80,5 +103,14 @@ PRESETS = {
         utility_scenes=5000,
         other_law=(*SMOKE_LEVELS, *(f"{one},adding=independent" for one in SMOKE_LEVELS[1:])),
         summary="the axes of paper on 5,000 scenes",
+    ),
+    "frontier": Preset(
+        scenes=500,
+        utility_scenes=5000,
+        mechanisms=_FRONTIER,
+        predictors=UTILITY_PREDICTORS,
+        attacks=("kalman_rts", "radial_rts", "shape@radial_rts", "profile@radial_rts"),
+        tasks=("rerelease",),
+        summary="5,000 scenes (500 attacked), 95 levels of all families, plain and aware robots",
     ),
 }

@@ -70,7 +70,7 @@ class Panel:
     fixed: list[int]  # From the noisiest to raw, which is the last.
     fid: list[int]  # Alike; empty without a sweep.
     others: list[int]  # Of the preset.
-    beside: list[int]  # Of the user.
+    beside: list[int]  # Of the user, or a protection.
     missing: str  # What the panel lacks; empty if it is whole, with a dissociation control.
 
     def is_hidden(self, place: int) -> bool:

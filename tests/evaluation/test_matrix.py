@@ -11,7 +11,7 @@ from helpers.processes import run_python
 
 from evaluation import matrix
 from evaluation.experiment.axes import axes
-from evaluation.experiment.presets import DISSOCIATION, PRESETS
+from evaluation.experiment.presets import DISSOCIATION, PRESETS, PROTECTIONS
 from evaluation.experiment.settings import Settings
 from evaluation.runs.files import to_csv
 from isac_track import plugins
@@ -173,7 +173,7 @@ def test_the_presets_are_those_of_the_design():
     assert len(axes(Settings(preset="smoke")).mechanisms) == 5
     assert PRESETS["paper"].scenes == 500
     paper = axes(Settings()).mechanisms
-    assert len(paper) == 1 + 2 * (13 + 10) + len(DISSOCIATION)
+    assert len(paper) == 1 + 2 * (13 + 10) + len(DISSOCIATION) + len(PROTECTIONS)
     etas = [plugin.level for plugin in paper if plugin.name == "fid"]
     assert etas[0] == 1.0
     assert etas[9:] == [1e3, 1e4, 1e5, 1e6]
