@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,6 +27,7 @@ from evaluation.experiment.plan import Plan, plan
 from evaluation.experiment.settings import Settings, check_drawing
 from evaluation.reporting import page
 from evaluation.reporting.announcements import plan_lines
+from evaluation.reporting.answers import answers
 from evaluation.reporting.figures.figure import figures_of
 from evaluation.reporting.figures.figure import write as write_figures
 from evaluation.reporting.finished import load
@@ -156,10 +158,12 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
         strongest={task: source.attack for task, source in best.items()},
         gallery=read_gallery(out),
     )
+    told = [one.sentence for one in answers(results)]
+    results = replace(results, verdict={"answer": told, **said})
     for of, name in FRAMES.items():
         write_whole(out / name, to_csv(getattr(results, of)))
     write_whole(out / "flags.json", flags.to_json(flagged, looked))
-    write_whole(out / "verdict.json", verdict.to_bytes(said))
+    write_whole(out / "verdict.json", verdict.to_bytes(results.verdict))
     write_tex(results, folder=out / "tables")
     write_text(results)
     folder.remove_figures(out)  # those of an earlier report tell of other results

@@ -9,12 +9,11 @@ from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 from attacks.tasks.controls import CONTROLS
-from evaluation.analysis.families import CLEAN, LEVEL_UNITS, Family, families_in
+from evaluation.analysis.families import CLEAN, LEVEL_UNITS, families_in
 from evaluation.analysis.keys import (
     AS_SHARED,
     ORACLE,
     Source,
-    Where,
     is_attack,
     level_text,
     rows_of,
@@ -29,7 +28,6 @@ from evaluation.analysis.metrics import (
     UTILITY,
 )
 from evaluation.analysis.strongest import most_knowing
-from evaluation.cells.link_scores import WITHOUT_FROZEN, WITHOUT_GROUPS
 from evaluation.experiment.presets import IDENTITY, SHARED
 from evaluation.reporting import rows as picked
 from evaluation.reporting import table as make
@@ -38,7 +36,7 @@ from evaluation.reporting.table import Cell, Column, Table
 from isac_track.linkability import LEVEL
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Collection, Mapping
 
     import pandas as pd
 
@@ -47,7 +45,6 @@ MARKS = dict(zip(REMARKS, "~^!", strict=True))
 MEANING = {mark: REMARKS[remark] for remark, mark in MARKS.items()}
 TOO_WEAK = "attack too weak"
 _USUAL = "informed"
-_COHORTS = {WITHOUT_GROUPS: "walking groups", WITHOUT_FROZEN: "frozen annotations"}
 _LABEL_WIDTH = 30
 
 
@@ -203,7 +200,7 @@ def rank_table(run: picked.Results, task: LinkedTask) -> Table:
         about += " clean: no error at all, the ceiling."
     people = (run.manifest.get("linkage") or {}).get("tasks", {}).get(task.name, {}).get("people")
     size, loss = _size(some[0], people=people), approximation(run.manifest, task.name)
-    notes = size, loss, _confounders(task, wheres, known), _controls(task), about
+    notes = size, loss, _controls(task), about
     title = f"{task.name}: {task.about}; rank 1 in %, 95 % intervals"
     options = {"notes": list(filter(None, notes)), "marks": MEANING}
     return make.built(f"linkage-{task.name}", title, records, columns, **options)
@@ -246,34 +243,6 @@ def _size(row: Mapping[str, Any], *, people: int | None) -> str:
         f"{who}{'all' if probes == mated else f'{mated} of'} {probes} releases have a mate among "
         f"{candidates} candidates. The adversary is {_USUAL} where none is named."
     )
-
-
-def _confounders(task: LinkedTask, wheres: Sequence[Where], known: Mapping[str, Family]) -> str:
-    """Return what the best attack of one level links without each confounder."""
-    # A level of the mechanisms under test before raw and the ceiling.
-    for where in sorted(wheres, key=lambda where: where[1] is None):
-        block = task.cells[where]
-        ran = [one for one in task.attacks if one in block and block[one]["rank1"] >= 0]
-        best = max(ran, key=lambda one: block[one]["rank1"], default=None)
-        if best is None:
-            continue
-        parts = [
-            f"without {what} {_against_chance(cohort)}"
-            for name, what in _COHORTS.items()
-            if (cohort := task.cohorts.get(name, {}).get(where, {}).get(best)) is not None
-        ]
-        if parts:
-            one = picked.family_of(known, where[0])
-            rule = f" ({one.adding})" if one.adding == "independent" else ""
-            place = f"{one.name} {level_text(where[1])}".rstrip()
-            value = _against_chance(block[best], before="chance ")
-            return f"{place}{rule}, {best.consumer}: {value}; {', '.join(parts)}"
-    return ""
-
-
-def _against_chance(row: Mapping[str, Any], *, before: str = "") -> str:
-    value, chance = (make.amount(SUCCESS, row[key]).text or "-" for key in ("rank1", "chance"))
-    return f"{value} ({before}{chance})"
 
 
 def control_tests(task: LinkedTask) -> dict[str, list[bool]]:

@@ -93,7 +93,7 @@ class Table:
     rows: Sequence[Sequence[Cell]]
     notes: Sequence[str] = ()
     marks: Mapping[str, str] | None = None  # Of every mark that may be used: what it means.
-    n_headings: int = 0  # Leading columns that a terminal shows above the rows which agree in them.
+    n_headings: int = 0  # Leading columns: LaTeX has a rule where they change.
     n_keys: int = 1  # Leading columns that say what a row is of: repeated where a table is split.
 
     @property

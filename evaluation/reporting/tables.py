@@ -94,7 +94,6 @@ def _everything(run: Results) -> Iterator[Part]:
     if run.verdict and run.verdict["items"]:
         yield ""
         yield "Verdict", "bold"
-        yield from (f"- {one}" for one in run.verdict["answer"])
         yield from answers.item_tables(run.verdict["items"]).values()
         yield "(In words, with reasons: verdict.json.)"
     for line in failed_lines(run.failed):

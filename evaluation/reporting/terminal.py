@@ -1,10 +1,9 @@
 """Lines on a terminal: literal text, columns that line up, and headings between them."""
 
 import os
-import re
 import sys
 import textwrap
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import TypeAlias
 
 from rich.console import Console
@@ -16,9 +15,6 @@ PIPE_WIDTH = 116  # Columns where there is no terminal: room for every interval 
 Part: TypeAlias = "Table | str | tuple[str, str]"
 """Of what is printed: a table, or a text, which may have a style."""
 _HEAD_WIDTH = 10
-_SHORT = 8
-_LEAST_WORDS = 16  # Below this words are not wrapped to.
-Lines: TypeAlias = "list[tuple[str, str]]"  # Each with its style.
 
 
 def standard_output() -> Console:
@@ -68,119 +64,45 @@ def show_table(table: Table, *, console: Console) -> None:
     """
     if not table.rows:
         return
-    for part in _parts(table, width=console.width):
+    shown = [place for place, column in enumerate(table.columns) if not column.is_long]
+    columns = {place: _column(table, place) for place in shown}
+    depth = max(len(column) for column in columns.values()) - len(table.rows)
+    columns = {
+        place: [""] * (depth + len(table.rows) - len(column)) + column
+        for place, column in columns.items()
+    }
+    left = [place for place in shown if table.columns[place].align == "left"]
+    for part in _parts(shown[: table.n_keys], shown[table.n_keys :], columns, width=console.width):
         console.print()
         say(console, table.title, "bold", wrap=True)
-        for line, style in _lines(table, part, width=console.width):
-            say(console, line, style)
+        rows = list(zip(*(columns[place] for place in part), strict=True))
+        at_left = {n for n, place in enumerate(part) if place in left}
+        for place, line in enumerate(aligned(rows, left=at_left)):
+            say(console, line, "bold" if place < depth else "", wrap=len(line) > console.width)
     for note in [*([f"({table.legend})"] if table.legend else []), *table.notes]:
         say(console, note, wrap=True)
 
 
-def _parts(table: Table, *, width: int) -> list[list[int]]:
+def _parts(
+    keys: list[int], others: list[int], columns: Mapping[int, Sequence[str]], *, width: int
+) -> list[list[int]]:
     """Return the columns in parts that fit, each beside the keys."""
-    shown = [place for place, column in enumerate(table.columns) if not column.is_long]
-    keys = [place for place in shown if table.n_headings <= place < table.n_keys]
     parts = [keys]
-    for place in shown[max(table.n_headings, table.n_keys) :]:
+    for place in others:
         wider = [*parts[-1], place]
-        lines = _lines(table, wider, width=width)
-        if len(parts[-1]) > len(keys) and max(len(line) for line, _ in lines) > width:
+        room = sum(2 + max(map(len, columns[one])) for one in wider) - 2
+        if len(parts[-1]) > len(keys) and room > width:
             parts.append([*keys, place])
         else:
             parts[-1] = wider
     return parts
 
 
-def _lines(table: Table, columns: list[int], *, width: int) -> Lines:
-    """Return the lines with their styles: heads, headings, and rows whose columns line up."""
-    shown = [_column(table, place) for place in columns]
-    depth = max(len(head) for head, _ in shown)
-    filled = [[*[""] * (depth - len(head)), *head, *cells] for head, cells in shown]
-    grid = [list(cells) for cells in zip(*filled, strict=True)]
-    headings = []
-    for row in table.rows:
-        # Leading cells, each with its column's name but the first.
-        parts: list[str] = []
-        for column, cell in zip(table.columns[: table.n_headings], row, strict=False):
-            before = f"{column.name} " * bool(parts)
-            told = f"{cell.text} adding" if column.name == "adding" else f"{before}{cell.text}"
-            parts += [told] * bool(cell.text)
-        headings.append(", ".join(parts))
-    for place, (heading, cells) in enumerate(zip(headings, grid[depth:], strict=True)):
-        # Short, alone and without a level: it stands where the level would.
-        if heading and headings.count(heading) == 1 and not cells[0] and len(heading) <= _SHORT:
-            headings[place], cells[0] = "", heading
-    left = {n for n, place in enumerate(columns) if table.columns[place].align == "left"}
-    lines: Lines = []
-    above = ""
-    wrapped = _wrapped(grid, left=left, width=width)
-    lined_up = aligned([cells for _, cells in wrapped], left=left)
-    for (at, _), line in zip(wrapped, lined_up, strict=True):
-        heading = headings[at - depth] if at >= depth else ""
-        if heading and heading != above:
-            lines.append((heading, "bold cyan"))
-        above = heading
-        lines.append((line, "bold" if at < depth else ""))
-    return lines
-
-
-def _column(table: Table, place: int) -> tuple[list[str], list[str]]:
-    """Return the head of a column in lines, and its cells; intervals stand close to their value."""
-    column, cells = table.columns[place], [row[place] for row in table.rows]
+def _column(table: Table, place: int) -> list[str]:
+    """Return the head of a column in lines, and its cells."""
+    column = table.columns[place]
     missing = "-" if column.align == "right" and place >= table.n_keys else ""
-    room = max(len(cell.mark) for cell in cells)
-    values = [
-        f"{cell.text or missing}{cell.mark.ljust(room)}" + f" {cell.unit}" * bool(cell.unit)
-        for cell in cells
-    ]
-    head = [column.above] * bool(column.above) + _broken(column.name)
-    if column.unit and len(head[-1]) + len(column.unit) < _HEAD_WIDTH:
-        head[-1] = f"{head[-1]} {column.unit}".strip()
-    elif column.unit:
-        head.append(column.unit)
-    if not any(cell.low for cell in cells):
-        return head, values
-    width = max(map(len, values))
-    # A hyphen where neither end has a sign.
-    ends = [
-        cell.interval
-        if "+" in cell.interval or "-" in cell.interval or not cell.low
-        else f"{cell.low}-{cell.high}"
-        for cell in cells
-    ]
-    room = max(map(len, [*ends, *(line[width + 1 :] for line in head)]))
-    rows = [f"{value:>{width}} {end:<{room}}" for value, end in zip(values, ends, strict=True)]
-    return [line.rjust(width).ljust(width + 1 + room) for line in head], rows
-
-
-def _wrapped(
-    grid: Sequence[Sequence[str]], *, left: Collection[int], width: int
-) -> list[tuple[int, list[str]]]:
-    """Return the lines of rows whose widest words are wrapped to fit, each with its row."""
-    widths = [max(map(len, column)) for column in zip(*grid, strict=True)]
-    excess = sum(widths) + 2 * (len(widths) - 1) - width
-    widest = max(left, key=lambda place: widths[place], default=None)
-    if excess <= 0 or widest is None or widths[widest] - excess < _LEAST_WORDS:
-        return [(place, list(cells)) for place, cells in enumerate(grid)]
-    wrapped = []
-    for place, cells in enumerate(grid):
-        rest = cells
-        for piece in textwrap.wrap(cells[widest], widths[widest] - excess) or [""]:
-            wrapped.append((place, [*rest[:widest], piece, *rest[widest + 1 :]]))
-            rest = [""] * len(cells)
-    return wrapped
-
-
-def _broken(name: str) -> list[str]:
-    """Return a name in lines of few characters, broken after punctuation where that is enough."""
-    lines = [""]
-    for piece in re.findall(r"[^_:.,=\s-]*[_:.,=\s-]|[^_:.,=\s-]+", name):
-        if lines[-1] and len(lines[-1] + piece.rstrip()) > _HEAD_WIDTH:
-            lines.append("")
-        lines[-1] += piece
-    return [
-        line[start : start + _HEAD_WIDTH].rstrip()
-        for line in lines
-        for start in range(0, max(len(line.rstrip()), 1), _HEAD_WIDTH)
-    ]
+    cells = [row[place].full or missing for row in table.rows]
+    room = max(_HEAD_WIDTH, *map(len, cells))
+    above = [column.above] * bool(column.above)
+    return [*above, *textwrap.wrap(f"{column.name} {column.unit}", room), *cells]

@@ -18,7 +18,7 @@ from evaluation.analysis.matching import AT_EQUAL_ALARMS, MIN_DEFINED, MISSED, S
 from evaluation.analysis.metrics import DESCRIPTORS, EQUAL_ALARMS, METRICS, MISSED_RATE, SUCCESS
 from evaluation.verdict import rules
 from evaluation.verdict.items import Draft
-from evaluation.verdict.rules import NAME, known, listed
+from evaluation.verdict.rules import NAME, known
 from isac_track.intervals import estimate_of
 
 if TYPE_CHECKING:
@@ -123,38 +123,3 @@ def _claim(
             **({"mechanism": mechanism} if mechanism else {}),
         },
     )
-
-
-def answer(items: Items) -> str:
-    """Return what is said of the paper's mechanism, by both criteria."""
-    mine = [one for one in items if "mechanism" not in one]
-    if not mine:
-        return "The run does not compare FID with fixed noise."
-    fares: dict[str, list[str]] = {}
-    for adding, (criterion, words) in product(
-        ADDING_RULES, {MISSED: "", AT_EQUAL_ALARMS: " at equal false alarms, too"}.items()
-    ):
-        found = [one for one in mine if (one["adding"], one["criterion"]) == (adding, criterion)]
-        if found:
-            fares.setdefault(_fares(found), []).append(f"{adding} adding{words}")
-    parts = [f"{said} ({'; '.join(where)})" for said, where in fares.items()]
-    return f"FID against fixed noise at equal missed conflicts: {', '.join(parts)}."
-
-
-def _fares(items: Items) -> str:
-    """Return in what the paper's mechanism is better, and in what worse."""
-    compared = {AS_IS: "as shared", AFTER: "after attack", LINKED: "in linkage"}
-    parts = []
-    for decision, word in ((rules.HOLDS, "better"), (rules.REVERSED, "worse")):
-        where = []
-        for of, words in compared.items():
-            names = [
-                str(NAME.get(one["descriptor"], one["task"]))
-                for one in items
-                if (one["decision"], one["of"]) == (decision, of)
-            ]
-            if names:
-                where.append(f"{listed(names)} {words}")
-        if where:
-            parts.append(f"{word} in {listed(where)}")
-    return ", ".join(parts) or "no difference is shown"

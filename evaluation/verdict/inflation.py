@@ -12,7 +12,7 @@ from evaluation.analysis.keys import AS_SHARED, Source
 from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.verdict import rules
 from evaluation.verdict.items import Draft
-from evaluation.verdict.rules import NAME, listed
+from evaluation.verdict.rules import NAME
 from isac_track.intervals import estimate_of
 
 if TYPE_CHECKING:
@@ -61,25 +61,4 @@ def _inflated(
         },
         untestable="" if np.isfinite(mean[0]) else f"{NAME[descriptor]} is 0 at a level",
         details={"of": name, "levels": len(ratios)},
-    )
-
-
-def answer(items: Items) -> str:
-    """Return what is said of the descriptors as shared."""
-    mine = [one for one in items if one["decision"] == rules.INFLATED]
-    if not items:
-        return "What an attack makes of the descriptors was not tested: no attack was run."
-    if not mine:
-        return "That an attack raises the descriptors is not shown by these people."
-    subject = mine[0]["subject"]
-    parts = []
-    for descriptor in DESCRIPTORS:
-        ratios = [one["effect"] for one in mine if one["descriptor"] == descriptor]
-        if ratios:
-            low, high = min(ratios), max(ratios)
-            span = f"{low:.1f}" if f"{low:.1f}" == f"{high:.1f}" else f"{low:.1f} to {high:.1f}"
-            parts.append(f"{NAME[descriptor]} by {span} times")
-    return (
-        f"The values as shared understate what is left to an adversary: {subject} raises "
-        f"{listed(parts)}."
     )

@@ -4,7 +4,6 @@ All was set before looking. How an item of the verdict is told, in words and in 
 what decides it is in `spread` (validity) and `items` (all else), in words in docs/verdict.md.
 """
 
-from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -74,8 +73,3 @@ def with_interval(one: Estimate, unit: str, *, signed: bool = False, absolute: b
 def written(value: float, unit: str) -> str:
     """Return a number as people write it, with its unit; units are those of `with_interval`."""
     return with_interval(Estimate(value), unit, signed=unit != "ratio")
-
-
-def listed(words: Sequence[str]) -> str:
-    """Return words as people list them: a, b and c."""
-    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))

@@ -10,14 +10,11 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from evaluation.analysis.linked_people import by_cluster
-from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.verdict import claim, inflation, rules
 from evaluation.verdict.items import decided
-from evaluation.verdict.rules import BETWEEN, DOES_NOT, NAME, NOT_TESTABLE, TRACKS, listed
 from evaluation.verdict.validity import validity
 from evaluation.verdict.within_level import within
 from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE
@@ -30,14 +27,6 @@ if TYPE_CHECKING:
     from evaluation.analysis.matching import Sweeps
 
     Items = Sequence[dict[str, Any]]
-
-_TOLD: Final = {
-    DOES_NOT: ("does not track", "do not track"),
-    TRACKS: ("tracks", "track"),
-    BETWEEN: ("may track", "may track"),
-    NOT_TESTABLE: ("could not be tested against", "could not be tested against"),
-}
-"""From the worst: that is said of a descriptor that fares differently in different tasks."""
 
 
 def verdict(
@@ -82,11 +71,6 @@ def verdict(
     dataset = manifest["dataset"]
     of = {name: [one for one in items if one["section"] == name] for name in rules.SECTIONS}
     return {
-        "answer": [
-            _tracking(of[rules.VALIDITY], dataset=dataset["name"]),
-            claim.answer(of[rules.CLAIM]),
-            inflation.answer(of[rules.INFLATION]),
-        ],
         "dataset": dataset["name"],
         "simulated": bool(dataset.get("simulated", False)),
         "seed": manifest["identity"]["seed"],
@@ -121,25 +105,3 @@ def to_bytes(said: Mapping[str, Any]) -> bytes:
     """Return the content of `verdict.json`."""
     text = json.dumps(said, indent=1, ensure_ascii=False, allow_nan=False)
     return (text + "\n").encode()
-
-
-def _tracking(items: Items, *, dataset: str) -> str:
-    """Return what is said of the descriptors, and the item that speaks most against one."""
-    if not items:
-        return (
-            f"Whether PLR, AEL and MEL track linkability in {dataset} was not tested: the run "
-            "has no sweep of fixed noise, or nobody links."
-        )
-    named: dict[str, list[str]] = {decision: [] for decision in _TOLD}
-    for descriptor in DESCRIPTORS:
-        found = {one["decision"] for one in items if one["descriptor"] == descriptor}
-        worst = next((decision for decision in _TOLD if decision in found), NOT_TESTABLE)
-        named[worst].append(NAME[descriptor])
-    parts = [
-        f"{listed(names)} {_TOLD[decision][len(names) > 1]} how linkable people are"
-        for decision, names in named.items()
-        if names
-    ]
-    against = [one for one in items if one["decision"] == DOES_NOT]
-    widest = max(against, key=itemgetter("spread_low"), default=None)
-    return f"In {dataset}, {'; '.join(parts)}.{' ' + widest['sentence'] if widest else ''}"

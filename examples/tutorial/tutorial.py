@@ -53,7 +53,7 @@ rank1 = shown[(shown["metric"] == "rank1") & (shown["knowledge"] == "blind")]
 columns = ["mechanism", "level", "consumer", "value", "ci_low", "ci_high"]
 print(rank1[columns].round(3).to_string(index=False))
 
-# %% 6. The verdict: three sentences, then item by item
+# %% 6. The verdict: five sentences, then item by item
 for sentence in results.verdict["answer"]:
     print("-", sentence)
 for item in results.verdict["items"]:

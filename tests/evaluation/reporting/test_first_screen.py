@@ -42,7 +42,10 @@ def test_what_simulates_says_so_first_and_doubts_are_counted():
     failed = pd.DataFrame([row | {"block": 0, "why": "it broke"}])
     run = make_run(flags=make_flags(), failed=failed, linkability=linked)
     run.manifest["dataset"]["simulated"] = True
-    run.manifest["linkage"] = {"tasks": {"rerelease": {"frozen": 7}}, "skipped": {"split": "x"}}
+    run.manifest["linkage"] = {
+        "tasks": {"rerelease": {"frozen": 7, "people": 9, "too_short": 0, "not_drawn": 0}},
+        "skipped": {"split": "x"},
+    }
     text = " ".join(" ".join(first_screen(run)).split())
     assert text.startswith("SIMULATED crowd ")
     assert "Doubts: 1 cells FAILED, 1 flags of weak attacks, 6 of " in text

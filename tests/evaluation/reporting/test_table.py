@@ -88,7 +88,7 @@ class TestTheTerminal:
         assert max(map(len, lines)) <= width
         assert text.count("m_") == 8  # whatever is split, nothing is left out
         for part in text.split("A title")[1:]:
-            numbers = [line for line in part.splitlines() if re.match(r"^ *\d ", line)]
+            numbers = [line for line in part.splitlines() if re.match(r"^fi\w+ +\d ", line)]
             assert len(numbers) == 8
             assert len({len(line) for line in numbers}) == 1
 
@@ -97,18 +97,14 @@ class TestTheTerminal:
         text = printed(make_table(n_columns=1, mark="~", marks=marks))
         assert "(~ no link detected)" in text
         assert "^" not in text
-        assert "1.0~ 1.0-2.0" in text
-
-    def test_signed_intervals_are_in_brackets(self):
-        one = Table("x", "x", [Column("d")], [[number(-1.0, -2.0, 1.0, sign="+")]])
-        assert "-1.0 [-2.0, +1.0]" in printed(one)
+        assert "1.0~ [1.0, 2.0]" in text
 
     def test_long_words_wrap_and_long_columns_are_left_out(self):
         columns = [NAME, Column("n"), Column("why", align="left", is_long=True)]
         rows = [[word("it falls " * 20), number(1.0), word("evidence")]]
         text = printed(Table("x", "x", columns, rows), width=60)
         assert max(map(len, text.splitlines())) <= 60
-        assert text.count("it falls") == 20
+        assert " ".join(text.split()).count("it falls") == 20
         assert "evidence" not in text
 
     @pytest.mark.parametrize("name", ODD)

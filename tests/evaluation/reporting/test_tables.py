@@ -148,11 +148,6 @@ class TestAfterAttack:
 
 
 class TestLinkage:
-    def test_the_confounders_are_of_the_ceiling_where_there_is_no_other_level(self):
-        alone = ranks(make_linkability([("clean", np.nan), ("raw", np.nan)]))
-        assert any(note.startswith("clean, shape@radial_rts: ") for note in alone.notes)
-        assert "walking" not in " ".join(ranks(make_linkability(cohorts={})).notes)
-
     def test_missing_cells_and_values_do_not_stop_it_and_long_names_keep_their_settings(self):
         name = "some_package.attacks.clever:TheVeryBest,window_s=2.5"
         frame = make_linkability(tasks={"rerelease": {"shape": 0.4, name: 0.3}})

@@ -92,8 +92,6 @@ class TestVerdict:
         found = Counter((one["section"], one["adding"]) for one in said["items"])
         for section in rules.SECTIONS:
             assert found[section, "linear"] == found[section, "independent"] > 0
-        assert len(said["answer"]) == 3
-        assert "PLR, AEL and MEL do not track" in said["answer"][0]
 
     def test_the_tables_hold_every_item_of_every_mechanism(self, strangers):
         tables = item_tables(strangers["items"])
@@ -111,14 +109,10 @@ class TestVerdict:
         assert {one["levels"] for one in items_of(strangers, "within")} == {1 + 4 + 3 + 4}
         for one in items_of(strangers, "validity"):
             assert "mine:Ou" in {gap["mechanism"] for gap in one["contrasts"]}
-        assert "FID against fixed noise" in strangers["answer"][1]
 
     def test_a_run_without_linkage_or_attack_says_so(self):
         found, _ = simulated(World("valid"), rng=np.random.default_rng(12))
         said = said_of({key: one for key, one in found.items() if not key.knowledge}, {})
         assert {one["section"] for one in said["items"]} == {"claim"}
-        assert "was not tested" in said["answer"][0]
-        assert "no attack was run" in said["answer"][2]
         empty = said_of({}, {})
         assert empty["items"] == []
-        assert len(empty["answer"]) == 3
