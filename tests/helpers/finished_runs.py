@@ -296,6 +296,8 @@ def everything():
         matched=pd.concat([matched, *others]),
         verdict=VERDICT | {"items": items},
     )
-    run.manifest["linkage"]["tasks"] = {"handover-2s": {"people": 275}}
+    run.manifest["linkage"]["tasks"] = {
+        "handover-2s": {"people": 275, "too_short": 0, "not_drawn": 0}
+    }
     run.manifest["cells"] = [{"consumer": "radial_rts", "slow": True}, {}]
     return run

@@ -50,7 +50,7 @@ def test_what_simulates_says_so_first_and_doubts_are_counted():
     assert text.startswith("SIMULATED crowd ")
     assert "Doubts: 1 cells FAILED, 1 flags of weak attacks, 6 of " in text
     assert "linkage cells invalid (duration gives away)" in text
-    assert "7 tracks frozen, split left out." in text
+    assert "7 tracks frozen, split left out, 1 notice." in text
 
 
 def test_the_next_question_is_one_that_the_run_can_answer(tmp_path):
