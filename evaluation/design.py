@@ -7,22 +7,17 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from evaluation.analysis.families import ADDING_RULES
-from evaluation.analysis.metrics import METRICS, SUCCESS
-from evaluation.reporting.design_words import show, to_json
-from evaluation.verdict.choose_level import ASKED, Limits, choose
+from evaluation.reporting import noise_plan
 from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
+from isac_track.errors import SettingsError
+from isac_track.kalman import steady
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Sequence
 
-_ABOUT = {
-    "missed": "missed conflicts, a fraction of all conflicts",
-    "false_alarm": "false alarms, a fraction of the scenes without a conflict",
-    SUCCESS: "rank 1 of the strongest attack, a fraction: in every task but those of simulated "
-    "people",
-}
+    from evaluation.verdict.choose_level import Choice
+
 _EPILOG = """\
 Of every family the strictest level of the run (the smallest eta, the largest d_sigma) that meets
 --max-missed, and --max-false-alarm if given, is chosen, provided that every less strict one meets
@@ -37,11 +32,74 @@ examples:
   python -m evaluation.design --max-missed 0.20 --max-plr 0.5 --family fid \\
       --adding independent runs/students03-paper-0
   python -m evaluation.design --max-missed 0.25 --max-rank1 0.1 --json OUT | jq .met
+  python -m evaluation.design --plan --max-plr 0.2    (without a run, from closed forms)
 """
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
+    given = sys.argv[1:] if arguments is None else list(arguments)
+    if "--plan" in given:
+        return exit_code(lambda: _plan(given))
+    return exit_code(lambda: _run(given))
+
+
+def _plan(arguments: Sequence[str]) -> int:
+    """Answer from closed forms; what takes a second to import is not."""
+    command = Parser(
+        prog="python -m evaluation.design --plan",
+        description="Which noise a limit on the PLR after attack takes, from closed forms.",
+        epilog="exit codes: 0 it is said, 1 another limit is asked for, which only a run can tell "
+        "of; 2 wrong usage.",
+    )
+    add = command.add_argument
+    add("--plan", action="store_true", help="answer without a run")
+    about = "share of positions that a smoother may know"
+    add("--max-plr", type=float, required=True, metavar="X", help=about)
+    add("--max-missed", type=float, metavar="X", help="no closed form tells: a run is proposed")
+    add("--max-rank1", type=float, metavar="X", help="likewise")
+    for name, default, about in (
+        ("epsilon", steady.EPSILON_M, "distance below which a position is known, m"),
+        ("q", steady.Q_M2_PER_S3, "spectral density of the people's acceleration, m^2/s^3"),
+        ("dt", steady.INTERVAL_S, "time between samples, s"),
+    ):
+        shown = f"{about} (default: {default:g})"
+        add(f"--{name}", type=float, default=default, metavar="X", help=shown)
+    asked = command.parse_args(arguments)
+    try:
+        lines = noise_plan.told(
+            plr=asked.max_plr, epsilon_m=asked.epsilon, q=asked.q, dt_s=asked.dt
+        )
+    except ValueError as error:
+        raise SettingsError(f"design --plan: {error}") from None
+    sys.stdout.write("\n".join(lines) + "\n")
+    return DONE if asked.max_missed is None and asked.max_rank1 is None else LIMIT_NOT_MET
+
+
+def _run(arguments: Sequence[str]) -> int:
+    """Answer from a run."""
+    from evaluation.reporting.design_words import show, to_json  # noqa: PLC0415 - heavy
+
+    options = _options(arguments)
+    choice = _choice(options)
+    if options.json:
+        sys.stdout.write(f"{json.dumps(to_json(choice), indent=1, allow_nan=False)}\n")
+    else:
+        show(choice)
+    return DONE if choice.met else LIMIT_NOT_MET
+
+
+def _options(arguments: Sequence[str]) -> argparse.Namespace:
+    from evaluation.analysis.families import ADDING_RULES  # noqa: PLC0415 - heavy
+    from evaluation.analysis.metrics import METRICS, SUCCESS  # noqa: PLC0415 - heavy
+    from evaluation.verdict.choose_level import ASKED  # noqa: PLC0415 - heavy
+
+    words = {
+        "missed": "missed conflicts, a fraction of all conflicts",
+        "false_alarm": "false alarms, a fraction of the scenes without a conflict",
+        SUCCESS: "rank 1 of the strongest attack, a fraction: in every task but those of simulated "
+        "people",
+    }
     command = Parser(
         prog="python -m evaluation.design",
         description="Choose a level for a site: the smallest eta of a run that meets a target of "
@@ -53,7 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name, metric in ASKED.items():
         shown = METRICS[metric]
         what, unit = ("a fraction", "X") if shown.is_share else ("in s", "S")
-        about = _ABOUT.get(name, f"{shown.head}, {what}")
+        about = words.get(name, f"{shown.head}, {what}")
         option = f"--max-{name.replace('_', '-')}"
         add(option, type=float, required=name == "missed", metavar=unit, help=about)
     add("--predictor", metavar="NAME", help="the robot's predictor (default: the run's first)")
@@ -70,24 +128,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     add("--adding", choices=[*ADDING_RULES, "both"], default="both", help=about)
     add("--json", action="store_true", help="print one JSON object and nothing else")
-    return exit_code(lambda: _run(command.parse_args(arguments)))
+    add("--plan", action="store_true", help="answer without a run: --plan --help")
+    return command.parse_args(arguments)
 
 
-def _run(options: argparse.Namespace) -> int:
+def _choice(options: argparse.Namespace) -> Choice:
+    from evaluation.analysis.families import ADDING_RULES  # noqa: PLC0415 - heavy
+    from evaluation.verdict.choose_level import ASKED, Limits, choose  # noqa: PLC0415 - heavy
+
     asked = {name: getattr(options, f"max_{name}") for name in ASKED}
     given = {name: limit for name, limit in asked.items() if limit is not None}
-    choice = choose(
+    return choose(
         options.out,
         limits=Limits(given, as_shared=options.as_shared),
         adding=ADDING_RULES if options.adding == "both" else (options.adding,),
         predictor=options.predictor,
         only=options.family,
     )
-    if options.json:
-        sys.stdout.write(f"{json.dumps(to_json(choice), indent=1, allow_nan=False)}\n")
-    else:
-        show(choice)
-    return DONE if choice.met else LIMIT_NOT_MET
 
 
 if __name__ == "__main__":

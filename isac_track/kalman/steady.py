@@ -50,7 +50,7 @@ def variance_for(*, plr: float, dt_s: float, q: float, epsilon_m: float) -> floa
     r = [(sqrt 2 eps^2 / -ln(1 - PLR))^4 / (q dt^3)]^(1/3). ValueError unless 0 < PLR < 1.
     """
     if not 0.0 < plr < 1.0:
-        raise ValueError(f"a PLR between 0 and 1 is asked for, got {plr}")
+        raise ValueError(f"the limit on PLR must lie between 0 and 1, got {plr:g}")
     smoothed = math.sqrt(2.0) * epsilon_m**2 / -math.log1p(-plr)
     return float((smoothed**4 / (q * dt_s**3)) ** (1.0 / 3.0))
 

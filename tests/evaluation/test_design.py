@@ -138,3 +138,30 @@ class TestExitCode:
         assert said.err == ""
         assert not found["met"]
         assert "nobody walked here" in found["notes"]
+
+
+class TestPlan:
+    def test_says_the_total_error_first_and_needs_no_run(self, capsys):
+        assert main(["--plan", "--max-plr", "0.2"]) == 0
+        first, *rest = capsys.readouterr().out.splitlines()
+        # [(sqrt 2 0.09 / -ln 0.8)^4 / (0.057 0.0836^3)]^(1/6)
+        assert first.startswith("total std per axis, raw and added: 3.83 m")
+        assert any("python -m evaluation.matrix" in line for line in rest)
+        assert max(map(len, rest)) < 80
+
+    def test_of_missed_conflicts_nothing_can_be_said(self, capsys):
+        assert main(["--plan", "--max-plr", "0.2", "--max-missed", "0.15"]) == 1
+        assert "only a run tells" in capsys.readouterr().out
+
+    @pytest.mark.parametrize(
+        ("options", "says"),
+        [
+            (["--max-plr", "1.5"], "the limit on PLR must lie between 0 and 1, got 1.5"),
+            (["--max-plr", "0.5", "--q", "0"], "--q must be positive, got 0"),
+            (["--max-plr", "0.5", "--dt", "nan"], "--dt must be positive, got nan"),
+            ([], "--max-plr"),
+        ],
+    )
+    def test_a_mistake_is_one_line(self, options, says, capsys):
+        assert main(["--plan", *options]) == 2
+        assert says in capsys.readouterr().err.splitlines()[-1]

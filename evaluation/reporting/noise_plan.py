@@ -1,0 +1,38 @@
+"""What the closed forms say of a limit, before anything is run; imports nothing heavy."""
+
+from __future__ import annotations
+
+import math
+
+from isac_track.kalman import steady
+
+_TAU_S, _SEEN_S = 5.0, 30.0
+"""Of the slow error that is proposed beside, and for how long a walk is seen."""
+
+
+def told(*, plr: float, epsilon_m: float, q: float, dt_s: float) -> list[str]:
+    """Return the answer to a limit on the PLR after attack, line by line.
+
+    `q` in m^2/s^3 is that of the people, `dt_s` the time between samples. ValueError for a limit
+    that is not between 0 and 1, or another number that is not positive.
+    """
+    for name, value in (("epsilon", epsilon_m), ("q", q), ("dt", dt_s)):
+        if not (math.isfinite(value) and value > 0):
+            raise ValueError(f"--{name} must be positive, got {value:g}")
+    needed = steady.variance_for(plr=plr, dt_s=dt_s, q=q, epsilon_m=epsilon_m)
+    filtered = steady.filtered_variance_m2(variance_m2=needed, dt_s=dt_s, q=q)
+    shared = steady.plr_of_variance(variance_m2=needed, epsilon_m=epsilon_m)
+    # The motion-free bound, solved for its standard deviation.
+    slow = epsilon_m * math.sqrt((2.0 + _SEEN_S / _TAU_S) / (-4.0 * math.log1p(-plr)))
+    return [
+        f"total std per axis, raw and added: {math.sqrt(needed):.2f} m of white Gaussian noise",
+        f"  leaves a smoother {plr:.1%} of the positions to {epsilon_m:g} m ({shared:.1%} as shared).",
+        f"  A robot that filters knows positions to {math.sqrt(filtered):.2f} m per axis.",
+        f"  Closed form, steady state: q = {q:g} m^2/s^3, dt = {dt_s:g} s.",
+        f"A slow error (ou, tau_s = {_TAU_S:g}) of {slow:.2f} m per axis leaves no attack more than",
+        f"  that on average, whatever it knows of how people move, over {_SEEN_S:g} s; less may do.",
+        "  Void with a map, a known position, repeats, or companions: docs/mechanisms.md.",
+        "How many conflicts a robot misses under it only a run tells:",
+        f"  python -m evaluation.matrix --mechanism raw --mechanism ou:{slow:.2f} \\",
+        f"    --mechanism fixed:{math.sqrt(needed):.2f},adding=independent,law=isotropic",
+    ]
