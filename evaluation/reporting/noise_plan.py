@@ -24,15 +24,16 @@ def told(*, plr: float, epsilon_m: float, q: float, dt_s: float) -> list[str]:
     shared = steady.plr_of_variance(variance_m2=needed, epsilon_m=epsilon_m)
     # The motion-free bound, solved for its standard deviation.
     slow = epsilon_m * math.sqrt((2.0 + _SEEN_S / _TAU_S) / (-4.0 * math.log1p(-plr)))
+    total_m, known_m = math.sqrt(needed), math.sqrt(filtered)
     return [
-        f"total std per axis, raw and added: {math.sqrt(needed):.2f} m of white Gaussian noise",
-        f"  leaves a smoother {plr:.1%} of the positions to {epsilon_m:g} m ({shared:.1%} as shared).",
-        f"  A robot that filters knows positions to {math.sqrt(filtered):.2f} m per axis.",
+        f"total std per axis, raw and added: {total_m:.2f} m of white Gaussian noise",
+        f"  leaves a smoother {plr:.1%} of positions to {epsilon_m:g} m ({shared:.1%} as shared).",
+        f"  A robot that filters knows positions to {known_m:.2f} m per axis.",
         f"  Closed form, steady state: q = {q:g} m^2/s^3, dt = {dt_s:g} s.",
-        f"A slow error (ou, tau_s = {_TAU_S:g}) of {slow:.2f} m per axis leaves no attack more than",
-        f"  that on average, whatever it knows of how people move, over {_SEEN_S:g} s; less may do.",
+        f"A slow error (ou, tau_s = {_TAU_S:g}) of {slow:.2f} m per axis leaves no attack",
+        f"  more than that on average, whatever it knows of how people move, over {_SEEN_S:g} s.",
         "  Void with a map, a known position, repeats, or companions: docs/mechanisms.md.",
         "How many conflicts a robot misses under it only a run tells:",
         f"  python -m evaluation.matrix --mechanism raw --mechanism ou:{slow:.2f} \\",
-        f"    --mechanism fixed:{math.sqrt(needed):.2f},adding=independent,law=isotropic",
+        f"    --mechanism fixed:{total_m:.2f},adding=independent,law=isotropic",
     ]
