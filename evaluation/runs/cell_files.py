@@ -51,9 +51,7 @@ _OUTCOME: Final = (
 )
 """Columns of a linkage cell beside its replicates."""
 _NONE: Final = np.zeros(0, dtype=np.float32)
-_ALIKE: Final = frozenset(
-    ("plr", "mel_s", "benchmark_mse_m2", "benchmark_plr", "chance", "duration_s")
-)
+_ALIKE: Final = frozenset(("plr", "benchmark_mse_m2", "benchmark_plr", "chance", "duration_s"))
 """Numbers that occur again and again, in other rows or for other consumers."""
 
 
@@ -125,7 +123,7 @@ def packed(
         whole.schema,
         write_statistics=False,
         compression="zstd",
-        compression_level=3,
+        compression_level=9,
         store_schema=False,
         use_dictionary=[name for name in whole.column_names if name not in (*apart, _SCORES)],
         column_encoding=dict.fromkeys([*apart, *elements], "BYTE_STREAM_SPLIT"),

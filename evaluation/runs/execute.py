@@ -154,7 +154,7 @@ def _write_gallery(ready: Plan, without: set[str]) -> list[str]:
     apart = ready.jobs > 1 or has_strangers(ready.axes)
     limit_s = ready.settings.cell_timeout_s
     for mechanism, found in spread(
-        compute, deque(mechanisms), jobs=1, limit_s=limit_s, apart=apart, keeps=True
+        compute, deque(mechanisms), jobs=1, limit_s=limit_s, apart=apart
     ):
         for part in found:
             if isinstance(part, Failed):
@@ -195,7 +195,6 @@ def _compute(
             limit_s=settings.cell_timeout_s,
             apart=has_strangers(ready.axes),
             loops=_loops(works) if ready.jobs > 1 else (),  # one alone loads what it takes
-            keeps=True,
         )
     else:
         from evaluation.runs.dask import spread_on_cluster  # noqa: PLC0415 - an extra

@@ -68,7 +68,6 @@ def spread(
     limit_s: float | None,
     apart: bool = False,
     loops: Sequence[str] = (),
-    keeps: bool = False,
     alone: bool = False,
 ) -> Generator[tuple[W, Iterable[R | Failed]]]:
     """Yield each work with what the function makes of it, again and again as it comes.
@@ -80,8 +79,8 @@ def spread(
     may be what kills its process.
 
     Modules of compiled `loops` are imported by one worker before the others begin: each would
-    compile them for itself. Workers that are kept wait for other work until `ahead` ends,
-    and so do those that nobody took if this goes on `alone`, before other work.
+    compile them for itself. Workers that are done wait for other work until `ahead` ends; if this
+    goes on `alone`, before other work, those do that nobody took.
 
     Raises what the function raises.
     """
@@ -95,7 +94,7 @@ def spread(
     with contextlib.ExitStack() as ends:
         lanes = [_Lane[W, R](function, limit_s) for _ in range(min(jobs, len(works)))]
         for lane in lanes:  # to begin takes a worker 1 to 2 s: all at once
-            ends.callback(lane.stop, keeps=keeps)
+            ends.callback(lane.stop, keeps=not alone)
             lane.begin()
         _dismiss(len(_waiting) if alone else 0)  # there is no work for more
         if loops:
