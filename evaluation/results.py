@@ -17,6 +17,7 @@ from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.decisions import decisions
 from evaluation.analysis.families import families_in
 from evaluation.analysis.frontier import frontier
+from evaluation.analysis.galleries import galleries
 from evaluation.analysis.keys import AS_SHARED
 from evaluation.analysis.linked_people import read_probes
 from evaluation.analysis.matching import Sweeps, matched
@@ -153,6 +154,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
         curves=curves,
         flags=flagged,
         linkability=linkability.linkability(read, dataset=dataset),
+        galleries=galleries(probes, linked, dataset=dataset, seed=seed),
         verdict=said,
         failed=pd.DataFrame(manifest.get("failed", []), columns=list(FAILED_COLUMNS)),
         strongest={task: source.attack for task, source in best.items()},

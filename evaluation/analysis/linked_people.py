@@ -24,7 +24,7 @@ from evaluation.experiment.constants import WINDOWS
 from evaluation.runs.cell_files import read_rows
 from isac_track.intervals import cluster_sums
 from isac_track.linkability import GALLERY
-from isac_track.linkability.ranks import expected_hit, hit_among_strangers
+from isac_track.linkability.ranks import among_strangers, expected_hit, first_among
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -61,6 +61,8 @@ class LinkedProbes:
     descriptors: Mapping[str, Floats]
     """By descriptor, those on trial among them, (N, 2): in the probe and in the gallery release"""
     covariates: Floats  # (N, K) `COVARIATES` of either release
+    strangers: Ints
+    """(3, N) candidates without companions: above the mate, as high (the mate included), in all"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -152,13 +154,15 @@ def _probes(
         probes[name].to_numpy().astype(np.int64) for name in ("above", "tied", *COMPANIONS)
     )
     chance = probes["chance"].to_numpy()
+    strangers = among_strangers(above, tied, chance, np.stack(along, axis=1))
     clusters, cluster = np.unique(probes["group"].to_numpy().astype(str), return_inverse=True)
     return LinkedProbes(
         mechanism=linked["mechanism"],
         level=linked["level"],
         linker=linker,
         hit=expected_hit(above, tied),
-        hit_among=hit_among_strangers(above, tied, chance, np.stack(along, axis=1)),
+        hit_among=first_among(strangers),
+        strangers=strangers,
         chance=chance,
         cluster=cluster,
         clusters=tuple(clusters.tolist()),

@@ -53,6 +53,8 @@ class Results:
     curves: pd.DataFrame
     flags: pd.DataFrame
     linkability: pd.DataFrame
+    galleries: pd.DataFrame
+    """Rank 1 and expected rank over the number of candidates."""
     verdict: dict[str, Any]
     """As in `verdict.json`."""
     failed: pd.DataFrame

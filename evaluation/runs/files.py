@@ -50,6 +50,7 @@ FRAMES: Final = {
     "decisions": "decisions.csv",
     "curves": "curves.csv",
     "linkability": "linkability.csv",
+    "galleries": "gallery.csv",
     "failed": "failed.csv",
 }
 """By the names of `Results`."""

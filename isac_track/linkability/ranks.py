@@ -208,11 +208,20 @@ def expected_hit(above: Ints, tied: Ints) -> Floats:
     return np.where(above == 0, 1.0 / tied, 0.0)
 
 
-def hit_among_strangers(above: Ints, tied: Ints, chance: Floats, companions: Ints) -> Floats:
-    """Return `rank1_among` of who is searched for among strangers: as in `ProbeRanks`, (P,)."""
+def among_strangers(above: Ints, tied: Ints, chance: Floats, companions: Ints) -> Ints:
+    """Return who is above each probe's mate, as high, and in all, without companions, (3, P).
+
+    Of `ProbeRanks`; the mate counts among those as high and in all.
+    """
     along, along_above, along_tied = companions.T
     candidates = np.rint(1.0 / chance).astype(np.int64) - along
-    return rank1_among(above=above - along_above, tied=tied - along_tied, candidates=candidates)
+    return np.stack([above - along_above, tied - along_tied, candidates])
+
+
+def first_among(strangers: Ints, gallery: int = GALLERY) -> Floats:
+    """Return `rank1_among` of what `among_strangers` returns, (P,)."""
+    above, tied, candidates = strangers
+    return rank1_among(above=above, tied=tied, candidates=candidates, gallery=gallery)
 
 
 def expected_reciprocal(above: Ints, tied: Ints, n_gallery: int) -> Floats:

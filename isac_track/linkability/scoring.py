@@ -30,10 +30,11 @@ from isac_track.intervals import (
 )
 from isac_track.linkability.ranks import (
     Search,
+    among_strangers,
     assign_in,
     expected_hit,
     expected_reciprocal,
-    hit_among_strangers,
+    first_among,
     residual_risk,
     standing,
 )
@@ -105,7 +106,7 @@ class ProbeRanks:
             "mrr": lambda: expected_reciprocal(above, tied, self.n_gallery),
             "chance": lambda: chance,
             # NaN for one is NaN for all: refused.
-            "rank1_g100": lambda: hit_among_strangers(above, tied, chance, companions),
+            "rank1_g100": lambda: first_among(among_strangers(above, tied, chance, companions)),
         }
         found = {name: (value(), cluster) for name, value in of_mated.items() if name in names}
         if "false_link_rate" in names and not mated.all():

@@ -138,6 +138,7 @@ def simulated(world, *, rng):
             LinkedProbes(
                 *(mechanism, level, Source(LINKER, "informed"), hit, hit, np.full(n, CHANCE)),
                 *(cluster, tuple(map(str, range(n_pairs))), descriptors, nuisance),
+                strangers=np.ones((3, n), dtype=int),
             )
         )
     return found, levels

@@ -89,7 +89,7 @@ def test_of_a_hundred_candidates_where_all_have_as_many(among, gallery):
     shown = np.array([[0.1, np.nan], [0.2, 0.4], [np.nan, np.nan]])
     one = LinkedProbes(
         *("raw", None, TASKS["split"], hit, np.array(among), chance, np.array([0, 0, 1])),
-        *(("a", "b"), {"plr": shown}, np.zeros((3, 1))),
+        *(("a", "b"), {"plr": shown}, np.zeros((3, 1)), np.ones((3, 3), dtype=int)),
     )
     (task,) = by_cluster({"split": [one]})
     (level,) = task.levels

@@ -1,0 +1,162 @@
+"""How many candidates there are, and how often the right one comes first: `gallery.csv`.
+
+Of the strongest linker of each task, at every level of the run. Up to the smallest gallery that all
+probes were compared with, every number is measured: the mean over all galleries of that size that
+could be drawn, without companions. Rank 1 in larger ones is predicted (`predicted_rank1`): the same
+step is tried within what was measured, the prediction is divided by the factor that this misses,
+and what that changes is added to both sides of the interval. The expected rank grows with the
+gallery, whatever its size; the TPR is of pairs and does not depend on it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import pandas as pd
+
+from evaluation.analysis.linkability import dataset_of
+from isac_track.intervals import (
+    LEAST_CLUSTERS,
+    Estimate,
+    cluster_sums,
+    cluster_weights,
+    percentile_interval,
+    ratio_estimates,
+)
+from isac_track.linkability.gallery import REACH, predicted_rank1, reach
+from isac_track.linkability.ranks import first_among
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from evaluation.analysis.keys import Key
+    from evaluation.analysis.linked_people import LinkedProbes
+    from isac_track.types import Floats
+
+SIZES: Final = (10, 30, 100, 300, 1000, 3000, 7545)
+COLUMNS = [
+    *("dataset", "mechanism", "level", "consumer", "knowledge", "gallery", "metric"),
+    *("value", "ci_low", "ci_high", "predicted"),
+]
+_REPLICATES = 400
+_TPR = "tpr_at_fpr_1pct"
+
+
+def galleries(
+    probes: Mapping[str, Sequence[LinkedProbes]],
+    found: Mapping[Key, Estimate],
+    *,
+    dataset: str,
+    seed: int,
+) -> pd.DataFrame:
+    """Return rank 1, TPR and expected rank over the gallery's size; the columns are `COLUMNS`.
+
+    `probes` is what `read_probes` returns, `found` all estimates of linkers.
+    """
+    rows: list[dict[str, Any]] = []
+    for task, levels in probes.items():
+        if not levels:
+            continue
+        n = len(levels[0].clusters)
+        of = ("gallery", task)
+        weights = cluster_weights(n_clusters=n, n_replicates=_REPLICATES, seed=seed, of=of)
+        for one in levels:
+            about = {
+                "dataset": dataset_of(one.linker.consumer, dataset=dataset),
+                "mechanism": one.mechanism,
+                "level": np.nan if one.level is None else one.level,
+                "consumer": one.linker.consumer,
+                "knowledge": one.linker.knowledge,
+            }
+            tpr = found.get(one.linker.measure(_TPR).at(one.mechanism, one.level))
+            rows += [
+                {
+                    **about,
+                    "gallery": size,
+                    "metric": metric,
+                    "value": estimate.value,
+                    "ci_low": estimate.ci_low,
+                    "ci_high": estimate.ci_high,
+                    "predicted": size > measured,
+                }
+                for measured, size, metric, estimate in _of_level(one, weights, tpr)
+                if np.isfinite(estimate.value)
+            ]
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def _of_level(
+    one: LinkedProbes, weights: Floats, tpr: Estimate | None
+) -> Iterator[tuple[int, int, str, Estimate]]:
+    """Yield the largest gallery measured, a size, a metric and its estimate."""
+    above, tied, candidates = one.strangers
+    measured = int(candidates.min(initial=np.iinfo(np.int64).max)) if candidates.size else 0
+    sizes = {*SIZES, measured}
+    steps = [size for size in SIZES if measured < size <= reach(measured)]
+    within = sorted(size for size in sizes if 1 < size <= measured)
+    parts = {max(2, size // REACH) for size in (measured,) if steps}
+    for size in steps:
+        parts |= {back := _back(measured, size), back // REACH}
+    first = dict(zip(every := sorted({*within, *parts}), _rates(one, every, weights), strict=True))
+    share = (above + 0.5 * (tied - 1)) / np.maximum(candidates - 1, 1)
+    (ahead,) = _ratios(one, [share], weights)
+    for size in [*within, *steps]:
+        rank1 = first[size] if size <= measured else _predicted(first, measured, size)
+        yield measured, size, "rank1", rank1
+        low, value, high = (
+            1.0 + (size - 1) * end for end in (ahead.ci_low, ahead.value, ahead.ci_high)
+        )
+        yield measured, size, "expected_rank", Estimate(value, low, high)
+        if tpr is not None:
+            yield measured, size, _TPR, tpr
+
+
+def _back(measured: int, size: int) -> int:
+    """Return the gallery that is to the one measured as that is to a larger one."""
+    return measured * measured // size
+
+
+def _predicted(first: Mapping[int, Estimate], measured: int, size: int) -> Estimate:
+    """Return rank 1 in a larger gallery, less by the factor that the same step misses within.
+
+    The interval is that of the people, wider on both sides by what this factor changes.
+    """
+    trial, found = _step(first, _back(measured, size), measured), _step(first, measured, size)
+    known = np.append(first[measured].value, first[measured].replicates)
+    factor = np.divide(known, trial, out=np.ones_like(trial), where=trial > 0.0)
+    corrected = np.minimum(found * factor, known)  # no larger gallery is easier
+    changed = abs(float(found[0] - corrected[0]))
+    low, high = np.nan, np.nan
+    if first[measured].n_effective >= LEAST_CLUSTERS:
+        low, high = percentile_interval(corrected[1:])
+        low, high = max(0.0, low - changed), min(high + changed, first[measured].ci_high)
+    return Estimate(float(corrected[0]), low, high)
+
+
+def _step(first: Mapping[int, Estimate], of: int, size: int) -> Floats:
+    """Return rank 1 in a gallery by those of a smaller one and a tenth of it, and replicates."""
+    sizes = max(2, of // REACH), of
+    small, large = (np.append(first[one].value, first[one].replicates) for one in sizes)
+    return predicted_rank1(small=small, large=large, sizes=sizes, gallery=size)
+
+
+def _rates(one: LinkedProbes, sizes: Sequence[int], weights: Floats) -> list[Estimate]:
+    return _ratios(one, [first_among(one.strangers, size) for size in sizes], weights)
+
+
+def _ratios(one: LinkedProbes, of: Sequence[Floats], weights: Floats) -> list[Estimate]:
+    """Return the means of some values of each probe, (N,)."""
+    n_clusters = len(one.clusters)
+    if not of or not one.cluster.size:
+        return [Estimate(np.nan) for _ in of]
+    sums = [cluster_sums(values=one_, cluster=one.cluster, n_clusters=n_clusters) for one_ in of]
+    count = cluster_sums(
+        values=np.ones(one.cluster.size), cluster=one.cluster, n_clusters=n_clusters
+    )
+    return ratio_estimates(
+        numerator=np.stack(sums),
+        denominator=np.tile(count, (len(sums), 1)),
+        weights=weights,
+        is_share=[True] * len(sums),
+    )
