@@ -22,6 +22,7 @@ from evaluation.reporting.announcements import (
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
 from isac_track.config import StageSettings
 from isac_track.errors import SettingsError
+from isac_track.protocols import ADVERSARIES, USUAL
 
 if TYPE_CHECKING:
     import argparse
@@ -44,6 +45,10 @@ _DATA = (
 )
 _REPLACES = "repeatable; replaces the preset's"
 _ATTACK = f"a reconstruction, a linker, or LINKER@RECONSTRUCTION; `none` for none; {_REPLACES}"
+_ADVERSARY = (
+    f"beside {', '.join(USUAL)}: {', '.join(one for one in ADVERSARIES if one not in USUAL)}; "
+    "repeatable; see docs/threat-model.md"
+)
 _MECHANISM = "sharing mechanism: name[:VALUE][,key=value...], a sweep as LOW..HIGH/COUNT"
 _TIMEOUT = "kill and leave out a cell that takes longer than this many seconds (default: never)"
 _EXECUTOR = "where cells are computed: here (default), or on a Dask cluster; see docs/cluster.md"
@@ -60,6 +65,7 @@ _OPTIONS: Final[dict[str, tuple[type, str, str]]] = {
     "predictor": (list, "SPEC", "the robot's predictor; repeatable; `none` for none"),
     "attack": (list, "SPEC", _ATTACK),
     "task": (list, "NAME", f"what is to be linked; `none` for none; {_REPLACES}"),
+    "adversary": (list, "NAME", _ADVERSARY),
     "jobs": (int, "N", "worker processes (default: the cores, at most 8; 1 for little work)"),
     "cell_timeout": (float, "S", _TIMEOUT),
     "executor": (str, "local|dask", _EXECUTOR),
@@ -122,6 +128,7 @@ def settings_from(options: argparse.Namespace) -> Settings:
         if specs and "none" in specs and len(specs) > 1:
             raise SettingsError(f"--{key} none empties the axis and cannot be mixed with others")
         values[f"{key}s"] = None if specs is None else tuple(one for one in specs if one != "none")
+    values["adversaries"] = tuple(values.pop("adversary", ()))
     if "out" in values:
         values["out"] = Path(values["out"])
     return Settings(

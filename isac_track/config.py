@@ -160,6 +160,13 @@ class PrivacySettings:
 
 
 @_stage
+class AttackSettings:
+    """What an adversary who rebuilds walks is granted."""
+
+    repeats: int = _number(2, 1, 100)  # further releases of a walk, for who is granted REPEATS
+
+
+@_stage
 class LinkageSettings:
     """What an adversary is given to link: windows of walks (`attacks.tasks.build`)."""
 
@@ -195,6 +202,7 @@ class StageSettings:
     sensing: SensingSettings = field(default_factory=SensingSettings)
     conflict: ConflictSettings = field(default_factory=ConflictSettings)
     privacy: PrivacySettings = field(default_factory=PrivacySettings)
+    attacks: AttackSettings = field(default_factory=AttackSettings)
     linkage: LinkageSettings = field(default_factory=LinkageSettings)
 
     def __post_init__(self) -> None:

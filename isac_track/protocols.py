@@ -33,9 +33,23 @@ Linker: TypeAlias = "Callable[[Release, Release], Floats]"
 ADVERSARIES: dict[str, frozenset[Knowledge]] = {
     "blind": frozenset(),
     "informed": frozenset({Knowledge.MECHANISM, Knowledge.TRAIN}),
+    **{
+        one: frozenset({Knowledge.MECHANISM, Knowledge.TRAIN, *more})
+        for one, more in (
+            # Robots that put together what each was sent lay it upon each other in one frame.
+            ("repeats", (Knowledge.REPEATS, Knowledge.SCENE)),
+            ("anchor", (Knowledge.ANCHOR,)),
+            ("companions", (Knowledge.COMPANIONS,)),
+            ("insider", (Knowledge.SCENE,)),
+        )
+    },
     "oracle": frozenset(Knowledge),
 }
-"""Weakest first. The oracle is a reference, never the headline."""
+"""Weakest first. The oracle is a reference, never the headline; see docs/threat-model.md."""
+OF_WALKS = frozenset({Knowledge.REPEATS, Knowledge.ANCHOR, Knowledge.COMPANIONS})
+"""What tells whose walk a release is, so that nobody who links is granted it."""
+USUAL: tuple[str, ...] = ("blind", "informed", "oracle")
+"""Adversaries of every run; the others are asked for."""
 
 
 @runtime_checkable
@@ -178,6 +192,8 @@ class AttackContext:
         mechanism: Mechanism | None = None,
         train: TrainingSet | LinkageTrainingSet | None = None,
         repeats: tuple[Release, ...] | None = None,
+        anchor: Release | None = None,
+        companions: tuple[Release, ...] | None = None,
     ) -> None:
         """Keep what was granted; ValueError if something is not there.
 
@@ -192,6 +208,8 @@ class AttackContext:
             Knowledge.MECHANISM: mechanism,
             Knowledge.TRAIN: train,
             Knowledge.REPEATS: repeats,
+            Knowledge.ANCHOR: anchor,
+            Knowledge.COMPANIONS: companions,
         }
         self._held = {what: held for what, held in offered.items() if what in granted}
         missing = sorted(what.name for what, held in self._held.items() if held is None)
@@ -214,6 +232,21 @@ class AttackContext:
         repeats: tuple[Release, ...] = self._get(Knowledge.REPEATS)
         return repeats
 
+    @property
+    def anchor(self) -> Release:
+        """One true position of each walk, in the frame and on the clock of the release."""
+        anchor: Release = self._get(Knowledge.ANCHOR)
+        return anchor
+
+    @property
+    def companions(self) -> tuple[Release, ...]:
+        """Releases in the same frame: track i is of who walks along with track i.
+
+        It has one sample where nobody does.
+        """
+        companions: tuple[Release, ...] = self._get(Knowledge.COMPANIONS)
+        return companions
+
     def _get(self, what: Knowledge) -> Any:  # noqa: ANN401 - each kind has a type of its own
         if what not in self._held:
             raise KnowledgeDenied(
@@ -228,15 +261,18 @@ def grants(
     *,
     everyone: frozenset[Knowledge] = frozenset(),
     nobody: frozenset[Knowledge] = frozenset(),
+    asked: tuple[str, ...] = (),
 ) -> dict[str, frozenset[Knowledge]]:
     """Return ``{adversary: what it is granted}`` of every row that an attack makes.
 
     An attack runs once for each adversary that grants all of its `requires`; of those that
     grant it the same, the weakest names the row. A task may grant some knowledge to `everyone`,
-    and withhold some from all (`nobody`).
+    and withhold some from all (`nobody`). Beside the usual adversaries those `asked` for count.
     """
     rows: dict[str, frozenset[Knowledge]] = {}
     for name, always in ADVERSARIES.items():
+        if name not in (*USUAL, *asked):
+            continue
         knows = (always | everyone) - nobody
         granted = knows & (attack.requires | attack.uses)
         if attack.requires <= knows and granted not in rows.values():

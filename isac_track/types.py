@@ -49,6 +49,10 @@ class Knowledge(Enum):
     """The true frame and clock; without it both are random per release."""
     REPEATS = "repeats"
     """Further releases of the same walks."""
+    ANCHOR = "anchor"
+    """One true position of every walk, at its instant: a door, a camera."""
+    COMPANIONS = "companions"
+    """Releases of who walks along, with errors of their own."""
 
 
 _SAMPLE: Mapping[str, str] = {"per": "sample"}

@@ -2,6 +2,9 @@
 
 Who knows the mechanism is told how large and how slow the error is; everybody else finds out from
 the release. Where nothing slow is added it is `radial_rts`.
+
+Repeats are averaged before they are smoothed; one known position is a sample without an error; who
+walks along is laid on the walk and averaged with it.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ from attacks.remembered import noise_m2, remembered
 from isac_track.kalman import Batch
 from isac_track.kalman.slow_errors import SlowError, added_error, filter_tracks, smooth_tracks
 from isac_track.noise import MIN_VARIANCE_M2
+from isac_track.protocols import OF_WALKS
 from isac_track.types import Floats, Knowledge, Reconstruction, Release, derived
 
 if TYPE_CHECKING:
@@ -34,6 +38,10 @@ _N_FITTED = 40
 """Tracks that the error is fitted to, at most."""
 _LEAST_GAIN = 2.0
 """Of log likelihood a track: below, a slow error explains no more than how people sway."""
+_LEAST_TOGETHER = 20
+"""Samples: who is there for less is no companion."""
+_KNOWN_M2 = 1e-4
+"""A known position is so good, per axis."""
 _LEAST_REST = 0.05
 """Share of what innovations show that is never put down to a slow error."""
 
@@ -41,7 +49,7 @@ _LEAST_REST = 0.05
 class _Choice(NamedTuple):
     """What an adversary reckons with."""
 
-    std_m: float
+    std_m: Floats | float
     tau_s: float
     q: float
     passes: int
@@ -58,7 +66,7 @@ class OuRTS:
     tau_s: float | None = None
 
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
-    uses: ClassVar[frozenset[Knowledge]] = TOLD
+    uses: ClassVar[frozenset[Knowledge]] = TOLD | OF_WALKS | {Knowledge.SCENE}
     DEFAULT_Q: ClassVar[float] = RadialRTS.DEFAULT_Q
 
     def __post_init__(self) -> None:
@@ -68,6 +76,9 @@ class OuRTS:
 
     def fit(self, context: AttackContext) -> Reconstructor:
         """Return the smoother of releases like those in the training set."""
+        beyond = _Beyond.of(context)
+        if beyond is not None:
+            return self._with(beyond, context)
         white = RadialRTS(self.q).fit(context)
         told = self._told(context)
         if told == (0.0, 0.0):
@@ -86,6 +97,24 @@ class OuRTS:
         densities = around(q, factor=4.0) if self.q is None else (q,)
         best = self._learnt(context, told, densities)
         return white if best.std_m == 0.0 else lambda release: smooth(release, best)
+
+    def _with(self, beyond: _Beyond, context: AttackContext) -> Reconstructor:
+        """Return the smoother of who has more than a release; of them the densities are learnt."""
+        told = self._told(context)
+        q = self.DEFAULT_Q if self.q is None else self.q
+        learns = Knowledge.TRAIN in context.granted and told != (0.0, 0.0)
+        if learns:
+            q = self._learnt(context, told, around(q, factor=4.0) if self.q is None else (q,)).q
+
+        def reconstruct(release: Release) -> Reconstruction:
+            std_m, tau_s = told or fitted(release, q)
+            averaged, n = beyond.averaged(release, std_m)
+            if getattr(beyond.mechanism, "reuse", "release") == "session":
+                n = np.ones_like(n)  # the same error every time
+            passes = RadialRTS.USUAL_PASSES if looks_radial(averaged) else 1
+            return smooth(averaged, _Choice(std_m / np.sqrt(n), tau_s, q, passes), beyond.anchor)
+
+        return reconstruct
 
     def _told(self, context: AttackContext) -> tuple[float, float] | None:
         """Return std and tau of the slow error; 0 and 0 if there is none, None if nobody says."""
@@ -121,22 +150,102 @@ class OuRTS:
         return choose(context, default=best, candidates=others, reconstruct=reconstruct)
 
 
-def smooth(release: Release, choice: _Choice) -> Reconstruction:
-    """Return smoothed positions; the white rest is what is declared, or what innovations show."""
+class _Beyond(NamedTuple):
+    """What an adversary has of the walks themselves."""
+
+    repeats: tuple[Release, ...]
+    companions: tuple[Release, ...]
+    anchor: Release | None
+    mechanism: object
+
+    @classmethod
+    def of(cls, context: AttackContext) -> _Beyond | None:
+        """Return what was granted; None if nothing was, or only repeats in frames of their own."""
+        granted = context.granted
+        repeats = context.repeats if {Knowledge.REPEATS, Knowledge.SCENE} <= granted else ()
+        companions = context.companions if Knowledge.COMPANIONS in granted else ()
+        anchor = context.anchor if Knowledge.ANCHOR in granted else None
+        if not repeats and not companions and anchor is None:
+            return None
+        mechanism = context.mechanism if Knowledge.MECHANISM in granted else None
+        return cls(repeats, companions, anchor, mechanism)
+
+    def averaged(self, release: Release, std_m: float) -> tuple[Release, Floats]:
+        """Return the mean of all that shows a walk, and of how many reports each sample is, (M,).
+
+        Who walks along counts where they are there at the same time, moved to where the two
+        are together on average, and by what the slow error, of `std_m`, is of all that moves
+        between them: without one for nothing. The declared std is not that of a mean: it goes.
+        """
+        xy = np.mean([one.xy for one in (release, *self.repeats)], axis=0)
+        n = np.full(release.t.size, 1.0 + len(self.repeats))
+        total, level_m2 = xy * n[:, None], noise_m2(release)
+        for others in self.companions if std_m else ():
+            for i in range(len(release)):
+                own = slice(release.offsets[i], release.offsets[i + 1])
+                along = slice(others.offsets[i], others.offsets[i + 1])
+                t, known_s = release.t[own], others.t[along]
+                there = np.flatnonzero((t >= known_s[0]) & (t <= known_s[-1])) + own.start
+                if known_s.size < _LEAST_TOGETHER or there.size < _LEAST_TOGETHER:
+                    continue
+                beside = np.column_stack(
+                    [np.interp(release.t[there], known_s, axis) for axis in others.xy[along].T]
+                )
+                gap = beside - xy[there]
+                apart_m2 = gap.var(axis=0).mean() - 2.0 * (std_m**2 + level_m2[i])
+                weight = std_m**2 / (std_m**2 + max(apart_m2, 0.0))
+                total[there] += weight * (beside - gap.mean(axis=0))
+                n[there] += weight
+        return derived(release, xy=total / n[:, None], sigma=None), n
+
+
+def smooth(release: Release, choice: _Choice, anchor: Release | None = None) -> Reconstruction:
+    """Return smoothed positions; the white rest is what is declared, or what innovations show.
+
+    `anchor` has a true position of each track. ValueError if one lies outside its track.
+    """
     error = SlowError(choice.std_m, choice.tau_s)
-    batch = Batch(release.t, release.xy, _rest(release, error), release.offsets, PRIOR_STD)
+    t, xy, rest, offsets = release.t, release.xy, _rest(release, error), release.offsets
+    std_m = np.broadcast_to(error.std_m, t.shape)
+    known = np.zeros(0, dtype=np.int64)
+    if anchor is not None:
+        first, last = t[offsets[:-1]], t[offsets[1:] - 1]
+        outside = np.flatnonzero((anchor.t < first) | (anchor.t > last))
+        if outside.size:
+            one = outside[0]
+            raise ValueError(
+                f"the anchor of track {one} is at {anchor.t[one]:.12g} s, outside its "
+                f"{first[one]:.12g} to {last[one]:.12g} s"
+            )
+        known = np.array(
+            [
+                lo + np.searchsorted(t[lo:hi], at, side="right")
+                for lo, hi, at in zip(offsets[:-1], offsets[1:], anchor.t, strict=True)
+            ]
+        )
+        t, xy = np.insert(t, known, anchor.t), np.insert(xy, known, anchor.xy, axis=0)
+        rest, std_m = np.insert(rest, known, _KNOWN_M2), np.insert(std_m, known, 0.0)
+        offsets = offsets + np.arange(offsets.size)
     position, spread = smooth_tracks(
-        batch, error, q=choice.q, passes=choice.passes, anneal=RadialRTS().anneal
+        Batch(t, xy, rest, offsets, PRIOR_STD),
+        SlowError(std_m, choice.tau_s),
+        q=choice.q,
+        passes=choice.passes,
+        anneal=RadialRTS().anneal,
     )
+    at = known + np.arange(known.size)
+    position, spread = np.delete(position, at, axis=0), np.delete(spread, at)
     return Reconstruction(position, np.sqrt(np.maximum(spread, 0.0)))
 
 
 def _rest(release: Release, error: SlowError) -> Floats:
     """Return the variance per axis, (M,) m^2, of what is neither walk nor slow error."""
-    slow_m2 = float(error.std_m) ** 2
+    slow_m2 = np.square(error.std_m)
     if release.sigma is not None:
         return np.maximum(RADIAL_PER_AXIS * (release.sigma**2 - slow_m2), MIN_VARIANCE_M2)
     level = noise_m2(release)
+    if np.ndim(slow_m2):  # one for all samples of a track will do
+        slow_m2 = np.add.reduceat(slow_m2, release.offsets[:-1]) / np.diff(release.offsets)
     rest = level - slow_m2 * error.innovation_share(t=release.t, offsets=release.offsets)
     return np.repeat(np.maximum(rest, _LEAST_REST * level), np.diff(release.offsets))
 

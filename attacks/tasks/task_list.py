@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from isac_track.errors import SettingsError, did_you_mean
+from isac_track.protocols import OF_WALKS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -49,7 +50,7 @@ class Task:
         """What no adversary is granted: it would turn the task into another one."""
         from isac_track.types import Knowledge  # noqa: PLC0415 - as above
 
-        return frozenset({Knowledge.REPEATS, Knowledge.SCENE}) - self.everyone
+        return (OF_WALKS | {Knowledge.SCENE}) - self.everyone
 
 
 TASKS: Final[Mapping[str, Task]] = {

@@ -29,7 +29,7 @@ from attacks.testing._checks import Attack, Row
 from attacks.testing._releases import copied
 from isac_track import plugins
 from isac_track.errors import PluginError, SettingsError
-from isac_track.protocols import ADVERSARIES, Mechanism, Predictor, grants, kind_of
+from isac_track.protocols import ADVERSARIES, OF_WALKS, Mechanism, Predictor, grants, kind_of
 from isac_track.testing import engine
 from isac_track.testing.engine import Check
 from isac_track.testing.engine import Outcome as CheckResult
@@ -89,7 +89,7 @@ def _granted(attack: Attack) -> dict[frozenset[Knowledge], str]:
     """
     tasks = [grants(attack)]
     if kind_of(attack) == "linkage":
-        scene, repeats = frozenset({Knowledge.SCENE}), frozenset({Knowledge.REPEATS})
+        scene, repeats = frozenset({Knowledge.SCENE}), OF_WALKS
         shown = grants(attack, everyone=scene, nobody=repeats)
         tasks = [grants(attack, nobody=repeats | scene), shown]
     made: dict[frozenset[Knowledge], str] = {}

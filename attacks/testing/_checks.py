@@ -93,6 +93,8 @@ class Row:
             mechanism=first.mechanism,
             train=first.train,
             repeats=first.repeats,
+            anchor=first.anchor,
+            companions=first.companions,
         )
         doing, hint = "fit(context)", ""
         try:

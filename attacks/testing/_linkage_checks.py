@@ -14,7 +14,7 @@ from attacks.testing import _checks as common
 from attacks.testing import _releases as made
 from attacks.testing._releases import RAW_SIGMA_M, draws
 from isac_track.linkability import log_rank, rank1
-from isac_track.protocols import LinkageTrainingSet
+from isac_track.protocols import OF_WALKS, LinkageTrainingSet
 from isac_track.sharing import Fixed
 from isac_track.types import ErrorLaw, Floats, Ints, Knowledge, Release
 
@@ -49,6 +49,8 @@ class LinkageCase:
     asked: ClassVar[tuple[str, ...]] = ("probe", "gallery")
     gives: ClassVar[str] = "from two releases, probe and gallery, to a matrix of scores"
     repeats: ClassVar[None] = None
+    anchor: ClassVar[None] = None
+    companions: ClassVar[None] = None
     """Nobody who links is granted any: the repeats of a walk would be linked already."""
     compared: ClassVar[str] = "scores"
     unit: ClassVar[str] = ""
@@ -184,7 +186,7 @@ def made_up(
         return LinkageTrainingSet(probe, gallery.tracks(order), mate)
 
     victims = pair("victims", *sizes[:2])
-    hidden = {Knowledge.REPEATS} if scene else {Knowledge.REPEATS, Knowledge.SCENE}
+    hidden = OF_WALKS if scene else OF_WALKS | {Knowledge.SCENE}
     return LinkageCase(
         about=about + (", in one frame" if scene else ""),
         probe=victims.probe,

@@ -49,6 +49,8 @@ class Case:
     mechanism: Fixed
     train: TrainingSet
     repeats: tuple[Release, ...]
+    anchor: Release
+    companions: tuple[Release, ...]
 
     def read(self, result: Any) -> Floats:  # noqa: ANN401 - a stranger's
         """Return positions and std, if claimed, (M, 2 or 3) m; ValueError if it is neither.
@@ -84,12 +86,15 @@ class Case:
             release=self.release.tracks(rows),
             truth=self.truth[samples],
             repeats=tuple(repeat.tracks(rows) for repeat in self.repeats),
+            anchor=self.anchor.tracks(rows),
+            companions=tuple(one.tracks(rows) for one in self.companions),
         )
         return changed, lambda answer: answer[samples]
 
     def in_other_frames(self) -> tuple[Case, Callable[[Floats], Floats]]:
         """Return the case as without SCENE, every release in its own frame; how answers follow."""
-        mine, others, *_ = frames = list(FRAMES)
+        mine, others, *_ = FRAMES
+        frames = [*FRAMES, mine, mine]  # the anchor and who walks along are seen as the release is
         changed = made.of_each(self, lambda release: made.moved(release, frames.pop(0)))
         train = TrainingSet(changed.train.release, made.turned(self.train.truth, others))
         changed = replace(changed, truth=made.turned(self.truth, mine), train=train)
@@ -137,13 +142,22 @@ def made_up(
     def share(walked: list[made.Walk], *words: str | int) -> Release:
         return made.shared(walked, (name, *words), mechanism=mechanism)
 
+    release, beside = share(mine, "release"), share(mine, "beside")
     return Case(
         about=about,
-        release=share(mine, "release"),
+        release=release,
         truth=truth,
         mechanism=mechanism,
         train=TrainingSet(share(others, "train"), others_truth),
         repeats=tuple(share(mine, "repeat", row) for row in range(2)),
+        anchor=replace(
+            release,
+            t=release.t[release.offsets[:-1]],
+            xy=truth[release.offsets[:-1]],
+            sigma=None,
+            offsets=np.arange(len(release) + 1),
+        ),
+        companions=(replace(beside, xy=beside.xy + 1.0),),
     )
 
 

@@ -21,10 +21,9 @@ from typing import TYPE_CHECKING, Final, Protocol
 import numpy as np
 
 from evaluation.analysis.families import CLEAN, FID, FIXED, SWEPT, Family
-from evaluation.analysis.keys import AS_SHARED, INFORMED, ORACLE, Key, Source, Where
+from evaluation.analysis.keys import AS_SHARED, INFORMED, Key, Source, Where
 from evaluation.analysis.metrics import EXPOSURE, METRICS, SUCCESS
 from evaluation.experiment.presets import IDENTITY
-from isac_track.protocols import ADVERSARIES
 from isac_track.rng import stream
 
 if TYPE_CHECKING:
@@ -164,10 +163,10 @@ def most_knowing(of: Iterable[Source]) -> list[Source]:
     What was shared stays.
     """
     # The oracle is a reference: it stands for an attack that nobody else can run.
-    rank = {name: place for place, name in enumerate(("", *ADVERSARIES))} | {ORACLE: 0}
+    rank = {name: place for place, name in enumerate(("", *HEADLINE))}
     best: dict[str, Source] = {}
     for source in of:
         name = "" if source == AS_SHARED else source.consumer
         pair = best.get(name, source), source
-        best[name] = max(pair, key=lambda one: rank[one.knowledge])
+        best[name] = max(pair, key=lambda one: rank.get(one.knowledge, 0))
     return list(best.values())

@@ -21,10 +21,10 @@ from evaluation.experiment.constants import MOST_SCENES
 from isac_track import privacy
 from isac_track.errors import DataError, PluginError
 from isac_track.kalman import Batch, smooth_positions
-from isac_track.protocols import AttackContext, TrainingSet
+from isac_track.protocols import OF_WALKS, AttackContext, TrainingSet
 from isac_track.rng import stream
 from isac_track.scenes import Cut, make_scenes
-from isac_track.sensing import sense_scenes
+from isac_track.sensing import draw_channel, sense, sense_scenes, walk_numbers
 from isac_track.types import Floats, Ints, Knowledge, Release, Scenes, Sensed, derived
 
 if TYPE_CHECKING:
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from isac_track.config import StageSettings
     from isac_track.plugins import Plugin
 
-N_REPEATS = 2  # Further releases of the same walks, for who is granted REPEATS.
 TRAINING_PEOPLE = 20
 """At most so many source tracks train an attack: more would cost time and change little."""
 BENCHMARK_Q = KalmanRTS.DEFAULT_Q  # m^2/s^3, motion of the benchmark.
@@ -68,6 +67,8 @@ class AttackedBlock:
     """(N,) pass over the recording: in none does a walk occur twice, in the first all do once"""
     training: tuple[tuple[Scenes, Sensed] | None, ...]
     """For each half people of the other one, each once; None if there are none."""
+    tracks: Cut
+    members: Mapping[str, Sequence[int]]  # Rows of `tracks` of every group.
     again: tuple[Sensed, ...]  # The walks of the block sensed anew, for REPEATS.
     stages: StageSettings
     seed: int
@@ -90,6 +91,7 @@ class AttackedLevel:
     training: Mapping[tuple[int, frozenset[Knowledge]], TrainingSet]
     """People to learn from for each half, in a frame of theirs; none where there are none."""
     again: tuple[Release, ...]  # Further releases of the same walks, in the true frame.
+    beside: tuple[Release, ...]  # Of who walks along with each track, for COMPANIONS.
     benchmark: Rows  # Columns of what the benchmark expects of each track.
 
 
@@ -146,10 +148,15 @@ def attacked_block(
         training.append((walks, sense_scenes(walks, settings=stages.sensing, seed=seed)))
     again = tuple(
         sense_scenes(scenes, settings=stages.sensing, seed=seed, names=("again", number))
-        for number in range(N_REPEATS if repeats else 0)
+        for number in range(stages.attacks.repeats if repeats else 0)
     )
+    members: dict[str, list[int]] = {}
+    for row, group in enumerate(tracks.group):
+        members.setdefault(group, []).append(row)
     return AttackedBlock(
         scenes=scenes,
+        tracks=tracks,
+        members=members,
         sensed=sensed,
         victims=tuple(_victims(scenes, np.flatnonzero(half == fold)) for fold in _FOLDS),
         turn=turn,
@@ -210,6 +217,7 @@ def attacked_level(
                 "leave samples out by their times, or leave out the attacks that use repeats"
             )
     known = sharing.restricted(block.sensed, left)
+    along = (beside(block, mechanism),) if Knowledge.COMPANIONS in granted else ()
     return AttackedLevel(
         mechanism=mechanism,
         block=block,
@@ -221,6 +229,7 @@ def attacked_level(
         views=views,
         training=training,
         again=tuple(again),
+        beside=along,
         benchmark=benchmark(release, sensed=known, mechanism=mechanism, epsilon_m=epsilon_m),
     )
 
@@ -267,8 +276,8 @@ def attack_rows(consumer: Consumer, level: AttackedLevel) -> Rows:
                 shown, frame = view_of(own, granted=granted, rng=rng)
                 # A stranger may unlock arrays: what it writes to is its own.
                 given = sharing.copied(shown)
-            if attack is None or Knowledge.REPEATS in granted:
-                context = _context(consumer, level, granted, fold=fold, victims=part)
+            if attack is None or granted & OF_WALKS:
+                context = _context(consumer, level, granted, fold=fold, victims=part, frame=frame)
                 attack = sharing.guarded(who, partial(consumer.plugin.instance.fit, context))
             # Only the correction is turned back: what is left alone stays as it was, bit by bit.
             found[:, part.tracks] = privacy.described(
@@ -296,6 +305,7 @@ def _context(
     *,
     fold: int,
     victims: Victims,
+    frame: Frame,
 ) -> AttackContext:
     """Return what an attack on some tracks of one half prepares with."""
     train = level.training.get((fold, consumer.granted & SHOWS))
@@ -317,7 +327,67 @@ def _context(
         mechanism=level.mechanism.instance,
         train=train,
         repeats=tuple(repeats),
+        anchor=_anchor(level, victims, frame) if Knowledge.ANCHOR in granted else None,
+        companions=tuple(
+            frame.release(showing(one.tracks(victims.tracks), granted)) for one in level.beside
+        ),
     )
+
+
+def _anchor(level: AttackedLevel, victims: Victims, frame: Frame) -> Release:
+    """Return where each victim truly was at one of her instants, any of them, in a frame."""
+    offsets, seed = level.scenes.offsets, level.block.seed
+    drawn = stream(seed, "anchors", int(level.scenes.index[0])).random(offsets.size - 1)
+    places = (offsets[:-1] + drawn * np.diff(offsets)).astype(np.int64)[victims.tracks]
+    own = victims.of(level.release)
+    return frame.release(
+        Release(
+            t=level.scenes.t[places],
+            xy=level.scenes.xy[places],
+            sigma=None,
+            offsets=np.arange(places.size + 1),
+            pseudonym=own.pseudonym,
+        )
+    )
+
+
+def beside(block: AttackedBlock, mechanism: Plugin) -> Release:
+    """Return what is shared of who walks along with each of the N tracks of a block.
+
+    That is who of the same group is there longest at the same time, sensed and shared with errors
+    of their own; one sample, of the track itself, where nobody is.
+    """
+    scenes, tracks, seed = block.scenes, block.tracks, block.seed
+    parts: list[tuple[Floats, Floats]] = []
+    for seat, row in enumerate(scenes.track):
+        lo, hi = scenes.offsets[seat : seat + 2]
+        start = tracks.offsets[row]
+        moved_m = scenes.xy[lo] - tracks.xy[start]
+        best, longest_s = (scenes.t[lo : lo + 1], scenes.xy[lo : lo + 1]), 0.0
+        for other in block.members[tracks.group[row]]:
+            first, end = tracks.offsets[other], tracks.offsets[other + 1]
+            t = tracks.t[first:end]
+            both_s = min(t[-1], scenes.t[hi - 1]) - max(t[0], scenes.t[lo])
+            if other != row and both_s > longest_s:
+                best, longest_s = (t, tracks.xy[first:end] + moved_m), both_s
+        parts.append(best)
+    sizes = np.array([t.size for t, _ in parts])
+    first_scene, offsets = int(scenes.index[0]), np.concatenate([[0], np.cumsum(sizes)])
+    sensing = block.stages.sensing
+    sensed = sense(
+        t=np.concatenate([t for t, _ in parts]),
+        xy=np.concatenate([xy for _, xy in parts]),
+        offsets=offsets,
+        channel=draw_channel(
+            n_samples=sizes[:, None],
+            keys=[("beside", first_scene, seat) for seat in range(sizes.size)],
+            settings=sensing,
+            seed=seed,
+        ),
+        settings=sensing,
+        walk=walk_numbers("beside", first_scene, n_walks=sizes.size, seed=seed),
+    )
+    return sharing.share(mechanism, sensed, "scenes", first_scene, "beside", seed=seed)
 
 
 def benchmark(release: Release, *, sensed: Sensed, mechanism: Plugin, epsilon_m: float) -> Rows:

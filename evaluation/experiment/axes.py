@@ -106,6 +106,8 @@ class Axes:
     """SPECs of the predictors that are read in all scenes, not in the attacked ones alone."""
     other_law: tuple[Plugin, ...] = ()
     """Mechanisms of the scenes that are attacked under `OTHER_LAW`, too."""
+    adversaries: tuple[str, ...] = ()
+    """Asked for beside the usual ones."""
 
     @property
     def consumers(self) -> tuple[Consumer, ...]:
@@ -116,7 +118,7 @@ class Axes:
             *(
                 Consumer("attack", plugin, knowledge=adversary, granted=granted)
                 for plugin in self.attacks
-                for adversary, granted in grants(plugin.instance).items()
+                for adversary, granted in grants(plugin.instance, asked=self.adversaries).items()
             ),
         )
 
@@ -151,7 +153,7 @@ class Axes:
                 for where, one in self.links
                 if where is task
                 for adversary, granted in grants(
-                    one, everyone=task.everyone, nobody=task.nobody
+                    one, everyone=task.everyone, nobody=task.nobody, asked=self.adversaries
                 ).items()
             ),
         )
@@ -195,6 +197,7 @@ def axes(settings: Settings) -> Axes:
     return Axes(
         *(mechanisms, predictors, attacks, pairs, ceiling),
         utility=frozenset(utility),
+        adversaries=settings.adversaries,
         other_law=tuple(one for one in mechanisms if one.spec in other_law),
     )
 
@@ -246,14 +249,19 @@ def _linked(
     """
     chosen: dict[str, list[Task]] = {}
     for link in links:
-        can = [task for task in tasks if grants(link, everyone=task.everyone, nobody=task.nobody)]
+        asked = settings.adversaries
+        can = [
+            task
+            for task in tasks
+            if grants(link, everyone=task.everyone, nobody=task.nobody, asked=asked)
+        ]
         needs_scene = Knowledge.SCENE in link.plugins[0].instance.requires
         chosen[link.spec] = [task for task in can if task.shows_scene == needs_scene] or can
         if settings.attacks is not None and not can:
-            asked = ", ".join(sorted(one.name for one in link.requires)) or "a task"
+            needs = ", ".join(sorted(one.name for one in link.requires)) or "a task"
             where = ", ".join(task.name for task in tasks) or "none"
             raise SettingsError(
-                f"attack {link.spec!r} has no task to run in (tasks: {where}); it requires {asked}"
+                f"attack {link.spec!r} has no task to run in (tasks: {where}); it requires {needs}"
             )
     for task in tasks:
         if settings.tasks is not None and not any(task in some for some in chosen.values()):

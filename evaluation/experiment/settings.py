@@ -14,6 +14,7 @@ from evaluation.experiment.constants import MOST_SCENES
 from evaluation.experiment.presets import PRESETS
 from isac_track.config import StageSettings
 from isac_track.errors import SettingsError, did_you_mean, quoted
+from isac_track.protocols import ADVERSARIES
 
 _AXES = ("mechanisms", "predictors", "attacks", "tasks")
 _KINDS: dict[str, tuple[Any, type, str]] = {
@@ -48,6 +49,8 @@ class Settings:
     """SPECs, LINKER@RECONSTRUCTION among them; they replace the preset's. Empty: no attack."""
     tasks: tuple[str, ...] | None = None
     """Linkage tasks; they replace the preset's. Empty: nothing is linked."""
+    adversaries: tuple[str, ...] = ()
+    """Beside blind, informed and oracle."""
     stages: StageSettings = field(default_factory=StageSettings)
     jobs: int | None = None
     """Worker processes; None: as many as there are cores where the work is worth it."""
@@ -65,6 +68,12 @@ class Settings:
         if self.preset not in PRESETS:
             hint = did_you_mean(self.preset, PRESETS, quote="'") or f"; known: {', '.join(PRESETS)}"
             raise SettingsError(f"unknown preset {self.preset!r}{hint}")
+        for name in self.adversaries:
+            if name not in ADVERSARIES:
+                known = did_you_mean(name, ADVERSARIES, quote="'") or (
+                    f"; known: {', '.join(ADVERSARIES)}"
+                )
+                raise SettingsError(f"unknown adversary {name!r}{known}")
         if self.scenes is not None and not 2 <= self.scenes <= MOST_SCENES:  # noqa: PLR2004 - one of each label
             raise SettingsError(
                 f"a run needs at least 2 scenes (one of each label) and at most {MOST_SCENES:,}, "
@@ -87,7 +96,7 @@ class Settings:
             given["dataset"] = str(self.dataset)
         if isinstance(given["stages"], Mapping):
             given["stages"] = StageSettings().changed(given["stages"])
-        for axis in _AXES:
+        for axis in (*_AXES, "adversaries"):
             some = given[axis]
             if isinstance(some, str) or not isinstance(some, Iterable | None):
                 raise SettingsError(f"{axis} takes a list: write {axis}=[{quoted(some)}]")

@@ -206,6 +206,7 @@ def describe(ready: Plan) -> dict[str, Any]:
                 *dict.fromkeys(link.spec for _, link in axes.links),
             ],
             "tasks": [task.name for task in axes.tasks],
+            **({"adversaries": list(axes.adversaries)} if axes.adversaries else {}),
             "stages": settings.stages.flat(),
         },
         "granted": {

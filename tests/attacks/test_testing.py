@@ -330,6 +330,8 @@ def test_levels_differ_in_the_size_of_the_errors_alone_which_is_as_announced(
 ):
     less, more = noisy(sigma_m, law), noisy(3 * sigma_m, law)
     for low, high in zip(releases(less), releases(more), strict=True):
+        if low.sigma is None:  # a true position
+            continue
         added = high.xy - low.xy
         assert np.sqrt((added**2).sum(axis=1).mean() / n) == pytest.approx(2 * sigma_m, rel=0.05)
         np.testing.assert_allclose(low.sigma, sigma_m)

@@ -9,6 +9,7 @@ from helpers.walks import flat_release
 from isac_track.errors import KnowledgeDenied
 from isac_track.protocols import (
     ADVERSARIES,
+    USUAL,
     AttackContext,
     LinkageTrainingSet,
     TrainingSet,
@@ -18,8 +19,8 @@ from isac_track.rng import stream
 from isac_track.sharing import Fixed
 from isac_track.types import Knowledge
 
-MECHANISM, SIGMA, TRAIN, SCENE, REPEATS = Knowledge
-HELD = {MECHANISM: "mechanism", TRAIN: "train", REPEATS: "repeats"}
+MECHANISM, SIGMA, TRAIN, SCENE, REPEATS, *_ = Knowledge
+HELD = {one: one.value for one in Knowledge if one not in (SIGMA, SCENE)}
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,8 @@ OFFERED = {
     "mechanism": Fixed(0.5),
     "train": TrainingSet(release(), np.ones((2, 2))),
     "repeats": (release(), release()),
+    "anchor": release(),
+    "companions": (release(),),
 }
 
 
@@ -73,7 +76,7 @@ class TestContext:
 
     @pytest.mark.parametrize("missing", [[MECHANISM], [TRAIN], [REPEATS], [MECHANISM, TRAIN]])
     def test_a_grant_of_what_is_not_there_is_an_error_of_the_caller(self, missing):
-        said = ", ".join(what.name for what in missing)
+        said = ", ".join(sorted(what.name for what in missing))
         with pytest.raises(ValueError, match=f"granted, but not given: {said}$"):
             context(*Knowledge, **{HELD[what]: None for what in missing})
 
@@ -114,8 +117,21 @@ def test_each_adversary_knows_more_than_the_weaker_one():
     assert list(ADVERSARIES.items()) == [
         ("blind", set()),
         ("informed", informed),
+        ("repeats", informed | {REPEATS, SCENE}),
+        ("anchor", informed | {Knowledge.ANCHOR}),
+        ("companions", informed | {Knowledge.COMPANIONS}),
+        ("insider", informed | {SCENE}),
         ("oracle", set(Knowledge)),
     ]
+    assert USUAL == ("blind", "informed", "oracle")
+
+
+def test_an_adversary_beyond_the_usual_is_there_if_asked_for():
+    attack = Attack(requires=frozenset(), uses=frozenset({MECHANISM, Knowledge.ANCHOR, SCENE}))
+    assert list(grants(attack)) == ["blind", "informed", "oracle"]
+    rows = grants(attack, asked=("anchor", "companions"))
+    assert list(rows) == ["blind", "informed", "anchor", "oracle"]
+    assert rows["anchor"] == {MECHANISM, Knowledge.ANCHOR}
 
 
 @pytest.mark.parametrize(

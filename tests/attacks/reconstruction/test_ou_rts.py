@@ -15,6 +15,9 @@ from isac_track.sharing import Fixed, Raw
 from isac_track.sharing_controls import Correlated, correlated_errors
 from isac_track.types import Knowledge
 
+MECHANISM, REPEATS, SCENE = Knowledge.MECHANISM, Knowledge.REPEATS, Knowledge.SCENE
+ANCHOR, COMPANIONS = Knowledge.ANCHOR, Knowledge.COMPANIONS
+
 Q, NOISE_M = 0.05, 0.1
 INFORMED = frozenset({Knowledge.MECHANISM, Knowledge.TRAIN})
 
@@ -112,3 +115,55 @@ def test_parameters_that_cannot_be_are_refused():
     for spec in ("ou_rts:0", "ou_rts:std_m=1", "ou_rts:std_m=1,tau_s=-1"):
         with pytest.raises(Exception, match=r"must be positive|give both"):
             parse("attacks", spec)
+
+
+def beyond(release, **granted):
+    """The smoother of who is told the error and was granted more."""
+    knows = {"repeats": (REPEATS, SCENE), "anchor": (ANCHOR,), "companions": (COMPANIONS,)}
+    context = AttackContext(
+        rng=stream(0, "test", "attack"),
+        epsilon_m=0.3,
+        granted=frozenset({MECHANISM, *(one for name in granted for one in knows[name])}),
+        mechanism=Slow(0.8, 5.0),
+        **granted,
+    )
+    return OuRTS(q=Q).fit(context)(release)
+
+
+def known_at(release, truth, places):
+    """One true position of each track."""
+    n = len(places)
+    return flat_release(release.t[places], truth[places], np.arange(n + 1))
+
+
+def test_repeats_are_averaged_and_a_known_place_and_who_walks_along_help():
+    t, path, offsets = cv_walks(*[150] * 40, q=Q)
+
+    def release(row, shift_m=0.0):
+        rng = stream(0, "test", "beyond", row)
+        slow = correlated_errors(t=t, offsets=offsets, law="isotropic", tau_s=5.0, rng=rng)
+        white = NOISE_M * rng.standard_normal(path.shape)
+        return flat_release(t, path + shift_m + 0.8 * slow + white, offsets)
+
+    def off_m2(found):
+        return float(((found.xy - path) ** 2).mean())
+
+    own = release(0)
+    alone = off_m2(beyond(own))
+    averaged = off_m2(beyond(own, repeats=tuple(release(row) for row in range(1, 10))))
+    assert averaged == pytest.approx(alone / 10, rel=0.3)
+    anchor = known_at(own, path, offsets[:-1] + 70)
+    found = beyond(own, anchor=anchor)
+    assert off_m2(found) < 0.8 * alone
+    np.testing.assert_allclose(found.xy[offsets[:-1] + 70], anchor.xy, atol=0.05)
+    assert off_m2(beyond(own, companions=(release(1, shift_m=1.0),))) < 0.97 * alone
+    nobody = known_at(own, path, offsets[:-1])  # one sample: walks alone
+    np.testing.assert_allclose(beyond(own, companions=(nobody,)).xy, beyond(own).xy)
+
+
+def test_an_anchor_outside_its_track_is_named():
+    release, path = walks(0.8, 5.0, n=3)
+    anchor = known_at(release, path, release.offsets[:-1])
+    late = replace(anchor, t=anchor.t + 1e3 * (np.arange(3) == 1))
+    with pytest.raises(ValueError, match=r"the anchor of track 1 is at .* s, outside its"):
+        beyond(release, anchor=late)
