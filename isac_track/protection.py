@@ -6,12 +6,12 @@ density is high. `laplace` is the white noise of geo-indistinguishability, and `
 network's own filtered position, seldom. Derivations: docs/mechanisms.md.
 """
 
-from __future__ import annotations
-
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Final, Literal, TypeAlias
+from typing import ClassVar, Final, Literal, TypeAlias
 
 import numpy as np
+from numpy.random import Generator
 
 from isac_track.kalman import Batch, kalman_last
 from isac_track.rng import stream
@@ -19,21 +19,13 @@ from isac_track.sharing import check_at_least, fid_d_sigma, perturb
 from isac_track.sharing_controls import correlated_errors
 from isac_track.types import Adding, ErrorLaw, Floats, Ints, Release, Sensed, stretches
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.random import Generator
-
 Reuse: TypeAlias = Literal["release", "session"]
 """Whether errors are drawn anew for every release, or once for a walk and session."""
-_REMEMBERED = 24
-"""Correlation times after which what was is forgotten: 1e-10 of it is left."""
-_POINTS = 512
-"""Of the path of a session within one correlation time; between them it is a line."""
+_REMEMBERED = 24  # Correlation times after which what was is forgotten: 1e-10 of it is left.
+_POINTS = 512  # Of the path of a session within one correlation time; between them it is a line.
 _PRIOR_STD = (100.0, 10.0)
 """m around the first sample, m/s: far more than any walk, so that nothing is tuned."""
-_MEMORY_S = 6.0
-"""What a filter of a walk has long forgotten."""
+_MEMORY_S = 6.0  # What a filter of a walk has long forgotten.
 
 
 def session_errors(*, t: Floats, offsets: Ints, walk: Ints, tau_s: float) -> Floats:

@@ -147,8 +147,7 @@ class TrainingSet:
     """A release of other people, perturbed by the same mechanism, and where they truly were."""
 
     release: Release
-    truth: Floats
-    """(M, 2) m, in the frame of the release."""
+    truth: Floats  # (M, 2) m, in the frame of the release.
 
     def __post_init__(self) -> None:
         shape = self.release.xy.shape
@@ -163,8 +162,7 @@ class LinkageTrainingSet:
 
     probe: Release
     gallery: Release
-    mate: Ints
-    """(P,) track of the gallery that is the same person, or -1 if there is none."""
+    mate: Ints  # (P,) track of the gallery that is the same person, or -1 if there is none.
 
     def __post_init__(self) -> None:
         mate = np.asarray(self.mate)

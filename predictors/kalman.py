@@ -19,8 +19,7 @@ from isac_track.types import ErrorLaw, Floats, Knowledge, Prediction, Release, e
 
 GATE = 18.4  # Chi-square quantile of 0.9999 with two degrees of freedom.
 WINDOW = 160  # Samples; what came before no longer moves the prediction (tested).
-LEAST_REST = 0.05
-"""Share of what innovations show that is never put down to a slow error."""
+LEAST_REST = 0.05  # Share of what innovations show that is never put down to a slow error.
 _PRIOR_STD = (100.0, 10.0, 10.0)
 """m around the first sample, m/s, m/s^2: far more than any walk, so that nothing is tuned."""
 
@@ -38,8 +37,7 @@ class KalmanCV:
     engine: Literal["kernels", "filterpy"] = "kernels"
     aware: bool = False
     """Whether the robot is told what mechanism shares; `knowing` is then called before a run."""
-    added_std_m: float = 0.0
-    """Per axis, of the error that is added as far as the robot knows."""
+    added_std_m: float = 0.0  # Per axis, of the error that is added as far as the robot knows.
     tau_s: float = 0.0
     """Time over which that error's correlation falls to 1/e; 0: white. One that is slow is a state
     of its own, and the whole history counts."""

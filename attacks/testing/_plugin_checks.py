@@ -227,8 +227,7 @@ MECHANISM = (
 # A predictor
 
 
-_ADDED = Fixed(0.25)
-"""What shares; one that is aware is told of it."""
+_ADDED = Fixed(0.25)  # What shares; one that is aware is told of it.
 
 
 @cache

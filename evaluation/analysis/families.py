@@ -5,23 +5,18 @@ for each of its levels. Whoever wants to know more of one than its name asks her
 takes names apart.
 """
 
-from __future__ import annotations
-
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, get_args
+from typing import Any, Final, get_args
 
 import pandas as pd
 
 from isac_track.types import Adding
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
 RAW, CLEAN, FIXED, FID = "raw", "clean", "fixed", "fid"
 """Families: nothing added, no error at all, the baseline, and the paper's."""
 ADDING_RULES: Final[tuple[str, ...]] = get_args(Adding)
-SWEPT: Final = (RAW, FIXED, FID)
-"""Families that the paper compares."""
+SWEPT: Final = (RAW, FIXED, FID)  # Families that the paper compares.
 LEVEL_UNITS: Final = {FID: "eta in 1/(m^2 s)", FIXED: "d_sigma in m"}
 """What a level is, by family, as far as it is known."""
 
@@ -30,12 +25,9 @@ LEVEL_UNITS: Final = {FID: "eta in 1/(m^2 s)", FIXED: "d_sigma in m"}
 class Family:
     """A mechanism of a run, whatever its level."""
 
-    mechanism: str
-    """As in the results: `fid:adding=independent`."""
-    family: str
-    """The plug-in's name without parameters: `fid`."""
-    adding: str
-    """The rule that it declares: `linear`, `independent`, or empty without one."""
+    mechanism: str  # As in the results: `fid:adding=independent`.
+    family: str  # The plug-in's name without parameters: `fid`.
+    adding: str  # The rule that it declares: `linear`, `independent`, or empty without one.
 
     @property
     def rules(self) -> tuple[str, ...]:

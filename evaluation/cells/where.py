@@ -3,8 +3,6 @@
 Workers import this at once; what they compute with comes with their work.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass

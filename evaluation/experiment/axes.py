@@ -106,8 +106,7 @@ class Axes:
     """SPECs of the predictors that are read in all scenes, not in the attacked ones alone."""
     other_law: tuple[Plugin, ...] = ()
     """Mechanisms of the scenes that are attacked under `OTHER_LAW`, too."""
-    adversaries: tuple[str, ...] = ()
-    """Asked for beside the usual ones."""
+    adversaries: tuple[str, ...] = ()  # Asked for beside the usual ones.
 
     @property
     def consumers(self) -> tuple[Consumer, ...]:

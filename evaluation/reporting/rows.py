@@ -34,8 +34,7 @@ _KNOWN: Final = {
     FID: ("FID-controlled sharing", "FID threshold η (1/(m² s))", True),
     FIXED: ("fixed added error", "Added error Δσ (m)", False),
 }
-ENDS: Final = ["value", "ci_low", "ci_high"]
-"""Columns of an estimate."""
+ENDS: Final = ["value", "ci_low", "ci_high"]  # Columns of an estimate.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -53,10 +52,8 @@ class Results:
     curves: pd.DataFrame
     flags: pd.DataFrame
     linkability: pd.DataFrame
-    galleries: pd.DataFrame
-    """Rank 1 and expected rank over the number of candidates."""
-    verdict: dict[str, Any]
-    """As in `verdict.json`."""
+    galleries: pd.DataFrame  # Rank 1 and expected rank over the number of candidates.
+    verdict: dict[str, Any]  # As in `verdict.json`.
     failed: pd.DataFrame
     """Cells that could not be computed, and why; no other table holds their levels."""
     strongest: Mapping[str, Source] = field(default_factory=dict)
@@ -222,16 +219,13 @@ class Scheme:
     """A swept mechanism, and the axis of its level."""
 
     mechanism: str
-    name: str
-    """Family and parameters, without the adding rule."""
+    name: str  # Family and parameters, without the adding rule.
     rules: Sequence[str]
     """Adding rules under which it is shown: its own, or all where it declares none."""
     title: str
-    label: str
-    """Of the axis."""
+    label: str  # Of the axis.
     log: bool
-    place: int
-    """Of the name among all: what it looks like."""
+    place: int  # Of the name among all: what it looks like.
 
     @property
     def rule_text(self) -> str:

@@ -5,8 +5,6 @@ have is null there. Its metadata say which consumer's tables begin where, and by
 were computed. A consumer that is added later has a further file: none is rewritten.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

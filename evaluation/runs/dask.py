@@ -4,8 +4,6 @@ A worker that is killed costs what it was at, which Dask gives to another. Work 
 several is tried once more with nothing beside it, so that no innocent work is blamed.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import platform

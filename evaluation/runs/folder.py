@@ -1,7 +1,5 @@
 """The run folder: opened, refused where it is another's or something else, and replaced."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-_LONG_S = (12.0, 21.6)
-"""Durations of interest: 21.6 s are the tracks that scenes are made of."""
+_LONG_S = (12.0, 21.6)  # Durations of interest: 21.6 s are the tracks that scenes are made of.
 _FROZEN = f"{datasets.FROZEN_SHARE:.0%}"
 
 

@@ -28,8 +28,7 @@ _DECIMAL = re.compile(r"[+-]?\d+\.\d*(e[+-]?\d+)?", re.IGNORECASE)
 _LONGEST_NAME = 200
 """Characters: ids stand in messages, tables and figures, and a split track repeats its own."""
 _BLOCK_BYTES = 1 << 18
-_MOST_COLUMNS = 10_000
-"""Of csv: pyarrow takes memory for each, also for those that are not used."""
+_MOST_COLUMNS = 10_000  # Of csv: pyarrow takes memory for each, also for those that are not used.
 _FREE_ROWS = 500_000
 """A parquet file above this needs a byte a row: equal rows pack a thousandfold, walks do not."""
 _FREE_BYTES = 50_000_000

@@ -1,20 +1,14 @@
 """Rows of a recording as a reader found them, and the means to say where a row stands."""
 
-from __future__ import annotations
-
 import io
 import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from isac_track.errors import DataError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from isac_track.types import Bools, Floats, Ints
+from isac_track.types import Bools, Floats, Ints
 
 WHOLE_LIMIT = 2.0**53
 """Frames and ids are read as float64, which holds every whole number below this."""
@@ -26,10 +20,8 @@ _LIMITS = {
     "x": 1e9,
     "y": 1e9,
 }
-METRES: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-"""By unit of length."""
-FPS_LIMITS = (1e-3, 1e6)
-"""Frames per second outside are a mistake, and would overflow the clock."""
+METRES: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}  # By unit of length.
+FPS_LIMITS = (1e-3, 1e6)  # Frames per second outside are a mistake, and would overflow the clock.
 _SHOWN = 5
 
 
@@ -37,12 +29,9 @@ _SHOWN = 5
 class Repair:
     """Something that was mended, left out or let pass on reading, and how often."""
 
-    kind: str
-    """One of the kinds of ``docs/data.md``, such as `duplicate` or `gap`."""
-    count: int
-    """Rows, steps or tracks, as `detail` says."""
-    detail: str
-    """File, first line numbers, and what was done."""
+    kind: str  # One of the kinds of ``docs/data.md``, such as `duplicate` or `gap`.
+    count: int  # Rows, steps or tracks, as `detail` says.
+    detail: str  # File, first line numbers, and what was done.
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,23 +61,15 @@ class Place:
 class Rows:
     """M rows of a recording: numbers checked, nothing sorted or mended yet."""
 
-    person: Ints
-    """(M,) index into `ids`"""
-    ids: tuple[str, ...]
-    """Who was recorded, each id once, in the order of the tracks to be."""
-    t: Floats
-    """(M,) s, on the file's own clock"""
-    xy: Floats
-    """(M, 2) in the file's unit of length"""
+    person: Ints  # (M,) index into `ids`
+    ids: tuple[str, ...]  # Who was recorded, each id once, in the order of the tracks to be.
+    t: Floats  # (M,) s, on the file's own clock
+    xy: Floats  # (M, 2) in the file's unit of length
     place: Place
-    groups: tuple[tuple[str, str], ...] = ()
-    """(id, label of a walking group) pairs"""
-    notes: tuple[Repair, ...] = ()
-    """What the reader itself mended or left out."""
-    unit: str = ""
-    """Of `METRES`, that the file says its lengths are in; empty if it says nothing."""
-    split_s: float | None = None
-    """The longest step within a track, if the format says so."""
+    groups: tuple[tuple[str, str], ...] = ()  # (id, label of a walking group) pairs
+    notes: tuple[Repair, ...] = ()  # What the reader itself mended or left out.
+    unit: str = ""  # Of `METRES`, that the file says its lengths are in; empty if it says nothing.
+    split_s: float | None = None  # The longest step within a track, if the format says so.
 
 
 def in_metres(rows: Rows, *, unit: str | None) -> Rows:

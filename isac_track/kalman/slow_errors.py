@@ -12,18 +12,13 @@ Applications to Tracking and Navigation*, 2001, section 8.2. Smoother: Bierman, 
 smoothing with discrete measurements", Int. J. Control 18(1), 1973, 65-75 (modified Bryson-Frazier).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from isac_track.kalman import MAX_REJECTIONS, Batch, LastState
-
-if TYPE_CHECKING:
-    from isac_track.types import Floats, Ints
+from isac_track.types import Floats, Ints
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -32,8 +27,7 @@ class SlowError:
 
     std_m: Floats | float
     """Per axis; one number, or (M,): the process of variance 1 that is scaled by it is one."""
-    tau_s: float
-    """Time over which its correlation falls to 1/e; 0: white, infinite: constant."""
+    tau_s: float  # Time over which its correlation falls to 1/e; 0: white, infinite: constant.
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.std_m).all() and np.min(self.std_m, initial=0.0) >= 0.0):

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     Rows: TypeAlias = NDArray[np.uint32]
 
 _MOST = 2**16 - 1  # of a sum in 16 bits
-_ASIDE = 8
-"""ROCs that are laid out at a time: their numbers fill a line of the cache."""
+_ASIDE = 8  # ROCs that are laid out at a time: their numbers fill a line of the cache.
 _FEW = 32  # Probes whose ranks stay in the cache while all shuffles look them up.
 
 

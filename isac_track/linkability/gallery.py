@@ -19,8 +19,7 @@ from isac_track.types import Floats
 REACH: Final = 10
 """No gallery larger than so many times the one measured, and the other rate is of so small a part
 of it."""
-FEWEST: Final = 3
-"""Candidates of the smallest gallery that a rate is read of."""
+FEWEST: Final = 3  # Candidates of the smallest gallery that a rate is read of.
 _STEPS = 60
 _ENDS = np.log([1e-6, 1e9])
 
