@@ -49,21 +49,26 @@ DISSOCIATION = (
 )
 """Controls of the question whether a descriptor tells how linkable people are."""
 PROTECTIONS = (
-    *("ou:0.5", "ou:1", "ou:2", "laplace:0.5", "laplace:1"),
+    *("ou:0.2", "ou:0.3", "ou:0.4", "laplace:0.5", "laplace:1"),
     *(f"fixed:{std_m},adding=independent,law=isotropic" for std_m in ("0.5", "1", "2")),
 )
 """What may survive a filter, and the white noise that it is held against."""
-_SLOW_M = ("0.15", "0.3", "0.45", "0.6", "0.8", "1", "1.25", "1.5", "2", "2.5")
-"""Standard deviations between which every robot's missed conflicts rise by 3 to 10 points."""
+_WHITE_M = ("0.1", "0.3", "0.45", "0.6", "0.75", "0.9", "1.05", "1.2", "1.4", "1.6")
+_SLOW_M = ("0.08", "0.14", "0.18", "0.22", "0.26", "0.3", "0.34", "0.38", "0.42", "0.46", "0.52")
+"""Standard deviations between which a Kalman robot's missed conflicts rise by up to 12 points."""
 _FRONTIER = (
     "raw",
-    *(f"fixed:{std_m},adding=independent,law=isotropic" for std_m in _SLOW_M),
-    *(f"ou:{std_m},tau_s={tau_s}" for tau_s in (1, 2, 10, 20) for std_m in _SLOW_M),
-    *(f"{family}:{std_m}" for family in ("ou", "laplace", "forecast") for std_m in _SLOW_M),
-    *(f"fid:{eta},adding=independent" for eta in ("1", "30", "100", "300", "1000", "3000")),
-    *(f"ou_fid:{eta}" for eta in ("1", "30", "100", "300", "1000", "3000")),
-    *("offset:0.15", "offset:0.3", "offset:0.6", "offset:1", "offset:1.5", "offset:2"),
-    *("thin:2", "thin:4", "thin:8", "thin:12", "thin:16", "thin:24"),
+    *(f"fixed:{std_m},adding=independent,law=isotropic" for std_m in _WHITE_M),
+    *(f"ou:{std_m}" for std_m in _SLOW_M[:-1]),
+    *(f"ou:{std_m},tau_s={tau_s}" for tau_s in (1, 2) for std_m in _SLOW_M[2:]),
+    *(f"ou:{std_m},tau_s={tau_s}" for tau_s in (10, 20) for std_m in _SLOW_M[1:8]),
+    *(f"laplace:{std_m}" for std_m in _WHITE_M[:-2]),
+    *(f"forecast:{std_m}" for std_m in _SLOW_M[:-2]),
+    *("fid:1,adding=independent", "fid:1e4,adding=independent"),
+    *(f"fid:{eta},adding=independent,alpha=1.5" for eta in ("1", "1e4", "1e5", "3e5", "1e6")),
+    *(f"ou_fid:{eta}" for eta in ("3e4", "1e5", "2e5", "4e5", "1e6")),
+    *(f"offset:{metres}" for metres in ("0.1", "0.2", "0.26", "0.32", "0.38", "0.44", "0.5")),
+    *("thin:2", "thin:4", "thin:6", "thin:8", "thin:10", "thin:12", "thin:16"),
 )
 UTILITY_PREDICTORS = ("least_squares", "kalman_cv", "kalman_cv:aware=true")
 """Of a preset's own predictors those that are read in all scenes: the cheap ones."""
@@ -109,7 +114,7 @@ PRESETS = {
         utility_scenes=5000,
         mechanisms=_FRONTIER,
         predictors=UTILITY_PREDICTORS,
-        attacks=("kalman_rts", "radial_rts", "shape@radial_rts", "profile@radial_rts"),
+        attacks=("radial_rts", "ou_rts", "shape", "shape@radial_rts", "shape@ou_rts"),
         tasks=("rerelease",),
         summary="5,000 scenes (500 attacked), 95 levels of all families, plain and aware robots",
     ),
