@@ -89,7 +89,7 @@ _PAPER = Preset(
     protections=PROTECTIONS,
     other_law=SMOKE_LEVELS,
     summary="2,000 scenes (500 attacked), raw, 13 eta, 10 fixed errors, both rules, 6 controls, "
-    "8 levels of slow, Laplace and white noise",
+    "6 levels of slow, Laplace and white noise",
 )
 PRESETS = {
     "smoke": replace(
