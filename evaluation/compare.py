@@ -4,22 +4,17 @@ What changed between them, and every number that both have: A, B, and B - A with
 Nothing is written into either folder. docs/compare.md says how to read it.
 """
 
-from __future__ import annotations
-
+import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from evaluation.analysis.differences import compare
 from evaluation.reporting.difference_tables import show, to_json
 from evaluation.runs.files import to_csv
 from isac_track.command_line import Parser, exit_code
 from isac_track.errors import DataError, SettingsError
-
-if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Sequence
 
 _EXIT = """\
 exit codes: 0 done, 1 a headline number differs (with --fail-on-change), 2 wrong usage or data

@@ -3,19 +3,14 @@
 Nothing is computed anew; summary, tables and figures follow from the finished cells.
 """
 
-from __future__ import annotations
-
 import sys
+from argparse import Namespace
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from evaluation.reporting.tables import show, write_docs
 from evaluation.results import rebuild
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
-
-if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Sequence
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,13 +1,12 @@
 """A run from settings to data frames and files: plan, execute, report."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pandas as pd
 from threadpoolctl import threadpool_limits
@@ -43,9 +42,6 @@ from evaluation.runs.manifest import FAILED_COLUMNS, read_manifest
 from evaluation.runs.workers import ahead, given_back
 from evaluation.verdict import sections as verdict
 from isac_track.errors import SettingsError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 __all__ = ["Results", "build", "load", "rebuild", "run"]
 _one_thread = partial(threadpool_limits, limits=1, user_api="blas")

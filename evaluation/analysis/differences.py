@@ -3,13 +3,13 @@
 Nothing is computed anew: the estimates and their replicates come from the finished cells.
 """
 
-from __future__ import annotations
-
 import json
 import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from pathlib import Path
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -26,15 +26,10 @@ from evaluation.runs.manifest import read_manifest
 from isac_track.errors import DataError, SettingsError
 from isac_track.intervals import CONFIDENCE, Estimate, percentile_interval
 from isac_track.linkability.significance import holm
+from isac_track.types import Floats
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
-
-    from isac_track.types import Floats
-
-    Manifest = Mapping[str, Any]
-    Apart = dict[str, tuple[Any, Any]]
+Manifest = Mapping[str, Any]
+Apart = dict[str, tuple[Any, Any]]
 
 IDENTICAL, DIFFERS, UNDECIDED, UNTESTED = "identical", "differs", "undecided", "untested"
 """Findings of a row."""

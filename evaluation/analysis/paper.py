@@ -1,9 +1,8 @@
 """The paper's own numbers and claims, and how ours compare."""
 
-from __future__ import annotations
-
+from collections.abc import Iterator, Mapping
 from itertools import chain, pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,12 +12,7 @@ from evaluation.analysis.keys import Measure
 from evaluation.analysis.matching import MIN_DEFINED, MISSED, Sweeps
 from evaluation.analysis.metrics import METRICS, MISSED_RATE
 from evaluation.experiment.presets import SHARED
-from isac_track.intervals import FEWEST_EFFECTIVE, difference
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from isac_track.intervals import Estimate
+from isac_track.intervals import FEWEST_EFFECTIVE, Estimate, difference
 
 DATASET = "students03"  # The recording that the paper used.
 PREDICTOR = "least_squares"

@@ -4,31 +4,24 @@ The unit is the source track, or the group that walks together: every interval d
 clusters, the same ones for every mechanism, so that differences are paired.
 """
 
-from __future__ import annotations
-
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, TypeAlias
+from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 
+from evaluation.analysis.families import Family
 from evaluation.analysis.keys import Key
 from evaluation.analysis.linkability import Cards, dataset_of
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, RECONSTRUCTION
 from evaluation.experiment.constants import OTHER_LAW
-from evaluation.runs.cell_files import read_rows
+from evaluation.runs.cell_files import Summed, read_rows
 from isac_track.intervals import Estimate, cluster_sums, cluster_weights, ratio_estimates
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    import pyarrow as pa
-
-    from evaluation.analysis.families import Family
-    from evaluation.runs.cell_files import Summed
-    from isac_track.types import ErrorLaw, Floats, Ints
+from isac_track.types import ErrorLaw, Floats, Ints
 
 N_REPLICATES = 1000
 COLUMNS = [

@@ -19,11 +19,12 @@ The intervals are not adjusted for the number of comparisons: of two attacks tha
 good one is flagged at about one level in forty. Fewer than 20 clusters decide nothing.
 """
 
-from __future__ import annotations
-
 import json
 from collections import Counter
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Iterator, Mapping
+from collections.abc import Set as AbstractSet
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -37,13 +38,8 @@ from evaluation.runs.cell_files import read_rows
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate, difference
 from isac_track.protocols import ADVERSARIES
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from collections.abc import Set as AbstractSet
-    from pathlib import Path
-
-    Found = Mapping[Key, Estimate]
-    Levels = Mapping[Where, Mapping[Source, Estimate]]
+Found = Mapping[Key, Estimate]
+Levels = Mapping[Where, Mapping[Source, Estimate]]
 
 SIMPLER = (IDENTITY, "moving_average", "savgol", "kalman_rts")  # From the simplest on.
 BEATEN, DOES_NOT_FALL = "beaten", "does_not_fall"

@@ -1,25 +1,19 @@
 """The five questions that a run is read for, and a sentence on each, with its numbers."""
 
-from __future__ import annotations
-
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from evaluation.analysis.families import ADDING_RULES, CLEAN, RAW, SWEPT
+from evaluation.analysis.keys import Where
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE
 from evaluation.analysis.strongest import by_task, strongest_of
 from evaluation.reporting import table as make
 from evaluation.reporting.headline import ROBOTS, TASKS, Headline, Shown, headline
-from evaluation.reporting.rows import HEADLINE
+from evaluation.reporting.rows import HEADLINE, Results
 from evaluation.verdict import rules
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from evaluation.analysis.keys import Where
-    from evaluation.reporting.rows import Results
-    from isac_track.intervals import Estimate
+from isac_track.intervals import Estimate
 
 LIMIT: Final = 0.5
 """Of PLR after attack: below it most positions are kept; what the last answer looks for."""

@@ -4,22 +4,17 @@ A chart is as wide as a phone. Colours are classes, so that they change in the d
 shape and filling say the same in grey. Every mark is named.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from evaluation.analysis.frontier import front
 from evaluation.analysis.keys import level_text
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from isac_track.intervals import Estimate
-    from isac_track.types import Floats
+from isac_track.intervals import Estimate
+from isac_track.types import Floats
 
 WIDTH: Final = 360.0
 CHARACTER: Final = 5.6

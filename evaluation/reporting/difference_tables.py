@@ -1,9 +1,12 @@
 """What differs, on the terminal and as JSON: two runs, other assumptions, other constants."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from rich.console import Console
 
 from evaluation.analysis import differences as comparing
 from evaluation.analysis.calibration import FITTED, Calibration
@@ -15,17 +18,9 @@ from evaluation.experiment.variants import BASE
 from evaluation.reporting import table as make
 from evaluation.reporting import terminal
 from evaluation.reporting.table import Cell, Column, Table
+from evaluation.reporting.terminal import Part
 from evaluation.verdict import sensitivity
 from evaluation.verdict.rules import SECTIONS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    import pandas as pd
-    from rich.console import Console
-
-    from evaluation.reporting.terminal import Part
 
 _MOST_SHOWN = 20
 _ROOM = 24

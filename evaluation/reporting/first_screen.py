@@ -3,12 +3,11 @@
 At most 40 lines of 80 columns, with what was said before it; all else is in `tables.txt`.
 """
 
-from __future__ import annotations
-
 import math
 import shlex
+from collections.abc import Iterator, Mapping
 from itertools import groupby
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from evaluation.analysis import weak_attacks
 from evaluation.analysis.families import RAW
@@ -16,16 +15,12 @@ from evaluation.reporting.announcements import WIDTH, near, notices, scenes_text
 from evaluation.reporting.answers import LIMIT, answers, headline_of
 from evaluation.reporting.headline import MOST_LEVELS, Headline, levels_of, screen_table
 from evaluation.reporting.result_tables import control_tests
+from evaluation.reporting.rows import Results
 from evaluation.reporting.table import Table, printable, shortened
 from evaluation.reporting.terminal import aligned
 from evaluation.runs.files import PAGE
 from evaluation.verdict.rules import DOES_NOT
 from isac_track.linkability import LEVEL
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from evaluation.reporting.rows import Results
 
 LINES: Final = 40
 _CORNER: Final = "in %; ind. = independent"

@@ -1,15 +1,11 @@
 """A gallery of tracks: where four people walked, what was shared of it, and what was rebuilt."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+import pandas as pd
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from isac_track.types import Bools, Floats
+from isac_track.types import Bools, Floats
 
 SIZE: Final = (180.0, 135.0)  # Of a panel, in its own units.
 _BAR_M: Final = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)

@@ -3,14 +3,14 @@
 What noise costs a robot, what is known of positions, and who is found again, level by level.
 """
 
-from __future__ import annotations
-
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+import pandas as pd
 
 from evaluation.analysis.families import CLEAN, SWEPT, Family, families_in
 from evaluation.analysis.keys import AS_SHARED, Key, Measure, Source, Where, level_text
@@ -21,11 +21,6 @@ from evaluation.reporting.rows import HEADLINE, family_of
 from evaluation.reporting.table import Cell, Column, Table
 from isac_track.intervals import Estimate
 from isac_track.linkability import GALLERY
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    import pandas as pd
 
 ROBOTS: Final = {"least_squares": "the paper's line", "kalman_cv": "Kalman"}
 """Predictors that are shown if a run has them; their last word stands over a column."""

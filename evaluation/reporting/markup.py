@@ -1,19 +1,15 @@
 """A table as LaTeX (a booktabs tabular), Markdown and CSV; `templates` has it for the page."""
 
-from __future__ import annotations
-
 import csv
 import io
+from collections.abc import Iterable, Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from evaluation.reporting.table import Cell, Column, Table, printable
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
 
 TEMPLATES: Final = Path(__file__).with_name("templates")
 _OPTIONS: dict[str, Any] = {

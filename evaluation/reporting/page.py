@@ -3,30 +3,25 @@
 One file without a request to anywhere, readable on a phone and in print, light and dark.
 """
 
-from __future__ import annotations
-
 import re
-from typing import TYPE_CHECKING, Final
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
 
 from attacks.tasks.task_list import TASKS
 from evaluation.analysis import weak_attacks
 from evaluation.reporting.announcements import command, data_notices, scenes_text
 from evaluation.reporting.answer_tables import SECTIONS as QUESTIONS
 from evaluation.reporting.answers import answers, headline_of
+from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.gallery import panels
 from evaluation.reporting.markup import HTML
 from evaluation.reporting.pictures import pictures, planes
+from evaluation.reporting.rows import Results
 from evaluation.reporting.table import decision
 from evaluation.reporting.tables import page_tables
 from evaluation.runs.files import write_whole
 from evaluation.runs.pieces import failed_lines
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from evaluation.reporting.figures.figure import Figure
-    from evaluation.reporting.rows import Results
 
 PAGE: Final = "report.html"
 SECTIONS: Final = {

@@ -1,23 +1,16 @@
 """The pictures of the page: one for each question, and the plane of privacy and utility."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Final, NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from evaluation.analysis.families import CLEAN, FID, FIXED, RAW
-from evaluation.analysis.keys import AS_SHARED, Measure
+from evaluation.analysis.keys import AS_SHARED, Measure, Where
 from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE
 from evaluation.reporting.answers import LIMIT
 from evaluation.reporting.charts import LOOKS, Chart, Look, Point, plane_chart, rows_chart
-from evaluation.reporting.headline import ROBOTS, levels_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from evaluation.analysis.keys import Where
-    from evaluation.reporting.headline import Headline, Shown
+from evaluation.reporting.headline import ROBOTS, Headline, Shown, levels_of
 
 _MISSED: Final = "missed conflicts (%)"
 _SERIES: Final = tuple(Look(place) for place in range(LOOKS))

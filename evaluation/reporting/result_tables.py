@@ -1,12 +1,13 @@
 """Tables of what was measured: every level as shared, after each attack, and linked."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
+from collections.abc import Collection, Mapping
 from functools import partial
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pandas as pd
 
 from attacks.tasks.controls import CONTROLS
 from evaluation.analysis.families import CLEAN, LEVEL_UNITS, families_in
@@ -34,11 +35,6 @@ from evaluation.reporting import table as make
 from evaluation.reporting.announcements import approximation
 from evaluation.reporting.table import Cell, Column, Table
 from isac_track.linkability import LEVEL
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
-
-    import pandas as pd
 
 MARKS = dict(zip(REMARKS, "~^!", strict=True))
 """Of what is to be said of a cell that does not simply link."""

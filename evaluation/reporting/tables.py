@@ -5,14 +5,14 @@ In README and docs a block is ``<!-- table: NAME RUN -->`` ... ``<!-- end -->``:
 of the smoke run all.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import math
 import re
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 import pandas as pd
 from rich.console import Console
@@ -37,15 +37,10 @@ from evaluation.reporting.headline import LAW, headline, headline_table
 from evaluation.reporting.markup import latex, markdown
 from evaluation.reporting.rows import ENDS, Results, by_level, sources_at, telling
 from evaluation.reporting.table import Cell, Table, amount, built, held, said
+from evaluation.reporting.terminal import Part
 from evaluation.runs.files import to_csv, write_whole
 from evaluation.runs.pieces import failed_lines
 from isac_track.errors import DataError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from evaluation.reporting.terminal import Part
 
 _BLOCK = re.compile(r"(<!-- table: (\S+) (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 _WIDE: Final = 160  # Columns of `tables.txt`.

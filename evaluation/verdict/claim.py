@@ -4,10 +4,9 @@ At equal missed rate: descriptors as shared, the same after attack, and who is l
 of any other mechanism of the run that has levels.
 """
 
-from __future__ import annotations
-
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -20,13 +19,9 @@ from evaluation.verdict import rules
 from evaluation.verdict.items import Draft
 from evaluation.verdict.rules import NAME, known
 from isac_track.intervals import estimate_of
+from isac_track.types import Floats
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from isac_track.types import Floats
-
-    Items = Sequence[dict[str, Any]]
+Items = Sequence[dict[str, Any]]
 
 _CRITERIA: Final = {
     MISSED: (MISSED_RATE, "At an equal rise of missed conflicts"),

@@ -1,26 +1,21 @@
 """Section d of the verdict: how much higher each descriptor is after attack than as shared."""
 
-from __future__ import annotations
-
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from evaluation.analysis.families import ADDING_RULES
 from evaluation.analysis.keys import AS_SHARED, Source
+from evaluation.analysis.matching import Sweeps
 from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.verdict import rules
 from evaluation.verdict.items import Draft
 from evaluation.verdict.rules import NAME
 from isac_track.intervals import estimate_of
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
-    from evaluation.analysis.matching import Sweeps
-
-    Items = Sequence[dict[str, Any]]
+Items = Sequence[dict[str, Any]]
 
 
 def inflation(sweeps: Sweeps, attacks: Iterable[Source]) -> Iterator[Draft]:

@@ -5,10 +5,9 @@ an adding rule. What a user adds is listed beside it. From the people who are li
 what their own windows give away, `contrasts` makes what `spread` decides on.
 """
 
-from __future__ import annotations
-
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from attacks.tasks.task_list import TASKS
 from evaluation.analysis.families import FID, FIXED, RAW, Family
 from evaluation.analysis.keys import where_text
 from evaluation.analysis.linkability import dataset_of
+from evaluation.analysis.linked_people import LinkedTask
 from evaluation.analysis.matching import FEWEST_LEVELS, MIN_DEFINED
 from evaluation.experiment.presets import PRESETS
 from evaluation.verdict import rules, spread
@@ -27,12 +27,7 @@ from isac_track.intervals import (
     cluster_weights,
     effective_clusters,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from evaluation.analysis.linked_people import LinkedTask
-    from isac_track.types import Floats, Ints
+from isac_track.types import Floats, Ints
 
 N_REPLICATES: Final = 1000
 OFFSET: Final = "offset"  # Moves a whole walk: who links where the frame is hidden cannot notice.

@@ -6,27 +6,21 @@ level, the paper's *claim* that FID has the advantage over fixed noise at equal 
 decides is in `rules`, in words in docs/verdict.md.
 """
 
-from __future__ import annotations
-
 import json
 from collections import Counter
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-from evaluation.analysis.linked_people import by_cluster
+from evaluation.analysis.keys import Source
+from evaluation.analysis.linked_people import LinkedProbes, by_cluster
+from evaluation.analysis.matching import Sweeps
 from evaluation.verdict import claim, inflation, rules
 from evaluation.verdict.items import decided
 from evaluation.verdict.validity import validity
 from evaluation.verdict.within_level import within
 from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from evaluation.analysis.keys import Source
-    from evaluation.analysis.linked_people import LinkedProbes
-    from evaluation.analysis.matching import Sweeps
-
-    Items = Sequence[dict[str, Any]]
+Items = Sequence[dict[str, Any]]
 
 
 def verdict(

@@ -7,16 +7,16 @@ the mechanism: at one value of it, fixed noise, FID and the dissociation control
 follows in `spread`; here it is put into items and words.
 """
 
-from __future__ import annotations
-
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from scipy.special import stdtrit
 
-from evaluation.analysis.families import ADDING_RULES
+from evaluation.analysis.families import ADDING_RULES, Family
 from evaluation.analysis.keys import where_text
+from evaluation.analysis.linked_people import LinkedTask
 from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.verdict import power, rules, spread
 from evaluation.verdict.panel import Panel, Sums, contrasts, drawn_weights, panel
@@ -25,13 +25,7 @@ from evaluation.verdict.rules import BETWEEN, NAME, known, with_interval
 from evaluation.verdict.spread import BOTH, NEITHER, ONLY_FEWER, ONLY_MORE, Contrasts, Widths
 from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE, Estimate
 from isac_track.rng import stream
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from evaluation.analysis.families import Family
-    from evaluation.analysis.linked_people import LinkedTask
-    from isac_track.types import Floats, Ints
+from isac_track.types import Floats, Ints
 
 CONSTRUCTION, SHOWN, ATTACKS = "construction", "shown", "attacks"
 """Kinds of evidence: the task hides what the mechanism changes; more people are linked; fewer are,

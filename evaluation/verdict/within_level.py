@@ -5,15 +5,16 @@ descriptor track by track wants to know whether it tells which, beyond what anyb
 it: how long the track is, how fast, and how noisy in both releases.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import pandas as pd
 from scipy.special import stdtrit
 
 from evaluation.analysis.families import ADDING_RULES, RAW
+from evaluation.analysis.keys import Source
+from evaluation.analysis.linked_people import LinkedProbes
+from evaluation.analysis.matching import Sweeps
 from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.analysis.summary import N_REPLICATES
 from evaluation.verdict import rules
@@ -21,14 +22,7 @@ from evaluation.verdict.items import Draft
 from evaluation.verdict.rules import NAME, known
 from isac_track.intervals import CONFIDENCE, Estimate, effective_clusters
 from isac_track.rng import stream
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from evaluation.analysis.keys import Source
-    from evaluation.analysis.linked_people import LinkedProbes
-    from evaluation.analysis.matching import Sweeps
-    from isac_track.types import Floats, Ints
+from isac_track.types import Floats, Ints
 
 _FEW, _NOTHING, _NO_SPREAD = 3, 1e-9, 1e-12
 

@@ -3,29 +3,24 @@
 A file in this folder with a function `figures` makes some.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re
 import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
+from pathlib import Path
 from pkgutil import iter_modules
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from evaluation.reporting.charts import CHARACTER, WIDTH, Chart, Look
 from evaluation.reporting.markup import HTML
+from evaluation.reporting.rows import Results
 from evaluation.reporting.table import printable, shortened
 from evaluation.runs.files import write_whole
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from evaluation.reporting.rows import Results
 
 _TOP, _LEFT, _HEADING, _GAP = 26.0, 10.0, 16.0, 14.0
 _INKS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#1b1d20")

@@ -1,13 +1,12 @@
 """Figures over the level: what is shared and missed, and what attacks leave."""
 
-from __future__ import annotations
-
 import re
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from operator import attrgetter
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from evaluation.analysis.families import FID, FIXED, RAW
 from evaluation.analysis.keys import AS_SHARED, ORACLE, Source, is_attack
@@ -19,11 +18,6 @@ from evaluation.reporting import rows as picked
 from evaluation.reporting.charts import LOOKS, Axis, Curve, Look, curves_chart
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.result_tables import after_attack, sources_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    import pandas as pd
 
 _FILES = {FID: "fid_threshold", FIXED: "fixed_error"}
 _MOST_CHARACTERS = 80

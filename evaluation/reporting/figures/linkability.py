@@ -1,26 +1,20 @@
 """The figure of linkage: rank 1 of the strongest attacks over the level, task by task."""
 
-from __future__ import annotations
-
 import math
+from collections.abc import Iterator
 from itertools import zip_longest
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
 from evaluation.analysis.families import CLEAN, RAW
+from evaluation.analysis.keys import Source
+from evaluation.analysis.linkability import LinkedTask
 from evaluation.analysis.metrics import SUCCESS
 from evaluation.reporting import rows as picked
 from evaluation.reporting.charts import LOOKS, Axis, Look, curves_chart
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.figures.levels import alone, curve
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from evaluation.analysis.keys import Source
-    from evaluation.analysis.linkability import LinkedTask
 
 
 def figures(run: picked.Results) -> Iterator[Figure]:

@@ -1,10 +1,9 @@
 """What privacy costs a robot: each descriptor as shared against missed conflicts."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import numpy as np
+import pandas as pd
 
 from evaluation.analysis.families import ADDING_RULES, RAW
 from evaluation.analysis.keys import is_attack
@@ -13,11 +12,6 @@ from evaluation.experiment.presets import SHARED
 from evaluation.reporting import rows as picked
 from evaluation.reporting.charts import LOOKS, Axis, Curve, Look, curves_chart
 from evaluation.reporting.figures.figure import Figure
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    import pandas as pd
 
 
 def figures(run: picked.Results) -> Iterator[Figure]:
