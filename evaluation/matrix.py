@@ -40,8 +40,8 @@ examples:
 """
 _PRESETS = "; ".join(f"{name}: {preset.summary}" for name, preset in PRESETS.items())
 _DATA = (
-    "a known data set (downloaded if need be) or your own file (default: students03 if it is here, "
-    "else the simulated plaza)"
+    "a known data set (downloaded if need be), your own file, or a folder of sessions (default: "
+    "students03 if it is here, else the simulated plaza)"
 )
 _REPLACES = "repeatable; replaces the preset's"
 _ATTACK = f"a reconstruction, a linker, or LINKER@RECONSTRUCTION; `none` for none; {_REPLACES}"
@@ -59,6 +59,7 @@ _OPTIONS: Final[dict[str, tuple[type, str, str]]] = {
     "format": (str, "NAME", "format of your own file; see docs/data.md"),
     "fps": (float, "N", "frames per second of your own file"),
     "unit": (str, "m|cm|mm", "of lengths in your own file (default: as its header says, else m)"),
+    "session": (list, "FILE", "a file of several sessions of one recording; repeatable"),
     "scenes": (int, "N", "Monte Carlo scenes (default: the preset's)"),
     "seed": (int, "N", "base seed of every random stream (default: 0)"),
     "mechanism": (list, "SPEC", f"{_MECHANISM}; {_REPLACES}"),
@@ -95,6 +96,7 @@ def parser() -> argparse.ArgumentParser:
     )
     add("--config", type=Path, metavar="FILE.toml", help="the same keys from a file")
     for option, about in {
+        "--persistent-ids": "ids are the same people in all sessions",
         "--keep-scores": "keep the raw scores of everybody who links as well: some hundred MB",
         "--fresh": "replace the run in the folder, do not continue it",
         "--verbose": "print all tables and notices, not the first screen alone",
@@ -121,7 +123,7 @@ def settings_from(options: argparse.Namespace) -> Settings:
             raise SettingsError(f"--set takes STAGE.KEY=VALUE, got {text!r}")
         stage_values[name.strip()] = value.strip()
     for key in ("fps", "format", "unit"):
-        if key in values and "dataset" not in values:
+        if key in values and not values.keys() & {"dataset", "session"}:
             raise SettingsError(f"--{key} describes your own file: name it with --dataset PATH")
     for key in _AXES:
         specs = values.pop(key, None)
@@ -134,6 +136,8 @@ def settings_from(options: argparse.Namespace) -> Settings:
     return Settings(
         cell_timeout_s=values.pop("cell_timeout", None),
         stages=StageSettings().changed(stage_values),
+        sessions=tuple(values.pop("session", ())),
+        persistent_ids=options.persistent_ids,
         keep_scores=options.keep_scores,
         fresh=options.fresh,
         **values,

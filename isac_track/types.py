@@ -95,6 +95,10 @@ class Tracks:
     source: tuple[str, ...] = field(metadata=TRACK)  # (N,) id of the recorded track, unique.
     group: tuple[str, ...] = field(metadata=TRACK)
     """(N,) the cluster of every interval: people who walk together share one."""
+    person: tuple[str, ...] | None = field(default=None, kw_only=True, metadata=TRACK)
+    """(N,) who it is; of several sessions None unless ids last over them."""
+    session: tuple[str, ...] | None = field(default=None, kw_only=True, metadata=TRACK)
+    """(N,) in which session, if there are several."""
 
     def __post_init__(self) -> None:
         _check_batch(self)
@@ -277,7 +281,7 @@ def _check_batch(batch: _Batch) -> None:
         if item.metadata.get("per") == "sample" and value is not None:
             is_planar = item.name in {"xy", "unit_error"}
             _freeze(batch, **{item.name: (n_samples, 2) if is_planar else (n_samples,)})
-        elif item.metadata.get("per") == "track" and len(value) != n_tracks:
+        elif item.metadata.get("per") == "track" and value is not None and len(value) != n_tracks:
             raise ValueError(f"{item.name} must name {n_tracks} tracks, got {len(value)}")
     check_times(batch.t, batch.offsets)
     largest = float(np.finfo(np.float64).max)

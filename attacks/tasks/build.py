@@ -10,16 +10,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import combinations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from attacks.tasks.circumstances import circumstances
 from attacks.tasks.sessions import N_FOLDS, Sessions, Windows, halves, joined, roles
 from attacks.tasks.task_list import TASKS, Task, task_named
 from isac_track.datasets import load, summarise
 from isac_track.errors import DataError, SettingsError
 from isac_track.resample import sampling_times, walk
 from isac_track.rng import stream
+from isac_track.types import Tracks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -27,10 +30,11 @@ if TYPE_CHECKING:
     from numpy.random import Generator
 
     from isac_track.config import StageSettings
-    from isac_track.types import Bools, Floats, Ints, Tracks
+    from isac_track.types import Bools, Floats, Ints
 
 LEAST_PEOPLE = 24
 """Fewer cannot be split into people to learn from, to calibrate on and to attack, twice."""
+LEAST_COME_BACK = 8  # In a task that learns leaving one person out.
 CLOCK_S = 1e-9  # Room for the rounding of a frame clock: 12 s at 25 Hz is 300 frames.
 
 
@@ -74,9 +78,10 @@ class Draft:
 
     def need_people(self, found: int, what: str) -> None:
         """Refuse a recording with too few people for the task; `what` says which were counted."""
-        if found < LEAST_PEOPLE:
+        least = LEAST_COME_BACK if self.task.comes_back else LEAST_PEOPLE
+        if found < least:
             raise DataError(
-                f"task {self.task.name}: {found} {what}, but it takes {LEAST_PEOPLE}; use a longer "
+                f"task {self.task.name}: {found} {what}, but it takes {least}; use a longer "
                 "recording, shorter windows (--set linkage....) or leave the task out (--task)"
             )
 
@@ -118,7 +123,9 @@ class Draft:
         self, rows: Ints, *, group: tuple[str, ...], may_teach: Bools, **found: object
     ) -> Sessions:
         """Return the sessions of the people of these tracks; `found` is what else they hold."""
-        learns, calibrates = roles(group, may_teach=may_teach, rng=self.rng("roles"))
+        learns, calibrates = may_teach, np.zeros_like(may_teach)
+        if not self.task.comes_back:
+            learns, calibrates = roles(group, may_teach=may_teach, rng=self.rng("roles"))
         source = tuple(self.tracks.source[row] for row in rows)
         by_itself, moving = np.ones((2, rows.size), dtype=bool)
         for tracks in (self.tracks, self.later):
@@ -179,6 +186,52 @@ def new_traversal(draft: Draft) -> Sessions:
     return _closed(draft, draft.settings.linkage.window_s, starts_s)
 
 
+def cross_session(draft: Draft) -> Sessions:
+    """Return a window of each person's walk in both of the two sessions that most people share.
+
+    Of a person with several tracks in a session it is the longest.
+    """
+    tracks, needed_s = draft.tracks, draft.settings.linkage.window_s
+    if tracks.session is None or tracks.person is None:
+        raise DataError(
+            f"task {draft.task.name}: nobody is known to come back; it takes sessions whose ids "
+            "are the same people: a markerID in their headers, or --persistent-ids"
+        )
+    longest: dict[str, dict[str, int]] = {name: {} for name in tracks.session}
+    long = draft.lasting(needed_s)
+    for row in long[np.argsort((draft.end_s - draft.start_s)[long], kind="stable")].tolist():
+        longest[tracks.session[row]][tracks.person[row]] = row
+    pairs = [*combinations(longest.values(), 2)]
+    both_of = [sorted(one.keys() & other.keys()) for one, other in pairs]
+    names, days = max(zip(both_of, pairs, strict=True), key=lambda found: len(found[0]))
+    draft.need_people(len(names), f"people walk for {needed_s:g} s in two sessions")
+    rows = [np.array([day[name] for name in names]) for day in days]
+    first, second = (_named(tracks, of_day, names) for of_day in rows)
+
+    def starts_s(first_s: Floats, slack_s: Floats, rng: Generator) -> Floats:
+        return np.asarray(first_s + rng.uniform(0.0, slack_s))
+
+    found = _closed(replace(draft, tracks=first, later=second), needed_s, starts_s)
+    place = np.array([names.index(name) for name in found.source])
+    probe, gallery = (
+        replace(side, about=circumstances(tracks, of_day[place[side.person]], side))
+        for of_day, side in zip(rows, (found.probe, found.gallery), strict=True)
+    )
+    return replace(found, probe=probe, gallery=gallery)
+
+
+def _named(tracks: Tracks, rows: Ints, names: Sequence[str]) -> Tracks:
+    """Return some tracks, called by other names."""
+    parts = [slice(*tracks.offsets[row : row + 2]) for row in rows.tolist()]
+    return Tracks(
+        t=np.concatenate([tracks.t[part] for part in parts]),
+        xy=np.concatenate([tracks.xy[part] for part in parts]),
+        offsets=np.concatenate([[0], np.cumsum([part.stop - part.start for part in parts])]),
+        source=tuple(names),
+        group=tuple(tracks.group[row] for row in rows),
+    )
+
+
 def _closed(
     draft: Draft,
     length_s: float,
@@ -194,7 +247,7 @@ def _closed(
     tracks, later = draft.tracks, replace(draft, tracks=draft.later)
     needed_s = length_s if needed_s is None else needed_s
     what = f"of {len(tracks)} tracks last {needed_s:g} s"
-    if draft.task.simulated:
+    if draft.task.simulated or draft.task.comes_back:
         what = f"people walk for {needed_s:g} s in both sessions"
     # Who stays at home on the second day is left out.
     there = {later.tracks.source[row] for row in later.lasting(needed_s)}
@@ -214,7 +267,14 @@ def _closed(
     group = joined(
         [tracks.group[row] for row in rows], [later.tracks.group[row] for row in rows_later]
     )
-    fold_of = halves(group, rng=draft.rng("folds"))
+    searches: tuple[str, ...]
+    if draft.task.comes_back:
+        fold_of = np.zeros(rows.size, dtype=np.int64)
+        cluster = np.unique(group, return_inverse=True)[1]
+        may_teach, searches = cluster[:, None] != cluster, ("everybody",)
+    else:
+        fold_of = halves(group, rng=draft.rng("folds"))
+        may_teach, searches = np.stack([fold_of == 1, fold_of == 0]), ("half 1", "half 2")
 
     def windows(side: str, day: Draft, track: Ints, start_s: Floats, person: Ints) -> Windows:
         row, start_s, search = track[person], start_s[person], fold_of[person]
@@ -231,12 +291,12 @@ def _closed(
     return draft.sessions(
         rows,
         group=group,
-        may_teach=np.stack([fold_of == 1, fold_of == 0]),
+        may_teach=may_teach,
         probe=windows("probe", draft, rows, starts[:, 0], np.arange(rows.size)),
         gallery=windows("gallery", later, rows_later, starts[:, 1], order),
         mate=np.argsort(order),
-        fold=np.arange(N_FOLDS),
-        searches=("half 1", "half 2"),
+        fold=np.arange(len(searches)),
+        searches=searches,
         too_short=len(tracks) - len(long),
         not_drawn=len(long) - rows.size,
     )
@@ -330,7 +390,7 @@ def _instants(draft: Draft, at_s: Floats, gap_s: float) -> Ints:
 
 
 _MAKERS: Final[Mapping[str, Callable[[Draft], Sessions]]] = {
-    make.__name__: make for make in (rerelease, split, new_traversal, handover)
+    make.__name__: make for make in (rerelease, split, new_traversal, cross_session, handover)
 }
 """By the family of the task."""
 
@@ -348,6 +408,8 @@ def sessions_of(
     if task.simulated and later is None:
         tracks, later = _crowd(stages.linkage.trait_strength)
     found = make(Draft(task=task, tracks=tracks, later=later or tracks, settings=stages, seed=seed))
+    if task.comes_back:
+        return found
     mated = found.mate >= 0
     fold, person = found.fold[found.probe.search[mated]], found.probe.person[mated]
     for half in range(N_FOLDS):

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 
+from attacks.tasks.circumstances import COLUMNS
 from isac_track.sensing import intervals_before
 
 if TYPE_CHECKING:
@@ -42,9 +43,12 @@ class Control:
     hides_in_scene: bool = False  # Whether it sees what a task in the true frame shows on purpose.
     sees_times_only: bool = False
     """Whether it scores alike at every level of a mechanism that shares every sample."""
+    circumstance: tuple[int, ...] = ()  # Columns of `circumstances`, which it sees instead.
 
     def applies(self, task: Task) -> bool:
         """Whether a task has this control."""
+        if self.circumstance:
+            return task.comes_back
         return not (self.hides_in_scene and task.shows_scene)
 
     def scorer(self, task: Task) -> Score | None:
@@ -60,12 +64,16 @@ def _alike(features: Callable[[Release], Floats]) -> Score:
 
     def score(probe: Release, gallery: Release, rng: Generator) -> Floats:
         del rng
-        first, second = (features(one).reshape(len(one), -1) for one in (probe, gallery))
-        spread = np.concatenate([first, second]).std(axis=0)
-        gap = (first[:, None, :] - second[None, :, :]) / np.where(spread > 0, spread, 1.0)
-        return np.asarray(-np.sqrt((gap**2).sum(axis=2)))
+        return closeness(*(features(one).reshape(len(one), -1) for one in (probe, gallery)))
 
     return score
+
+
+def closeness(first: Floats, second: Floats) -> Floats:
+    """Return minus the distance of features, (P, F) and (G, F), each scaled by its spread."""
+    spread = np.concatenate([first, second]).std(axis=0)
+    gap = (first[:, None, :] - second[None, :, :]) / np.where(spread > 0, spread, 1.0)
+    return np.asarray(-np.sqrt((gap**2).sum(axis=2)))
 
 
 def _means(values: Floats, release: Release) -> Floats:
@@ -155,4 +163,10 @@ CONTROLS: Final[Mapping[str, Control]] = {
         hides_in_scene=True,
         sees_times_only=True,
     ),
+    **{
+        name: Control(
+            f"the {name.replace('_', ' ')} alone", None, sees_times_only=True, circumstance=columns
+        )
+        for name, columns in COLUMNS.items()
+    },
 }

@@ -34,8 +34,11 @@ class Windows:
     offsets: Ints  # (N + 1,)
     person: Ints  # (N,) row in the people of the `Sessions`.
     search: Ints  # (N,) which search it belongs to: candidates are compared within one.
+    about: Floats | None = None  # (N, 6) `circumstances`, where a task controls for them.
 
     def __post_init__(self) -> None:
+        if self.about is not None:
+            object.__setattr__(self, "about", read_only(self.about))
         for name in ("t", "xy", "offsets", "person", "search"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
@@ -57,8 +60,10 @@ class Sessions:
     mate: Ints  # (P,) gallery window of the same person in the same search, or -1.
     fold: Ints  # (S,) half of each search; its adversary learns on the other half.
     searches: tuple[str, ...]  # (S,) for people: a fold's number, or the instant of a handover.
-    learns: Bools  # (2, K) people from whom the adversary of either fold learns.
-    calibrates: Bools  # (2, K) people on whose scores those of either fold are calibrated.
+    learns: Bools
+    """(2, K) people from whom the adversary of either fold learns; where the task is of few who
+    come back, (K, K) from whom that of each person does."""
+    calibrates: Bools  # as `learns`: people on whose scores those of a fold are calibrated.
     too_short: int
     """Recorded tracks that are left out: shorter than the windows, or not there at the time."""
     not_drawn: int  # Further ones beyond `linkage.most_people`.
@@ -68,12 +73,13 @@ class Sessions:
             object.__setattr__(self, name, read_only(getattr(self, name)))
         # Nobody is attacked by who learnt from them or from their group.
         cluster = np.unique(self.group, return_inverse=True)[1]
-        for fold in range(N_FOLDS):
-            teaches = cluster[self.learns[fold] | self.calibrates[fold]]
-            for side in (self.probe, self.gallery):
-                attacked = side.person[self.fold[side.search] == fold]
-                if np.intersect1d(cluster[attacked], teaches).size:
-                    raise AssertionError("a victim's group is among the training people")
+        for fold, teachers in enumerate(self.learns | self.calibrates):
+            sides = (self.probe, self.gallery)
+            attacked = np.concatenate([one.person[self.fold[one.search] == fold] for one in sides])
+            if self.task.comes_back:
+                attacked = np.array([fold])
+            if np.intersect1d(cluster[attacked], cluster[teachers]).size:
+                raise AssertionError("a victim's group is among the training people")
         learnt, known = (cluster[each.any(axis=0)] for each in (self.learns, self.calibrates))
         if np.intersect1d(learnt, known).size:
             raise AssertionError("scores are calibrated on people who were learnt from")

@@ -28,6 +28,9 @@ class Task:
     shows_scene: bool = False  # Whether the releases come in the true frame and on the true clock.
     gap_s: float = 0.0  # Silence before all pseudonyms rotate.
     is_one_walk: bool = True  # Whether probe and gallery show one walk of one session.
+    comes_back: bool = False
+    """Whether it needs people who are in two sessions of a recording: so few that an adversary
+    learns leaving one person out."""
     simulated: bool = False  # Whether it needs the two-session crowd instead of a recording.
 
     @property
@@ -75,6 +78,12 @@ TASKS: Final[Mapping[str, Task]] = {
             "the same person on another day, simulated",
             is_one_walk=False,
             simulated=True,
+        ),
+        Task(
+            "cross_session",
+            "the same real person in another session",
+            is_one_walk=False,
+            comes_back=True,
         ),
     )
 }

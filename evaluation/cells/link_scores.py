@@ -18,7 +18,7 @@ import pyarrow as pa
 
 from evaluation.cells.tables import ROWS, Tables, names_column
 from isac_track import linkability
-from isac_track.intervals import Estimate, cluster_sums, ratio_estimates
+from isac_track.intervals import Estimate, cluster_sums, exact_binomial, ratio_estimates
 from isac_track.linkability.scoring import RANK_METRICS, Drawn, draw, scorecard_of
 from isac_track.linkability.significance import People, people_of
 from isac_track.rng import stream
@@ -94,8 +94,7 @@ def read_off(
     """
     sessions = known.sessions
     searches, probes, galleries = [], [], []
-    pairings = {number: one for half in known.halves for number, one in half.searches}
-    for number, pairing in sorted(pairings.items()):
+    for number, pairing in sorted(known.searches.items()):
         probes.append(sessions.probe.person[pairing.probe])
         galleries.append(sessions.gallery.person[pairing.gallery])
         searches.append(
@@ -139,6 +138,12 @@ def read_off(
             if name in ("rank1_assigned", "false_link_rate")
         }
         scored = replace(scored, estimates=scored.estimates | unknown)
+    if sessions.task.comes_back:  # one outcome a person, and few
+        rank1 = scored.estimates["rank1"]
+        hits = int(rank1.value * scored.n_mated + 1e-9)  # a fraction, left by ties, is none
+        low, high = exact_binomial(hits=hits, n=scored.n_mated)
+        exact = replace(rank1, ci_low=low, ci_high=high)
+        scored = replace(scored, estimates=scored.estimates | {"rank1": exact})
     cohorts = {}
     if control is None:
         who = {WITHOUT_GROUPS: sessions.alone, WITHOUT_FROZEN: sessions.moving}
@@ -316,8 +321,7 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
 def _probe_names(known: SensedSessions) -> dict[str, pa.Array]:
     """Return the columns that name the probes: those of every cell of a task."""
     sessions = known.sessions
-    pairings = dict(sorted(one for half in known.halves for one in half.searches))
-    probe = np.concatenate([one.probe for one in pairings.values()])
+    probe = np.concatenate([one.probe for _, one in sorted(known.searches.items())])
     person = sessions.probe.person[probe]
     return {
         "search": names_column(sessions.probe.search[probe], sessions.searches),

@@ -20,7 +20,7 @@ from isac_track.sensing import draw_channel, sense, walk_numbers
 from isac_track.types import Bools, Floats, Ints, Sensed, read_only
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from attacks.tasks.sessions import Sessions
     from isac_track.config import PrivacySettings, StageSettings
@@ -57,6 +57,7 @@ class SensedSessions:
     sensed: tuple[Sensed, ...]  # Probe and gallery.
     frames: tuple[Frame, ...]  # Of the walks of either; none where the task shows the scene.
     halves: tuple[Half, ...]
+    searches: Mapping[int, Pairing]  # Every search, by number, whole.
     drawn_as: Ints  # (C,) which cluster of the run's scenes each cluster is, or -1.
     n_groups: int  # Clusters of the run's scenes.
     weights: Floats  # (B, C) bootstrap weights of the clusters.
@@ -95,13 +96,16 @@ def _sense_sessions(
     drawn_as = np.array([known.get(name, -1) for name in names.tolist()])
     task = sessions.task
     largest = int(np.bincount(sessions.gallery.search).max())
-    candidates = stages.linkage.candidates
+    candidates = 0 if task.comes_back else stages.linkage.candidates
+    folds = range(len(sessions.learns)) if task.comes_back else np.unique(sessions.fold).tolist()
+    halves = tuple(_half(sessions, fold) for fold in folds)
     frames = () if task.shows_scene else tuple(_frames(sessions, one, seed=seed) for one in SIDES)
     return SensedSessions(
         sessions=sessions,
         sensed=tuple(_sensed(sessions, one, stages=stages, seed=seed) for one in SIDES),
         frames=frames,
-        halves=tuple(_half(sessions, fold) for fold in np.unique(sessions.fold).tolist()),
+        halves=halves,
+        searches=_whole(one for half in halves for one in half.searches),
         drawn_as=drawn_as,
         n_groups=len(groups),
         weights=linkage_weights(drawn_as, n_groups=len(groups), task=task.name, seed=seed),
@@ -112,13 +116,33 @@ def _sense_sessions(
     )
 
 
+def _whole(parts: Iterable[tuple[int, Pairing]]) -> dict[int, Pairing]:
+    """Return every search whole, of which each fold may have some of the probes."""
+    found: dict[int, Pairing] = {}
+    for number, part in parts:
+        one = found.setdefault(number, part)
+        if one is not part:
+            probe, mate = (
+                np.concatenate([getattr(one, name), getattr(part, name)])
+                for name in ("probe", "mate")
+            )
+            found[number] = Pairing(probe, part.gallery, mate)
+    return found
+
+
 def _half(sessions: Sessions, fold: int) -> Half:
     mine = np.flatnonzero(sessions.fold == fold)
     others = np.flatnonzero(sessions.fold != fold)
+    attacked: Bools | None = None
+    if sessions.task.comes_back:  # a fold is a person, who is searched for among all
+        mine = others = np.arange(sessions.fold.size)
+        attacked = sessions.probe.person == fold
 
-    def part(searches: Ints, people: Bools | None = None) -> Pairing:
+    def part(searches: Ints, people: Bools | None = None, probes: Bools | None = None) -> Pairing:
         probe = np.isin(sessions.probe.search, searches)
         gallery = np.isin(sessions.gallery.search, searches)
+        if probes is not None:
+            probe &= probes
         if people is not None:
             probe &= people[sessions.probe.person]
             gallery &= people[sessions.gallery.person]
@@ -133,7 +157,7 @@ def _half(sessions: Sessions, fold: int) -> Half:
     calibrates = [part(one, sessions.calibrates[fold]) for one in others[:, None]]
     mated = np.concatenate([np.zeros(0, dtype=bool), *(one.mate >= 0 for one in calibrates)])
     return Half(
-        searches=tuple((int(one[0]), part(one)) for one in mine[:, None]),
+        searches=tuple((int(one[0]), part(one, probes=attacked)) for one in mine[:, None]),
         learns=part(others, sessions.learns[fold]),
         calibrates=tuple(one for one in calibrates if (one.mate >= 0).any()),
         mate_rate=(int(mated.sum()) + 0.5) / (mated.size + 1.0),

@@ -16,7 +16,7 @@ import pyarrow as pa
 
 from attacks.linkage.alignment import Shape
 from attacks.remembered import part
-from attacks.tasks.controls import CONTROLS
+from attacks.tasks.controls import CONTROLS, closeness
 from evaluation.cells import sharing
 from evaluation.cells.adversary import declared, granted_at, reconstructed, showing
 from evaluation.cells.candidates import (
@@ -155,7 +155,8 @@ def link(consumer: Consumer, level: LinkedLevel) -> Linked:
     for fold, half in enumerate(known.halves):
         score, sides = _fitted(consumer, level, fold), _sides(consumer, level, fold)
         for number, pairing in half.searches:
-            scores[number] = score(*sides.of(pairing))
+            found = score(*sides.of(pairing))
+            scores[number] = np.concatenate([scores.get(number, found[:0]), found])
         on_others = calibrated([(score(*sides.of(one)), one) for one in half.calibrates])
         if on_others is not None:
             calibration[fold] = on_others
@@ -224,7 +225,14 @@ def _controlled(consumer: Consumer, level: LinkedLevel) -> Linked:
     score = control.scorer(task)
     scores: dict[int, Floats] = {}
     blind = level.showing(frozenset())
-    for number, pairing in (one for half in known.halves for one in half.searches):
+    for number, pairing in known.searches.items():
+        first, second = known.sessions.probe.about, known.sessions.gallery.about
+        if control.circumstance and first is not None and second is not None:
+            columns = list(control.circumstance)
+            scores[number] = closeness(
+                first[pairing.probe][:, columns], second[pairing.gallery][:, columns]
+            )
+            continue
         if score is not None:
             scores[number] = score(*level.seen.of(pairing), rng)
             continue

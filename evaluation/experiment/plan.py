@@ -89,7 +89,12 @@ def plan(settings: Settings) -> Plan:
     """
     crossed = axes(settings)
     dataset = datasets.load(
-        settings.dataset, format=settings.format, fps=settings.fps, unit=settings.unit
+        settings.dataset,
+        format=settings.format,
+        fps=settings.fps,
+        unit=settings.unit,
+        sessions=settings.sessions,
+        persistent_ids=settings.persistent_ids,
     )
     tracks = cut(dataset.tracks, settings=settings.stages, seed=settings.seed)
     # One task always uses the bundled crowd.
@@ -106,9 +111,11 @@ def plan(settings: Settings) -> Plan:
     }
     if settings.unit is not None:
         identity["unit"] = settings.unit
+    if settings.persistent_ids:
+        identity["persistent_ids"] = True
     if settings.n_utility_scenes != settings.n_scenes:
         identity["scenes_utility"] = settings.n_utility_scenes
-    sessions, skipped = [], {}
+    sessions, skipped, unasked = [], dict[str, str](), set[str]()
     for task in crossed.tasks:
         try:
             sessions.append(
@@ -117,8 +124,13 @@ def plan(settings: Settings) -> Plan:
         except DataError as error:
             if settings.tasks is not None:  # it was named, so that it must be
                 raise
+            if task.comes_back and dataset.tracks.session is None:
+                unasked.add(task.name)  # of one session nobody expects it
+                continue
             skipped[task.name] = str(error)
-    links = tuple((task, link) for task, link in crossed.links if task.name not in skipped)
+    links = tuple(
+        (task, link) for task, link in crossed.links if task.name not in {*skipped, *unasked}
+    )
     crossed = replace(crossed, links=links, skipped=skipped)
     units, code_of = _units(crossed, settings, identity=identity)
     jobs = jobs_of(crossed, settings)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 
+from attacks.tasks.task_list import TASKS
 from evaluation.experiment.constants import IDENTITY, SHARED
 
 __all__ = ["DISSOCIATION", "IDENTITY", "PRESETS", "PROTECTIONS", "SHARED", "UTILITY_PREDICTORS"]
@@ -85,7 +86,7 @@ _PAPER = Preset(
         *("shape", "shape@radial_rts", "profile", "profile@radial_rts", "dtw"),
         *("behaviour", "histogram", "kinematic", "kinematic@radial_rts"),
     ),
-    tasks=("rerelease", "split", "handover-1s", "handover-2s", "handover-5s", "new_traversal"),
+    tasks=(*TASKS,),
     protections=PROTECTIONS,
     other_law=SMOKE_LEVELS,
     summary="2,000 scenes (500 attacked), raw, 13 eta, 10 fixed errors, both rules, 6 controls, "

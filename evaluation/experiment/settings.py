@@ -39,6 +39,8 @@ class Settings:
     format: str | None = None
     fps: float | None = None
     unit: str | None = None  # Of lengths in a file of one's own: m, cm or mm.
+    sessions: tuple[str, ...] = ()  # Paths of files that are sessions of one recording.
+    persistent_ids: bool = False  # Whether ids are the same people in all sessions.
     scenes: int | None = None  # Attacked ones, and all.
     seed: int = 0
     mechanisms: tuple[str, ...] | None = None
@@ -96,6 +98,7 @@ class Settings:
             given["dataset"] = str(self.dataset)
         if isinstance(given["stages"], Mapping):
             given["stages"] = StageSettings().changed(given["stages"])
+        given["sessions"] = tuple(map(str, given["sessions"]))
         for axis in (*_AXES, "adversaries"):
             some = given[axis]
             if isinstance(some, str) or not isinstance(some, Iterable | None):

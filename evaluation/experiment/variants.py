@@ -178,6 +178,9 @@ def settings_of(
     if not variant.recording and name not in KNOWN:
         source = manifest["dataset"]["path"]
         own = {name: manifest["identity"].get(name) for name in ("format", "fps", "unit")}
+        own["sessions"] = tuple(manifest["dataset"].get("sessions", ()))
+        own["persistent_ids"] = bool(manifest["identity"].get("persistent_ids"))
+        source = None if own["sessions"] else source
     # Nobody waits for a network here: a data set that is missing fails with how to get it.
     data = datasets.load(source, download=False, **own)
     if not variant.recording and data.sha256 != manifest["dataset"]["sha256"]:

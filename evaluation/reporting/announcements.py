@@ -256,7 +256,8 @@ def command(manifest: Mapping[str, Any]) -> str:
     named = {word.partition("=")[0] for word in options}
     usual = {"--dataset": manifest["dataset"]["name"], "--seed": manifest["settings"]["seed"]}
     for name, value in usual.items():
-        options += [] if name in named else [name, str(value)]
+        is_named = name in named or (name == "--dataset" and "--session" in named)
+        options += [] if is_named else [name, str(value)]
     return shlex.join(["python", "-m", "evaluation.matrix", *options])
 
 
@@ -269,7 +270,10 @@ def same_run(manifest: Mapping[str, Any], *, axes: Sequence[str] = CONSUMERS) ->
     usual = PRESETS.get(name, PRESETS["paper"])
     words = ["--preset", name] if name in PRESETS and name != "paper" else []
     known = dataset["name"] in KNOWN
-    words += ["--dataset", dataset["name"] if known else dataset["path"]]
+    whole = [("--dataset", dataset["name"] if known else dataset["path"])]
+    named = [("--session", path) for path in dataset.get("sessions", ())] or whole
+    words += [word for pair in named for word in pair]
+    words += ["--persistent-ids"] * bool(identity.get("persistent_ids"))
     if not known and dataset["format"]:
         words += ["--format", dataset["format"]]
     for option in ("fps", "unit"):

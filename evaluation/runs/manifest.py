@@ -156,6 +156,8 @@ def about_data(ready: Plan) -> dict[str, Any]:
         "no_future": tracks.no_future,
         "repairs": [asdict(repair) for repair in dataset.repairs],
     }
+    if dataset.sessions:
+        about["sessions"] = [str(Path(one).absolute()) for one in dataset.sessions]
     if len(tracks) < FEW_PEOPLE:
         stages, used = ready.settings.stages, len(tracks)
         about["would_help"] = what_would_help(dataset.tracks, settings=stages, used=used)

@@ -12,7 +12,7 @@ import os
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -20,10 +20,12 @@ from isac_track.datasets import crowd, read_frames, read_gc, read_table, recordi
 from isac_track.datasets.recording import Repair, Rows, checked_fps, steps_within
 from isac_track.datasets.registry import DEFAULT, FALLBACK, GROUPS_FILE, KNOWN, MAIN_FILE, shown
 from isac_track.datasets.repair import to_tracks
+from isac_track.datasets.sessions import as_one
+from isac_track.datasets.sessions import files_in as session_files
 from isac_track.errors import DataError, did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from pandas import DataFrame
 
@@ -44,6 +46,8 @@ FORMATS: Mapping[str, Callable[..., Rows]] = {
 GRAND_CENTRAL = "gc"
 """The format of an archive or a folder, as `read_gc` describes it."""
 _EXTENSIONS = {".csv": "csv", ".parquet": "parquet", ".ndjson": "trajnet"}
+_Read: TypeAlias = "tuple[Tracks, tuple[Repair, ...], str, str]"
+"""Tracks, what was mended, hash and format."""
 SLOW_MPS = 0.2
 """Slower steps than this are not walking."""
 FROZEN_SHARE = 0.9
@@ -73,6 +77,10 @@ class Dataset:
     """Whom to credit; empty if unknown."""
     licence: str
     """Empty if unknown."""
+    sessions: tuple[str, ...] = ()
+    """Paths of the files that were named as sessions."""
+    persistent_ids: bool = False
+    """Whether it was said that ids are the same people in all sessions."""
 
 
 def load(
@@ -82,13 +90,16 @@ def load(
     fps: float | None = None,
     unit: str | None = None,
     download: bool = True,
+    sessions: Sequence[str | Path] = (),
+    persistent_ids: bool = False,
 ) -> Dataset:
     """Load a known data set, a file, or the best data set that is on this machine.
 
     Parameters
     ----------
     name : str or Path, optional
-        A known name, or else the path of a file. Without it: students03 if it is here,
+        A known name, or else the path of a file, or of a folder whose files are sessions of one
+        recording. Without it: students03 if it is here,
         otherwise the bundled crowd plaza, with a notice; never a download.
     format : str, optional
         Format of a file; ``.csv``, ``.parquet`` and ``.ndjson`` (trajnet) name theirs, and so does
@@ -99,6 +110,11 @@ def load(
         Of the lengths in a file: m (the default), cm or mm, unless the file says so.
     download : bool
         Whether a known data set that was named may be downloaded if it is not here.
+    sessions : sequence of str or Path
+        Two files or more that are sessions of one recording, instead of a name.
+    persistent_ids : bool
+        Whether an id is the same person in all sessions. Where a header names a markerID, as
+        PeTrack's do, that says who it is, in any case.
 
     Returns
     -------
@@ -106,31 +122,33 @@ def load(
         Times in s from the first sample of the recording, positions in m. What cannot be had or
         read is a DataError that names file and line, or the way out.
     """
+    if sessions and (name is not None or len(sessions) == 1):
+        raise DataError("--session takes two files or more, and the place of --dataset")
+    if sessions:
+        name = Path(sessions[0]).parent
     source, files, notice = _found(name, download=download, format=format, fps=fps, unit=unit)
     path = next(iter(files.values()))
-    where, format_name, repairs = shown(path), source.format, tuple[Repair, ...]()
-    if source.format == GRAND_CENTRAL:
-        tracks, repairs, sha256 = _grand_central(path, source)
-    else:
-        data = registry.read_bytes(path, data_set=source)
-        sha256 = hashlib.sha256(data).hexdigest()
-    if source.session is not None:
-        where, format_name = f"isac_track/datasets/{path.name}", "npz"
-        tracks = crowd.read_npz(path)
-    elif source.format != GRAND_CENTRAL:
-        format_name, found = _format_of(path, source.format, data=data)
-        groups = []
-        if GROUPS_FILE in files:
-            lines = registry.read_bytes(files[GROUPS_FILE], data_set=source).decode().splitlines()
-            groups = [(member, line.split()[0]) for line in lines for member in line.split()]
-        tracks, repairs = read(
-            data=data, path=where, format=format_name, fps=source.fps, unit=unit, groups=groups
+    is_central = source.format == GRAND_CENTRAL
+    several = [Path(one) for one in sessions]
+    if not several and not is_central and os.path.isdir(path):  # noqa: PTH112 - never raises
+        several = session_files(path, source.sessions or "*")
+    if persistent_ids and not several:
+        raise DataError("--persistent-ids is of sessions: a folder of files, or --session")
+    if several:
+        tracks, repairs, sha256, format_name = _sessions(
+            several, source, unit=unit, persistent_ids=persistent_ids
         )
-        repairs = (*found, *repairs)
+        strange = [one.name for one in several if one.name not in source.sha256]
+        if strange and source.name in KNOWN:
+            notice = f"{source.name}: no known hash: {shown(recording.listed(strange))}"
+    elif is_central:
+        tracks, repairs, sha256, format_name = _grand_central(path, source)
+    else:
+        tracks, repairs, sha256, format_name = _one_file(path, source, files=files, unit=unit)
     return Dataset(
         name=source.name,
         tracks=tracks,
-        path=where,
+        path=shown(path) if source.session is None else f"isac_track/datasets/{path.name}",
         sha256=sha256,
         format=format_name,
         simulated=source.session is not None,
@@ -138,7 +156,65 @@ def load(
         notice=notice,
         citation=source.citation,
         licence=source.licence,
+        sessions=tuple(map(str, sessions)),
+        persistent_ids=persistent_ids,
     )
+
+
+def _one_file(
+    path: Path, source: registry.Known, *, files: Mapping[str, Path], unit: str | None
+) -> _Read:
+    """Return the tracks of one file, what was mended, its hash and format."""
+    data = registry.read_bytes(path, data_set=source)
+    sha256 = hashlib.sha256(data).hexdigest()
+    if source.session is not None:
+        return crowd.read_npz(path), (), sha256, "npz"
+    format_name, found = _format_of(path, source.format, data=data)
+    groups = []
+    if GROUPS_FILE in files:
+        lines = registry.read_bytes(files[GROUPS_FILE], data_set=source).decode().splitlines()
+        groups = [(member, line.split()[0]) for line in lines for member in line.split()]
+    where = shown(path)
+    tracks, repairs = read(
+        data=data, path=where, format=format_name, fps=source.fps, unit=unit, groups=groups
+    )
+    return tracks, (*found, *repairs), sha256, format_name
+
+
+def _sessions(
+    paths: Sequence[Path], source: registry.Known, *, unit: str | None, persistent_ids: bool
+) -> _Read:
+    """Return the tracks of files that are sessions, what was mended, their digest and format.
+
+    The digest is over the hashes and names of the files, in their order, as sha256sum writes them.
+    """
+    parts, notes, digest, formats, marked = [], list[Repair](), hashlib.sha256(), set(), {}
+    for path in paths:
+        data, where = registry.read_bytes(path, data_set=source), shown(path)
+        format_name, found = _format_of(path, source.format, data=data)
+        header = read_frames.read_header(data=data, path=where) if format_name == "pedpy" else None
+        marked[path.stem] = header is not None and header.marker is not None
+        tracks, repairs = read(
+            data=data,
+            path=where,
+            format=format_name,
+            fps=source.fps,
+            unit=unit,
+            by_marker=marked[path.stem],
+        )
+        in_unit = unit or (header.unit if header else "") or "m"
+        parts.append((shown(path.stem), tracks, in_unit))
+        notes += [*found, *repairs]
+        digest.update(f"{hashlib.sha256(data).hexdigest()}  {path.name}\n".encode(errors="replace"))
+        formats.add(format_name)
+    if len(set(marked.values())) > 1:
+        one, other = (next(at for at in marked if marked[at] is is_so) for is_so in (True, False))
+        raise DataError(
+            f"sessions {shown(one)} and {shown(other)}: a header names a markerID in the first "
+            "alone, so that ids clash; leave the column out there, or add it to the other"
+        )
+    tracks = as_one(parts, same_people=persistent_ids or all(marked.values()))
+    return tracks, tuple(notes), digest.hexdigest(), " ".join(sorted(formats))
 
 
 def _found(
@@ -179,14 +255,19 @@ def _found(
     return source, files, notice
 
 
-def _grand_central(path: Path, source: registry.Known) -> tuple[Tracks, tuple[Repair, ...], str]:
-    """Return the tracks of a folder or archive of `GRAND_CENTRAL`, what was mended, its digest."""
+def _grand_central(path: Path, source: registry.Known) -> _Read:
+    """Return the tracks of a folder or archive of `GRAND_CENTRAL`, as `_one_file` does."""
     if source.fps is not None:
         raise DataError(f"{shown(path)}: format {GRAND_CENTRAL} has its own clock; leave --fps out")
     rows, digest = read_gc.read_gc(path, where=shown(path))
     registry.check(path, source, file_name=registry.WHOLE, actual=digest)
     tracks, repairs = to_tracks(rows)
-    return tracks, (*repairs, *read_gc.fast_pieces(tracks, where=shown(path))), digest
+    return (
+        tracks,
+        (*repairs, *read_gc.fast_pieces(tracks, where=shown(path))),
+        digest,
+        GRAND_CENTRAL,
+    )
 
 
 def _format_of(path: Path, name: str, *, data: bytes) -> tuple[str, tuple[Repair, ...]]:
@@ -223,13 +304,15 @@ def read(
     fps: float | None = None,
     unit: str | None = None,
     groups: Iterable[tuple[str, str]] = (),
+    by_marker: bool = False,
 ) -> tuple[Tracks, tuple[Repair, ...]]:
     """Return the tracks in the bytes of one file, and what was mended or left out.
 
     `path` is its name, for messages, and `format` one of `FORMATS`; `fps`, frames a second, is for
     those that count frames; `unit`, of lengths, is m if neither it nor the file says. `groups` are
-    (id, label) pairs of who walks together, if that is in another file. DataError names file and
-    line for anything that cannot be read as tracks.
+    (id, label) pairs of who walks together, if that is in another file. `by_marker`: who it is
+    says the marker that a pedpy header names. DataError names file and line for anything that
+    cannot be read as tracks.
     """
     if fps is not None:
         checked_fps(fps, where="--fps")
@@ -237,7 +320,8 @@ def read(
             raise DataError(
                 f"{path}: format {format} has times in seconds (column t); leave --fps out"
             )
-    clock = {} if format in _WITH_CLOCK else {"fps": fps}
+    clock: dict[str, float | bool | None] = {} if format in _WITH_CLOCK else {"fps": fps}
+    clock |= {"by_marker": True} if by_marker else {}
     # The rows have no name here: they are let go as soon as they are sorted.
     return to_tracks(
         recording.in_metres(FORMATS[format](data=data, path=path, **clock), unit=unit),

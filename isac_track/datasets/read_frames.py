@@ -33,6 +33,7 @@ _HEADER_CHARACTERS = 1000
 _CALLED = {
     **dict.fromkeys(("id", "persid", "personid", "trackid", "ped"), "id"),
     **dict.fromkeys(("frame", "fr", "frameid", "framenr"), "frame"),
+    "markerid": "marker",  # of PeTrack: on the person's head, the same in all runs
     "x": "x",
     "y": "y",
 }
@@ -55,11 +56,16 @@ class Header:
     """Places of frame, id, x and y; empty if no line names all the columns of the first row."""
     line: int
     """That names them."""
+    marker: int | None = None
+    """Place of the person's number, which lasts over files."""
 
 
-def read_columns(format_name: str, *, data: bytes, path: str, fps: float | None) -> Rows:
+def read_columns(
+    format_name: str, *, data: bytes, path: str, fps: float | None, by_marker: bool = False
+) -> Rows:
     """Read rows of numbers with spaces or tabs between them; ``#`` begins a comment.
 
+    `by_marker`: who it is says the marker that the header names, not the id.
     A DataError names file and line, or says that `fps` is missing or contradicts the file's.
     """
     recording.check_text(data=data, path=path)
@@ -92,6 +98,8 @@ def read_columns(format_name: str, *, data: bytes, path: str, fps: float | None)
         raise DataError(f"{path}: cannot be read as {format_name}: {fault}")
     place = recording.Place(path, lambda: np.fromiter((n for n, _ in _split(data)), dtype=np.int64))
     columns = header.columns or {name: COLUMNS[format_name].index(name) for name in _USED}
+    if by_marker and header.marker is not None:
+        columns = {**columns, "id": header.marker}
     rows = recording.framed({name: table[:, columns[name]] for name in _USED}, place)
     return replace(rows, t=rows.t / rate, unit=header.unit)
 
@@ -126,7 +134,8 @@ def read_header(*, data: bytes, path: str) -> Header:
     # As many names as the first row has fields: a sentence about the columns names none.
     of_line, names = next((one for one in named if len(one[1]) == n_fields), (0, []))
     places = {name: names.index(name) for name in _USED if of_line}
-    return Header(fps, next(iter(units), ""), places, of_line)
+    marker = names.index("marker") if names.count("marker") == 1 else None
+    return Header(fps, next(iter(units), ""), places, of_line, marker)
 
 
 def _frame_rate_in(text: str, *, where: str) -> float | None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import gzip
 import hashlib
 import json
+import os
 import re
 import tarfile
 import zlib
@@ -52,8 +53,8 @@ def read_gc(path: Path, *, where: str) -> tuple[Rows, str]:
     names of the files in the order of the names. A DataError names what cannot be read.
     """
     found: dict[str, bytes] = {}
-    archive = path / ARCHIVE if (path / ARCHIVE).is_file() else path
-    for name, data in _archived(archive, where) if archive.is_file() else _in_folder(path, where):
+    archive = next((one for one in (path / ARCHIVE, path) if os.path.isfile(one)), None)  # noqa: PTH113 - never raises
+    for name, data in _in_folder(path, where) if archive is None else _archived(archive, where):
         key = _called(name)
         if key in found:
             raise DataError(f"{where}: two files are called {key}")

@@ -63,6 +63,8 @@ class Known:
     """Hash of every file, by file name; empty if bundled or of one's own."""
     remote: str = ""
     """Its folder in OpenTraj."""
+    sessions: str = ""
+    """Which files of that folder are its sessions; their hashes, where known, are in `sha256`."""
     get: str = ""
     """How to get what is never downloaded from here: a folder of its own, named like it."""
 
@@ -86,6 +88,12 @@ _PLAZA = partial(
     citation="isac-track: the simulated crowd plaza, made by isac_track.datasets.crowd",
     licence="MIT, as isac-track",
 )
+_RUNS = {
+    "04_1": "98357131950b51dc89949e28ef81c29b5240f57cd9831e7eedd17e4a1bc8c4c0",
+    "08_1": "d92a26e1e925feefa73be38cd5e9f2d806277d2043ade6bc399c0cc9d3a2b835",
+    "16_1": "d0d0f74cde18d583a6cd2bc5adb3fc5a4b22693fbc6ee33be9c225e345e48246",
+    "20_2": "aee68c3f7a9ff5ad42299bb5208749186ca4fb03c8bd44090f22865b3dd0818d",
+}
 _KNOWN = (
     _UCY(
         "students03",
@@ -134,6 +142,19 @@ _KNOWN = (
         "datasets/GC of OpenTraj (github.com/crowdbotp/OpenTraj) at commit 97ec1d5e1b57, save it "
         "as DIR/gc, or an archive of it as DIR/gc/gc.tgz",
     ),
+    Known(
+        "singlefile",
+        "people one behind the other on an oval, who come back in other runs",
+        citation="Pedestrian Dynamics Data Archive, doi 10.34735/ped.2021.5; "
+        "PedestrianDynamics/SingleFileMovementAnalysis",
+        licence="as its owners state it with the doi; credit is due",
+        format="pedpy",
+        sessions="croma_female_*.txt",
+        sha256={WHOLE: "", **{f"croma_female_{run}.txt": digest for run, digest in _RUNS.items()}},
+        get="its files are not downloaded from here. Get croma_female_*.txt of "
+        "github.com/PedestrianDynamics/SingleFileMovementAnalysis (commit db3609f7228a, folder "
+        "setupLeft) and save them in DIR/singlefile",
+    ),
     _PLAZA("plaza", "simulated crowd, bundled", session=1),
     _PLAZA("plaza-session2", "the same simulated people another time, bundled", session=2),
 )
@@ -171,14 +192,16 @@ def locate(data_set: Known) -> tuple[dict[str, Path], list[str]]:
     The data folder comes before the cache. Hashes are checked when the files are read.
     """
     folders = [folder for folder in (cache_folder(), _folder(DATA_VARIABLE)) if folder]
-    is_here = os.path.isdir if WHOLE in data_set.sha256 else os.path.isfile  # these never raise
+    is_folder = WHOLE in data_set.sha256
+    names = [WHOLE] if is_folder else [*data_set.sha256]
+    is_here = os.path.isdir if is_folder else os.path.isfile  # these never raise
     files = {
         file_name: folder / data_set.name / file_name
         for folder in folders
-        for file_name in data_set.sha256
+        for file_name in names
         if is_here(folder / data_set.name / file_name)
     }
-    return files, [file_name for file_name in data_set.sha256 if file_name not in files]
+    return files, [file_name for file_name in names if file_name not in files]
 
 
 def searched() -> str:

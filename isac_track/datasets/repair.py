@@ -101,6 +101,7 @@ def to_tracks(
             for track, index in enumerate(owner)
         ),
         group=tuple(cluster[index] for index in owner),
+        person=tuple(ids[index] for index in owner),
     )
     return tracks, tuple(notes)
 
