@@ -79,8 +79,6 @@ class Dataset:
     """Empty if unknown."""
     sessions: tuple[str, ...] = ()
     """Paths of the files that were named as sessions."""
-    persistent_ids: bool = False
-    """Whether it was said that ids are the same people in all sessions."""
 
 
 def load(
@@ -98,9 +96,8 @@ def load(
     Parameters
     ----------
     name : str or Path, optional
-        A known name, or else the path of a file, or of a folder whose files are sessions of one
-        recording. Without it: students03 if it is here,
-        otherwise the bundled crowd plaza, with a notice; never a download.
+        A known name, or else the path of a file, or of a folder of sessions. Without it: students03
+        if it is here, otherwise the bundled crowd plaza, with a notice; never a download.
     format : str, optional
         Format of a file; ``.csv``, ``.parquet`` and ``.ndjson`` (trajnet) name theirs, and so does
         a header as PeTrack and PedPy write it, which names the columns.
@@ -125,7 +122,7 @@ def load(
     if sessions and (name is not None or len(sessions) == 1):
         raise DataError("--session takes two files or more, and the place of --dataset")
     if sessions:
-        name = Path(sessions[0]).parent
+        name = Path(os.path.abspath(sessions[0])).parent  # noqa: PTH100 - never raises
     source, files, notice = _found(name, download=download, format=format, fps=fps, unit=unit)
     path = next(iter(files.values()))
     is_central = source.format == GRAND_CENTRAL
@@ -157,7 +154,6 @@ def load(
         citation=source.citation,
         licence=source.licence,
         sessions=tuple(map(str, sessions)),
-        persistent_ids=persistent_ids,
     )
 
 
@@ -193,14 +189,9 @@ def _sessions(
         data, where = registry.read_bytes(path, data_set=source), shown(path)
         format_name, found = _format_of(path, source.format, data=data)
         header = read_frames.read_header(data=data, path=where) if format_name == "pedpy" else None
-        marked[path.stem] = header is not None and header.marker is not None
+        by = marked[path.stem] = header is not None and header.marker is not None
         tracks, repairs = read(
-            data=data,
-            path=where,
-            format=format_name,
-            fps=source.fps,
-            unit=unit,
-            by_marker=marked[path.stem],
+            data=data, path=where, format=format_name, fps=source.fps, unit=unit, by_marker=by
         )
         in_unit = unit or (header.unit if header else "") or "m"
         parts.append((shown(path.stem), tracks, in_unit))
@@ -262,12 +253,8 @@ def _grand_central(path: Path, source: registry.Known) -> _Read:
     rows, digest = read_gc.read_gc(path, where=shown(path))
     registry.check(path, source, file_name=registry.WHOLE, actual=digest)
     tracks, repairs = to_tracks(rows)
-    return (
-        tracks,
-        (*repairs, *read_gc.fast_pieces(tracks, where=shown(path))),
-        digest,
-        GRAND_CENTRAL,
-    )
+    repairs = (*repairs, *read_gc.fast_pieces(tracks, where=shown(path)))
+    return tracks, repairs, digest, GRAND_CENTRAL
 
 
 def _format_of(path: Path, name: str, *, data: bytes) -> tuple[str, tuple[Repair, ...]]:

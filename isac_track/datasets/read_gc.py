@@ -139,12 +139,8 @@ def _in_folder(path: Path, where: str) -> Iterator[tuple[str, bytes]]:
             raise DataError(f"{where}: over {MOST_MEMBERS} files: not Grand Central")
         for file in files:
             name = str(file.relative_to(root))
-            if not file.is_file() or file.is_symlink():
-                raise DataError(
-                    f"{where}: no {ARCHIVE}, and {shown(name)} is no file of this folder"
-                )
-            if file.stat().st_size > _MOST_FILE_BYTES:
-                raise DataError(f"{where}: {shown(name)} has over {_MOST_FILE_BYTES} bytes")
+            if not file.is_file() or file.is_symlink() or file.stat().st_size > _MOST_FILE_BYTES:
+                raise DataError(f"{where}: {shown(name)} is no file here of a pedestrian's size")
             if _called(name):
                 yield name, file.read_bytes()
     except OSError as error:

@@ -8,6 +8,7 @@ from itertools import combinations, pairwise
 import numpy as np
 import pytest
 from helpers.strategies import reproducible
+from helpers.walkers import runs
 from helpers.walks import release_of
 from hypothesis import given
 from hypothesis import strategies as st
@@ -269,6 +270,36 @@ def test_frozen_people_and_company_are_marked():
     assert frozen == [tracks.source[row]]
     together = {found.source[one] for one in np.flatnonzero(~found.alone)}
     assert together == {name for name in found.source if name <= "p006"}
+
+
+def test_who_comes_back_is_searched_for_among_all_by_who_learnt_on_the_others():
+    found = sessions("cross_session", tracks=runs())
+    assert found.source == tuple(f"p{who:02d}" for who in range(10))
+    assert (found.learns == ~np.eye(10, dtype=bool)).all()
+    assert not found.calibrates.any()
+    assert (found.probe.person == found.gallery.person[found.mate]).all()
+    assert (found.probe.search == 0).all()
+    assert (spans(found.probe)[1] < 500).all()
+    assert (spans(found.gallery)[0] >= 500).all()
+    # By hand: everybody turns left about the middle, 20 are there, and walks last alike.
+    for side in both_sides(found):
+        np.testing.assert_allclose(side.about[:, 2], 1.0, atol=0.02)
+        np.testing.assert_allclose(side.about[:, 3], 20)
+        start_s = spans(side)[0] % 500
+        assert ((side.about[:, 4] >= start_s) & (side.about[:, 4] <= start_s + 12)).all()
+        np.testing.assert_allclose(side.about[:, 5], 39.6)
+        np.testing.assert_allclose(np.hypot(*side.about[:, :2].T), 1.0)
+    with pytest.raises(AssertionError, match="among the training people"):
+        replace(found, learns=np.ones_like(found.learns))
+
+
+def test_fewer_than_eight_who_come_back_are_refused():
+    assert len(sessions("cross_session", tracks=runs(n=8)).source) == 8
+    with pytest.raises(DataError, match="7 people walk for 12 s in two sessions, but it takes 8"):
+        sessions("cross_session", tracks=runs(n=7))
+    for unknown in ({"person": None}, {"session": None}):
+        with pytest.raises(DataError, match="nobody is known to come back"):
+            sessions("cross_session", tracks=replace(runs(), **unknown))
 
 
 NAMES, T = [f"p{row}" for row in range(40)], np.arange(0.0, 100.0, 0.4)

@@ -14,9 +14,11 @@ import pytest
 from helpers.bad_plugins import spoilt
 from helpers.cells import STAGES, Silent, Spy, linked, parsed, plugin, sessions_of
 from helpers.small_runs import smoke
-from helpers.walkers import walkers, write_walkers
+from helpers.walkers import runs, walkers, write_walkers
+from scipy.stats import binomtest
 
 import evaluation
+from attacks.tasks.circumstances import COLUMNS
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import TASKS
 from evaluation import matrix
@@ -241,7 +243,8 @@ class TestWhatIsReadOff:
 
 class TestControls:
     @pytest.mark.parametrize(
-        ("task", "without"), [("rerelease", set()), ("handover-1s", {"frame", "clock"})]
+        ("task", "without"),
+        [("rerelease", {*COLUMNS}), ("handover-1s", {*COLUMNS, "frame", "clock"})],
     )
     def test_every_task_has_its_controls(self, task, without):
         found = of_task(task, Linker(), controls=True)
@@ -262,7 +265,7 @@ class TestControls:
         raw, fixed = (
             of_task("rerelease", Linker(), by=spec, controls=True) for spec in ("raw", "fixed:1")
         )
-        for name, control in CONTROLS.items():
+        for name, control in ((one, CONTROLS[one]) for one in CONTROLS if one not in COLUMNS):
             key = f"rerelease/control-{name}", ""
             assert equal(raw[key], fixed[key]) == control.sees_times_only
 
@@ -622,3 +625,32 @@ class TestOutcomes:
         assert linkability.dataset_of("new_traversal/x", dataset="here") != "here"
         assert linkability.dataset_of("split/x", dataset="here") == "here"
         assert linkability.dataset_of("least_squares", dataset="here") == "here"
+
+
+def test_who_comes_back_is_linked_by_an_adversary_who_never_saw_them_learning():
+    sessions = sessions_of("cross_session", tracks=runs())
+    spy = Linker(requires=frozenset({Knowledge.TRAIN}))
+    found, level = linked(sessions, "clean", spy, controls=True)
+    (result,) = (one for (spec, _), one in found.items() if "control" not in spec)
+    (pairing,) = level.known.searches.values()
+    assert pairing.probe.tolist() == list(range(10))
+    for person, (context, probe, gallery) in enumerate(spy.seen):
+        assert (len(probe), len(gallery)) == (1, 10)
+        train = context.train
+        # Their own walk is neither in what is learnt from nor a candidate there.
+        assert (len(train.probe), len(train.gallery)) == (9, 9)
+        ways = [np.hypot(*one.xy[0]) for one in train.probe]
+        assert np.hypot(*probe[0].xy[0]) not in ways
+        assert np.array_equal(
+            result.searches[0].scores[person], np.float32(by_length(probe, gallery)[0])
+        )
+    rank1 = result.scored.estimates["rank1"]
+    hits = round(10 * rank1.value)
+    exact = binomtest(hits, 10).proportion_ci(method="exact")
+    np.testing.assert_allclose([rank1.ci_low, rank1.ci_high], exact, rtol=1e-9)
+    # A control sees its circumstance alone: there are 20 people in either session, at any time.
+    crowd = found["cross_session/control-run_density", ""].searches[0]
+    assert (crowd.scores == 0).all()
+    times = found["cross_session/control-run_time", ""].searches[0].scores
+    gap = np.subtract.outer(sessions.probe.about[:, 4], sessions.gallery.about[:, 4])
+    assert (np.argsort(-np.abs(gap), axis=1) == np.argsort(times, axis=1)).all()

@@ -45,3 +45,12 @@ def mirror(empty_machine, monkeypatch):  # noqa: ARG001 - the cache is to be emp
     with serving() as server:
         monkeypatch.setenv("ISAC_TRACK_MIRROR", server.address)
         yield server
+
+
+@pytest.fixture
+def single_file():
+    """Give the folder of the single-file experiments, which are not part of the project."""
+    folder = Path(os.environ.get("ISAC_TRACK_DATA", "nowhere")) / "singlefile"
+    if not folder.is_dir():
+        pytest.skip("needs the single-file experiments: set ISAC_TRACK_DATA")
+    return folder

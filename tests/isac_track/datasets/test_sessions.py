@@ -1,0 +1,119 @@
+"""Several files as sessions of one recording, and who of them comes back."""
+
+import numpy as np
+import pytest
+
+from evaluation.matrix import main
+from isac_track.datasets import load
+from isac_track.errors import DataError
+
+T = np.arange(0.0, 24.0, 0.4)
+
+
+def walk(who, *, marker=None, unit="m", step=10):
+    """Rows of PeTrack: id, frame, x, y, z and the person's marker."""
+    scale = {"m": 1.0, "cm": 100.0}[unit]
+    return [
+        f"{who} {n * step} {0.5 * t * scale:.4f} {who * scale:.4f} 1.7 {marker or ''}".strip()
+        for n, t in enumerate(T)
+    ]
+
+
+def petrack(path, people, *, marked=True, unit="m", rate=25, step=10):
+    names = f"# id frame x/{unit} y/{unit} z/{unit}" + " markerID" * marked
+    rows = [row for who, marker in people for row in walk(who, marker=marker, unit=unit, step=step)]
+    path.write_text("\n".join([f"# framerate: {rate}", names, *rows]) + "\n")
+    return path
+
+
+def csv(path, people):
+    rows = [f"{t:.2f},{who},{0.5 * t:.4f},{who}" for who in people for t in T]
+    path.write_text("\n".join(["t,id,x,y", *rows]) + "\n")
+    return path
+
+
+def test_a_marker_is_the_person_whatever_the_id_and_heights_are_never_used(tmp_path):
+    petrack(tmp_path / "a.txt", [(1, 701), (2, 702)])
+    petrack(tmp_path / "b.txt", [(1, 702), (2, 703)])
+    found = load(tmp_path)
+    tracks = found.tracks
+    assert tracks.source == ("a:701", "a:702", "b:702", "b:703")
+    assert tracks.person == ("701", "702", "702", "703")
+    assert tracks.session == ("a", "a", "b", "b")
+    assert len(set(tracks.group)) == 3  # one person is one cluster of every interval
+    assert tracks.group[1] == tracks.group[2]
+    assert tracks.xy[:, 1].tolist() == np.repeat([1.0, 2.0, 1.0, 2.0], T.size).tolist()
+    # One session after the other, so that nobody is there in both at once.
+    assert tracks.t[tracks.offsets[2]] == pytest.approx(T[-1] + 60.0)
+    taller = (tmp_path / "b.txt").read_text().replace(" 1.7 ", " 2.1 ")
+    (tmp_path / "b.txt").write_text(taller)
+    assert np.array_equal(load(tmp_path).tracks.xy, tracks.xy)
+    assert load(tmp_path).sha256 != found.sha256
+
+
+def test_ids_are_other_people_in_another_file_unless_it_is_said_that_they_last(tmp_path):
+    files = [csv(tmp_path / "a.csv", (1, 2)), csv(tmp_path / "b.csv", (2, 3))]
+    apart, same = (load(sessions=files, persistent_ids=one) for one in (False, True))
+    assert (apart.tracks.person, len(set(apart.tracks.group))) == (None, 4)
+    assert same.tracks.person == ("1", "2", "2", "3")
+    assert len(set(same.tracks.group)) == 3
+    assert apart.name == tmp_path.name
+    assert apart.sha256 == load(tmp_path).sha256
+
+
+@pytest.mark.parametrize(
+    ("second", "options", "message"),
+    [
+        ({"unit": "cm"}, [], "sessions a and b are in m and cm"),
+        ({"rate": 50}, [], "have a sample every 0.4 and 0.2 s"),
+        ({"marked": False}, [], "names a markerID in the first alone, so that ids clash"),
+        ({"people": [(1, 701), (2, 701)]}, [], "id 701 is somewhere else at the same time"),
+        ({}, ["--task", "cross_session"], "2 people walk for 12 s in two sessions, but it takes 8"),
+        ({"name": "a.csv"}, [], "two sessions are called a"),
+        (None, ["--persistent-ids"], "--persistent-ids is of sessions"),
+    ],
+)
+def test_sessions_that_do_not_fit_are_one_line_and_2(second, options, message, tmp_path, capsys):
+    people = [(1, 701), (2, 702)]
+    first = petrack(tmp_path / "a.txt", people)
+    words = ["--dataset", str(first)]
+    if second is not None:
+        words = ["--dataset", str(tmp_path)]
+        name = second.pop("name", "b.txt")
+        if name.endswith("csv"):
+            csv(tmp_path / name, (1, 2))
+        else:
+            marked = second.get("marked", True)
+            unmarked = [(who, None) for who, _ in people]
+            petrack(tmp_path / name, **({"people": people if marked else unmarked} | second))
+    assert main([*words, *options, "--out", str(tmp_path / "out"), "--jobs", "1"]) == 2
+    said = capsys.readouterr().err
+    error = said[said.index("error:") :]
+    assert message in " ".join(error.split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_is_no_set_of_sessions(tmp_path):
+    one = csv(tmp_path / "a.csv", (1,))
+    for given in ({"sessions": [one]}, {"name": "plaza", "sessions": [one, one]}):
+        with pytest.raises(DataError, match="two files or more, and the place of --dataset"):
+            load(**given)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(DataError, match=r"this is a folder, and holds no session \(.csv"):
+        load(tmp_path / "empty")
+
+
+def test_single_file_experiments_and_a_further_run_of_theirs(single_file, data_folder):
+    for path in single_file.glob("*.txt"):
+        (data_folder / "singlefile").mkdir(exist_ok=True)
+        (data_folder / "singlefile" / path.name).symlink_to(path)
+    found = load("singlefile")
+    assert (len(found.tracks), len(set(found.tracks.person)), found.notice) == (48, 20, None)
+    text = (single_file / "croma_female_04_1.txt").read_text()
+    further = data_folder / "singlefile" / "croma_female_24_1.txt"
+    further.write_text(text)
+    assert load("singlefile").notice == "singlefile: no known hash: croma_female_24_1.txt"
+    further.rename(data_folder / "singlefile" / "croma_female_04_1.txt")
+    (data_folder / "singlefile" / "croma_female_04_1.txt").write_text(text + "\n")
+    with pytest.raises(DataError, match=r"is not the croma_female_04_1.txt of singlefile"):
+        load("singlefile")
