@@ -54,22 +54,26 @@ PROTECTIONS = (
     *(f"fixed:{std_m},adding=independent,law=isotropic" for std_m in ("0.5", "1", "2")),
 )
 """What may survive a filter, and the white noise that it is held against."""
-_WHITE_M = ("0.1", "0.3", "0.45", "0.6", "0.75", "0.9", "1.05", "1.2", "1.4", "1.6")
-_SLOW_M = ("0.08", "0.14", "0.18", "0.22", "0.26", "0.3", "0.34", "0.38", "0.42", "0.46", "0.52")
-"""Standard deviations between which a Kalman robot's missed conflicts rise by up to 12 points."""
+_LEVELS = {
+    ("fixed", ",adding=independent,law=isotropic"): "0.1 0.3 0.45 0.6 0.75 0.9 0.97 1.05 1.12 1.2 "
+    "1.4 1.6",
+    ("ou", ""): "0.08 0.14 0.18 0.22 0.26 0.28 0.3 0.32 0.34 0.36 0.38 0.42 0.46",
+    ("ou", ",tau_s=1"): "0.1 0.2 0.28 0.36 0.42 0.48 0.54 0.6",
+    ("ou", ",tau_s=2"): "0.1 0.18 0.24 0.3 0.35 0.4 0.45 0.5",
+    ("ou", ",tau_s=10"): "0.1 0.16 0.22 0.28 0.34 0.4 0.46",
+    ("ou", ",tau_s=20"): "0.1 0.16 0.22 0.28 0.34 0.4 0.46",
+    ("ou_fid", ""): "3e4 1e5 2e5 4e5 1e6",
+    ("laplace", ""): "0.1 0.3 0.5 0.7 0.9 1.1 1.3 1.5",
+    ("forecast", ""): "0.05 0.12 0.18 0.24 0.3 0.36 0.44",
+    ("thin", ""): "2 4 6 8 10 12 16 20",
+    ("fid", ",adding=independent"): "1 1e4",
+    ("fid", ",adding=independent,alpha=1.5"): "1 1e4 1e5 3e5 1e6",
+    ("offset", ""): "0.1 0.2 0.26 0.32 0.38 0.44 0.5 0.6",
+}
+"""Between which a Kalman robot's missed conflicts rise by up to 12 points on Students03."""
 _FRONTIER = (
     "raw",
-    *(f"fixed:{std_m},adding=independent,law=isotropic" for std_m in _WHITE_M),
-    *(f"ou:{std_m}" for std_m in _SLOW_M[:-1]),
-    *(f"ou:{std_m},tau_s={tau_s}" for tau_s in (1, 2) for std_m in _SLOW_M[2:]),
-    *(f"ou:{std_m},tau_s={tau_s}" for tau_s in (10, 20) for std_m in _SLOW_M[1:8]),
-    *(f"laplace:{std_m}" for std_m in _WHITE_M[:-2]),
-    *(f"forecast:{std_m}" for std_m in _SLOW_M[:-2]),
-    *("fid:1,adding=independent", "fid:1e4,adding=independent"),
-    *(f"fid:{eta},adding=independent,alpha=1.5" for eta in ("1", "1e4", "1e5", "3e5", "1e6")),
-    *(f"ou_fid:{eta}" for eta in ("3e4", "1e5", "2e5", "4e5", "1e6")),
-    *(f"offset:{metres}" for metres in ("0.1", "0.2", "0.26", "0.32", "0.38", "0.44", "0.5")),
-    *("thin:2", "thin:4", "thin:6", "thin:8", "thin:10", "thin:12", "thin:16"),
+    *(f"{name}:{at}{more}" for (name, more), levels in _LEVELS.items() for at in levels.split()),
 )
 UTILITY_PREDICTORS = ("least_squares", "kalman_cv", "kalman_cv:aware=true")
 """Of a preset's own predictors those that are read in all scenes: the cheap ones."""
@@ -117,6 +121,6 @@ PRESETS = {
         predictors=UTILITY_PREDICTORS,
         attacks=("radial_rts", "ou_rts", "shape", "shape@radial_rts", "shape@ou_rts"),
         tasks=("rerelease",),
-        summary="5,000 scenes (500 attacked), 95 levels of all families, plain and aware robots",
+        summary="5,000 scenes (500 attacked), 98 levels of all families, plain and aware robots",
     ),
 }

@@ -20,10 +20,12 @@ from evaluation.analysis.strongest import BEYOND
 from evaluation.reporting import table as make
 from evaluation.reporting import terminal
 from evaluation.reporting.announcements import same_run, scenes_text
+from evaluation.reporting.noise_plan import told
 from evaluation.reporting.result_tables import MARKS, MEANING
 from evaluation.reporting.table import Cell, Column, Table
 from evaluation.verdict import choose_level as design
 from isac_track.intervals import Estimate
+from isac_track.kalman import steady
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -243,6 +245,10 @@ def notes(choice: design.Choice) -> list[str]:
     silent = [one for one in schemes if one.name not in choice.answers]
     undeclared = ", ".join(dict.fromkeys(one.name for one in schemes if not one.family.adding))
     raw_misses = "; ".join(_reasons(choice.raw_checks))
+    limit, closed = choice.limits.given.get(EXPOSURE, 0.0), ""
+    if 0.0 < limit < 1.0 and not choice.limits.as_shared:
+        usual = {"q": steady.Q_M2_PER_S3, "dt_s": steady.INTERVAL_S}
+        closed = " ".join(told(plr=limit, epsilon_m=steady.EPSILON_M, **usual)[:2])
     crowds = ", ".join(one.task for one in choice.tasks if not one.limited)
     found = {
         dataset.get("notice") or "the tracks are simulated": dataset["simulated"],
@@ -252,6 +258,7 @@ def notes(choice: design.Choice) -> list[str]:
         f"raw positions, without any added error, miss the targets themselves ({raw_misses}): no "
         "level can be expected to meet them": raw_misses
         and any(scheme.chosen is None for scheme in schemes),
+        f"closed forms alone, without a run, would have said: {' '.join(closed.split())}": closed,
         f"--max-rank1 does not limit {crowds}: simulated people": crowds
         and SUCCESS in choice.limits.given,
         "the run is of another version of the code, which would drop its finished cells; the "
