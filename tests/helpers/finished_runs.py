@@ -218,6 +218,7 @@ def make_run(out=Path(), dataset="students03", *, at=None, **changes):
         "linkability": make_linkability(at, dataset=dataset),
         "verdict": VERDICT,
         "failed": pd.DataFrame(columns=list(FAILED_COLUMNS)),
+        "galleries": pd.DataFrame(),
         "strongest": STRONGEST,
     }
     return Results(out=out, **(parts | changes))
