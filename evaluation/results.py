@@ -2,7 +2,7 @@
 
 import contextlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -21,6 +21,7 @@ from evaluation.analysis.keys import AS_SHARED
 from evaluation.analysis.linked_people import read_probes
 from evaluation.analysis.matching import Sweeps, matched
 from evaluation.analysis.metrics import ACHIEVED, SUCCESS_OF_100
+from evaluation.analysis.pooled import Answered, answered, answers_of, to_frame
 from evaluation.analysis.strongest import cross_fitted, strongest
 from evaluation.experiment.constants import OTHER_LAW
 from evaluation.experiment.plan import Plan, plan
@@ -33,6 +34,7 @@ from evaluation.reporting.figures.figure import write as write_figures
 from evaluation.reporting.finished import load
 from evaluation.reporting.progress import progress_bar
 from evaluation.reporting.rows import Results
+from evaluation.reporting.study_page import render
 from evaluation.reporting.tables import write_tex, write_text
 from evaluation.runs import folder
 from evaluation.runs.cell_files import Summed, read_gallery
@@ -41,9 +43,9 @@ from evaluation.runs.files import FRAMES, check_sound, locked, to_csv, write_who
 from evaluation.runs.manifest import FAILED_COLUMNS, read_manifest
 from evaluation.runs.workers import ahead, given_back
 from evaluation.verdict import sections as verdict
-from isac_track.errors import SettingsError
+from isac_track.errors import DataError, SettingsError
 
-__all__ = ["Results", "build", "load", "rebuild", "run"]
+__all__ = ["Results", "build", "load", "rebuild", "run", "study"]
 _one_thread = partial(threadpool_limits, limits=1, user_api="blas")
 """Keep linear algebra to this thread: its matrices are small, and others would only spin."""
 
@@ -175,3 +177,36 @@ def _draw(results: Results, *, pdf: bool) -> None:
     folder.note_figures(results.out, [one.name for one in figures])
     write_figures(figures, folder=results.out / "figures", dataset=results.dataset, pdf=pdf)
     page.write(results, figures=figures)
+
+
+def study(asked: Sequence[tuple[str, Settings]], *, out: Path) -> tuple[list[Answered], int]:
+    """Run what is not finished, answer all runs as one, and write `study.csv` and `study.html`.
+
+    `asked` are the error law and the settings of each run, whose folder is in `out`. Returns the
+    answers, and how many cells failed. Raises IsacTrackError for anything that a user can mend.
+    """
+    plans = [(law, plan(settings)) for law, settings in asked]  # all are checked first
+    rows, simulated, n_failed = [], set(), 0
+    for law, ready in plans:
+        done = _finished(ready)
+        results = done if done is not None else run(ready=ready)
+        rows += answers_of(results.out, results.manifest, results.verdict, law=law)
+        n_failed += len(results.failed)
+        if results.manifest["dataset"].get("simulated"):
+            simulated.add(results.dataset)
+    of, named = answered(rows, simulated=frozenset(simulated)), frozenset(simulated)
+    write_whole(out / "study.csv", to_csv(to_frame(rows, of)))
+    folders = [ready.out.name for _, ready in plans]
+    write_whole(out / "study.html", render(of, simulated=named, runs=folders).encode())
+    return of, n_failed
+
+
+def _finished(ready: Plan) -> Results | None:
+    """Return the results of a plan that was carried out before by the same code, or None."""
+    try:
+        manifest = read_manifest(ready.out)
+        same = manifest["identity"] == ready.identity and manifest["code"] == ready.code
+        is_done = same and manifest.get("state") == "finished" and not manifest.get("failed")
+        return load(ready.out) if is_done else None
+    except DataError:
+        return None

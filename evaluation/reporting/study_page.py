@@ -1,0 +1,98 @@
+"""`study.html`: the five questions over several recordings, a forest plot for each."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from evaluation.analysis.pooled import FEWEST, QUESTIONS, Answered
+from evaluation.reporting.charts import CHARACTER, PERCENT, WIDTH, Chart, Look
+from evaluation.reporting.markup import HTML
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+SET_CONSTANTS: Final = "students03"
+"""The recording that the constants of the sensing model were fitted on."""
+_STEP: Final = 14.0
+_PREDICTED: Final = "a further recording"
+
+
+class Forest(NamedTuple):
+    """A question under one adding rule and law."""
+
+    title: str
+    sentence: str
+    chart: Chart
+
+
+def render(of: Sequence[Answered], *, simulated: frozenset[str], runs: Iterable[str]) -> str:
+    """Return the page; `runs` are the folders of the runs."""
+    questions = {
+        text: [_forest(one, simulated) for one in of if one.question == name]
+        for name, text in QUESTIONS.items()
+    }
+    return HTML.get_template("study.html.j2").render(
+        questions=questions, runs=list(runs), fewest=FEWEST, set_constants=SET_CONSTANTS
+    )
+
+
+def _forest(one: Answered, simulated: frozenset[str]) -> Forest:
+    rows = [
+        (_name(row, simulated), row["value"], row["ci_low"], row["ci_high"]) for row in one.rows
+    ]
+    if one.pooled is not None:
+        told = one.pooled
+        rows += [("pooled", told.value, told.ci_low, told.ci_high)]
+        rows += [(_PREDICTED, told.value, told.predicted_low, told.predicted_high)]
+    return Forest(f"{one.adding} adding, {one.law} error", one.sentence, forest_chart(rows))
+
+
+def _name(row: Mapping[str, Any], simulated: frozenset[str]) -> str:
+    name: str = row["recording"]
+    marks = " (simulated)" * (name in simulated) + " *" * (name == SET_CONSTANTS)
+    return name + marks
+
+
+def forest_chart(rows: Sequence[tuple[str, float, float, float]]) -> Chart:
+    """Return a row for each name with its value and interval, fractions shown in points.
+
+    The axis reaches below zero where a number does; zero is a line.
+    """
+    longest = max(len(name) for name, *_ in rows)
+    left = min(150.0, 10.0 + CHARACTER * longest)
+    chart = Chart("points (%)", 12.0 + _STEP * len(rows) + 30.0, left)
+    values = PERCENT * np.array([ends for _, *ends in rows], dtype=np.float64)
+    low, high = float(np.nanmin(values, initial=0.0)), float(np.nanmax(values, initial=0.0))
+    step = _tick(max(high - low, 1e-9))
+    low, high = step * math.floor(low / step), step * math.ceil(high / step)
+    unit = (WIDTH - 12.0 - left) / (high - low)
+    chart.x_ticks = [
+        (left + unit * (at - low), f"{at:g}")
+        for at in np.round(np.arange(low, high + 0.5 * step, step), 9).tolist()
+    ]
+    chart.grid = "".join(f"M{at:.1f} 6V{chart.bottom:.1f}" for at, _ in chart.x_ticks)
+    zero = left - unit * low
+    chart.lines.append(("across k6", f"M{zero:.1f} 6V{chart.bottom:.1f}"))
+    for place, ((name, *_), (value, ci_low, ci_high)) in enumerate(
+        zip(rows, values.tolist(), strict=True)
+    ):
+        y = 8.0 + _STEP * (place + 0.5)
+        look = Look(1 if name in ("pooled", _PREDICTED) else 0, hollow="(" in name)
+        chart.y_ticks.append((y, name))
+        x, *ends = (left + unit * (one - low) for one in (value, ci_low, ci_high))
+        if all(map(math.isfinite, ends)):
+            chart.lines.append((f"bar k{look.place}", f"M{ends[0]:.1f} {y:.1f}H{ends[1]:.1f}"))
+        told = f"{name}: {value:+.1f} [{ci_low:.1f}, {ci_high:.1f}]"
+        chart.marks.append((look.css, look.path(x, y), told))
+    return chart
+
+
+def _tick(span: float) -> float:
+    """Return the distance of ticks of which a span has at most six."""
+    unit = 10.0 ** math.floor(math.log10(span / 6.0))
+    return next(
+        step * unit for step in (1.0, 2.0, 5.0, 10.0) if span / 6.0 <= step * unit * 1.000001
+    )

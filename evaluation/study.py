@@ -1,0 +1,93 @@
+"""Several recordings, one answer: `python -m evaluation.study`; see docs/compare.md.
+
+A run folder for each recording, seed and law, and over all of them `study.csv` and `study.html`.
+"""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from evaluation.experiment.presets import PRESETS
+from evaluation.experiment.settings import Settings
+from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
+from isac_track.config import StageSettings
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Sequence
+
+LAWS = ("radial", "isotropic")
+_EXIT = """\
+exit codes: 0 done, 2 wrong usage or data, 3 some cells failed (the others are done),
+130 interrupted (finished runs are kept; the same command continues)
+
+examples:
+  python -m evaluation.study --dataset students03 --dataset zara01 --out runs/study
+  python -m evaluation.study --dataset students03 --dataset gc --seed 0 --seed 1 \\
+      --law radial --law isotropic --out runs/study
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit code."""
+    command = Parser(
+        prog="python -m evaluation.study",
+        description="Run the matrix over several recordings, seeds and laws; answer them as one.",
+        epilog=_EXIT,
+    )
+    add = command.add_argument
+    several: dict[str, Any] = {"action": "append"}
+    add("--dataset", metavar="NAME|PATH", required=True, help="repeatable: a recording", **several)
+    add("--preset", default="paper", choices=list(PRESETS), help="of every run (default: paper)")
+    add("--seed", metavar="N", type=int, help="repeatable (default: 0)", **several)
+    about = "repeatable: law of the sensing error (default: radial)"
+    add("--law", choices=LAWS, help=about, **several)
+    add("--out", metavar="DIR", type=Path, required=True, help="folder of the study")
+    add("--jobs", metavar="N", type=int, help="worker processes of a run")
+    add("--executor", metavar="local|dask", default="local", help="as in evaluation.matrix")
+    add("--scheduler", metavar="ADDRESS", help="of the Dask cluster")
+    kept = "interrupted; finished runs are kept, the same command continues"
+    return exit_code(lambda: _study(command.parse_args(arguments)), interrupted=kept)
+
+
+def _study(options: argparse.Namespace) -> int:
+    every = product(
+        dict.fromkeys(options.dataset),
+        dict.fromkeys(options.seed or [0]),
+        dict.fromkeys(options.law or LAWS[:1]),
+    )
+    # All is checked before the first run begins.
+    asked = [
+        (
+            law,
+            Settings(
+                preset=options.preset,
+                dataset=dataset,
+                seed=seed,
+                stages=StageSettings().changed({"sensing.law": law}),
+                jobs=options.jobs,
+                executor=options.executor,
+                scheduler=options.scheduler,
+                out=options.out / f"{Path(dataset).stem}-{options.preset}-{seed}-{law}",
+            ),
+        )
+        for dataset, seed, law in every
+    ]
+    from evaluation.results import study  # noqa: PLC0415 - --help answers at once
+    from evaluation.runs.execute import FailedCellsWarning  # noqa: PLC0415 - as said
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FailedCellsWarning)  # told by the code
+        of, n_failed = study(asked, out=options.out)
+    for one in of:
+        print(f"{one.question}, {one.adding}, {one.law}: {one.sentence}")
+    print(f"Page: {options.out / 'study.html'}; numbers: {options.out / 'study.csv'}")
+    return FAILED_CELLS if n_failed else DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

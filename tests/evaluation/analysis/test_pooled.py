@@ -1,0 +1,80 @@
+"""Several recordings as one: seeds, signs, and what is pooled."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.stats import norm, t
+
+from evaluation.analysis.pooled import COLUMNS, POOLED, answered, pool, to_frame
+
+VALUES, ERRORS = [0.10, 0.30, 0.35, 0.65, 0.45], [0.05, 0.06, 0.04, 0.07, 0.05]
+
+
+def row(recording, value, *, seed="0", half=0.02):
+    ends = {"value": value, "ci_low": value - half, "ci_high": value + half}
+    about = {"question": "robot_loses", "adding": "linear", "law": "radial", "tau2": np.nan}
+    return {**about, "recording": recording, "seed": seed, **ends, "n": 100}
+
+
+def test_pooled_as_paule_and_mandel_and_hartung_and_knapp_wrote_it():
+    y, v = np.array(VALUES), np.array(ERRORS) ** 2
+
+    def excess(tau2):
+        w = 1 / (v + tau2)
+        return float(w @ (y - w @ y / w.sum()) ** 2) - (y.size - 1)
+
+    tau2 = brentq(excess, 0, 1)
+    w = 1 / (v + tau2)
+    mean = w @ y / w.sum()
+    error = np.sqrt(w @ (y - mean) ** 2 / ((y.size - 1) * w.sum()))
+    found = pool(VALUES, ERRORS)
+    assert found.tau2 == pytest.approx(tau2, rel=1e-3)
+    assert found.value == pytest.approx(mean, rel=1e-4)
+    assert found.ci_high - found.value == pytest.approx(t.ppf(0.975, 4) * error, rel=1e-3)
+    assert found.predicted_low < found.ci_low
+    assert found.predicted_high > found.ci_high
+
+
+def test_never_narrower_than_a_fixed_effect():
+    found = pool([0.2, 0.2001, 0.1999], [0.1, 0.1, 0.1])
+    assert found.tau2 == pytest.approx(0.0, abs=1e-9)
+    assert found.ci_high - found.value == pytest.approx(norm.ppf(0.975) * 0.1 / np.sqrt(3))
+
+
+@pytest.mark.parametrize("errors", [[0.1, 0.1], [0.1, 0.1, 0.0]])
+def test_too_few_or_without_an_error_are_not_pooled(errors):
+    with pytest.raises(ValueError, match="pooling takes three"):
+        pool([0.1] * len(errors), errors)
+
+
+def test_seeds_are_averaged_and_their_intervals_do_not_shrink():
+    rows = [row("a", 0.1, seed="0"), row("a", 0.2, seed="1"), row("plaza", -0.9)]
+    (one,) = answered(rows, simulated=frozenset({"plaza"}))
+    assert [r["recording"] for r in one.rows] == ["a", "plaza"]
+    mean = one.rows[0]
+    assert (mean["value"], mean["seed"]) == (pytest.approx(0.15), "mean")
+    assert mean["ci_high"] - mean["ci_low"] == pytest.approx(0.04)
+    assert one.sentence.startswith("same sign in 1 of 1; in all 1")
+    assert one.pooled is None
+
+
+def test_five_real_recordings_are_pooled_and_a_crowd_is_none():
+    rows = [row(name, value) for name, value in zip("abcde", VALUES, strict=True)]
+    crowd = row("plaza", -5.0)
+    (four,) = answered([*rows[:4], crowd], simulated=frozenset({"plaza"}))
+    assert four.pooled is None
+    (five,) = answered([*rows, crowd], simulated=frozenset({"plaza"}))
+    frame = to_frame([*rows, crowd], [five])
+    assert list(frame.columns) == COLUMNS
+    pooled = frame[frame["recording"] == POOLED].iloc[0]
+    assert 0.1 < pooled["value"] < 0.65
+    assert pooled["n"] == 5
+    assert pooled["tau2"] > 0
+    assert "same sign in 5 of 5" in five.sentence
+    assert "least +10.0 points (a), largest +65.0 (d)" in five.sentence
+
+
+def test_signs_that_differ_are_counted():
+    rows = [row("a", 0.1), row("b", -0.1), row("c", 0.01)]
+    (one,) = answered(rows, simulated=frozenset())
+    assert one.sentence.startswith("same sign in 2 of 3; least -10.0 points (b)")
