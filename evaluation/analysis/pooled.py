@@ -24,7 +24,7 @@ from evaluation.analysis.linkability import cards
 from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE, SUCCESS, SUCCESS_OF_100
 from evaluation.analysis.strongest import strongest
 from evaluation.analysis.summary import estimates, linkage_estimates
-from isac_track.intervals import CONFIDENCE, Estimate, difference
+from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, Estimate, difference
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -78,6 +78,10 @@ def answers_of(
         **linkage_estimates(cards(out, manifest, drawn=(SUCCESS, SUCCESS_OF_100))),
     }
     best = strongest(found, known)
+
+    def enough(one: Estimate) -> bool:
+        return one.n >= LEAST_CLUSTERS  # as everywhere: of fewer there is no interval
+
     rows = []
     for adding in ADDING_RULES:
         strict = next(
@@ -108,8 +112,8 @@ def answers_of(
                 "law": law,
                 "seed": str(manifest["identity"]["seed"]),
                 "value": told[question].value,
-                "ci_low": told[question].ci_low,
-                "ci_high": told[question].ci_high,
+                "ci_low": told[question].ci_low if enough(told[question]) else math.nan,
+                "ci_high": told[question].ci_high if enough(told[question]) else math.nan,
                 "n": told[question].n,
                 "tau2": math.nan,
             }
