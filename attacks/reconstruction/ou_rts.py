@@ -72,10 +72,11 @@ class OuRTS:
     def fit(self, context: AttackContext) -> Reconstructor:
         """Return the smoother of releases like those in the training set."""
         beyond = _Beyond.of(context)
-        if beyond is not None:
+        told = self._told(context)
+        # Companions say nothing of a walk whose errors are white.
+        if beyond and (told != (0.0, 0.0) or beyond.repeats or beyond.anchor):
             return self._with(beyond, context)
         white = RadialRTS(self.q).fit(context)
-        told = self._told(context)
         if told == (0.0, 0.0):
             return white
         q = self.DEFAULT_Q if self.q is None else self.q
