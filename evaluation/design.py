@@ -66,6 +66,11 @@ def _plan(arguments: Sequence[str]) -> int:
         shown = f"{about} (default: {default:g})"
         add(f"--{name}", type=float, default=default, metavar="X", help=shown)
     asked = command.parse_args(arguments)
+    for name in ("missed", "rank1"):
+        limit = getattr(asked, f"max_{name}")
+        if limit is not None and not 0.0 <= limit <= 1.0:
+            what = "fraction from 0 to 1 (0.2 for 20 %)"
+            raise SettingsError(f"--max-{name} is a {what}, got {limit:g}")
     try:
         lines = noise_plan.told(
             plr=asked.max_plr, epsilon_m=asked.epsilon, q=asked.q, dt_s=asked.dt

@@ -24,6 +24,8 @@ def told(*, plr: float, epsilon_m: float, q: float, dt_s: float) -> list[str]:
     shared = steady.plr_of_variance(variance_m2=needed, epsilon_m=epsilon_m)
     # The motion-free bound, solved for its standard deviation.
     slow = epsilon_m * math.sqrt((2.0 + _SEEN_S / _TAU_S) / (-4.0 * math.log1p(-plr)))
+    # Up to the next centimetre: what is proposed must not leave more than was asked for.
+    slow = math.ceil(100.0 * slow) / 100.0
     total_m, known_m = math.sqrt(needed), math.sqrt(filtered)
     return [
         f"total std per axis, raw and added: {total_m:.2f} m of white Gaussian noise",

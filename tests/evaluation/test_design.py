@@ -147,6 +147,8 @@ class TestPlan:
         # [(sqrt 2 0.09 / -ln 0.8)^4 / (0.057 0.0836^3)]^(1/6)
         assert first.startswith("total std per axis, raw and added: 3.83 m")
         assert any("python -m evaluation.matrix" in line for line in rest)
+        # 0.3 sqrt(8 / (-4 ln 0.8)) = 0.8981, no less
+        assert any("--mechanism ou:0.90 " in line for line in rest)
         assert max(map(len, rest)) <= 80
 
     def test_of_missed_conflicts_nothing_can_be_said(self, capsys):
@@ -159,6 +161,7 @@ class TestPlan:
             (["--max-plr", "1.5"], "the limit on PLR must lie between 0 and 1, got 1.5"),
             (["--max-plr", "0.5", "--q", "0"], "--q must be positive, got 0"),
             (["--max-plr", "0.5", "--dt", "nan"], "--dt must be positive, got nan"),
+            (["--max-plr", "0.5", "--max-missed", "15"], "--max-missed is a fraction from 0 to 1"),
             ([], "--max-plr"),
         ],
     )
