@@ -79,7 +79,7 @@ def content(out):
 def assert_same(out, expected):
     """The run in a folder is finished, whole, and what it is elsewhere, byte by byte."""
     found = content(out)
-    assert found.keys() == expected.keys()
+    assert found.keys() ^ expected.keys() == set(), found.keys() ^ expected.keys()
     assert [name for name, held in expected.items() if found[name] != held] == []
     assert json.loads((out / "manifest.json").read_text())["state"] == "finished"
     left = [path.name for path in out.rglob("*") if path.name.endswith((".tmp", ".lock"))]

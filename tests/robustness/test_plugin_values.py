@@ -306,7 +306,10 @@ def test_each_fails_alone_by_name_and_on_one_line(tmp_path, arguments, capsys, j
     # Too few people for these, or no calibration.
     refused = ["cllr", "rank1_g100", "tpr_at_fpr_1pct", "tpr_at_fpr_01pct"]
     own = summary[at_edge & ~summary["metric"].isin(refused)]
-    assert np.isfinite(own[["value", "ci_low", "ci_high"]]).all(axis=None)
+    assert np.isfinite(own["value"]).all()
+    ends = own[["ci_low", "ci_high"]].to_numpy()
+    assert (np.isfinite(ends) | np.isnan(ends)).all()  # of so few people many have none
+    assert np.isfinite(ends).any()
 
 
 @pytest.mark.parametrize("name", ["Signals", "Swallows"])

@@ -16,7 +16,7 @@ from evaluation.cells.linkage import WINDOW_COLUMNS, sees_times_alone, window_ta
 from evaluation.cells.sharing import restricted, samples_shared, share
 from evaluation.cells.work import LinkWork, cells
 from evaluation.experiment.axes import Consumer, axes, windows_of
-from evaluation.experiment.presets import DISSOCIATION
+from evaluation.experiment.presets import DISSOCIATION, PROTECTIONS
 from evaluation.experiment.settings import Settings
 from isac_track import plugins, privacy
 from isac_track.config import StageSettings
@@ -343,7 +343,7 @@ class TestWindows:
 
 
 def test_the_presets_but_smoke_hold_the_controls():
-    controls = [one.spec for one in plugins.parse_all("mechanisms", DISSOCIATION)]
+    controls = [one.spec for one in plugins.parse_all("mechanisms", DISSOCIATION + PROTECTIONS)]
     for preset in ("paper", "full"):
         bare = Settings(preset=preset, predictors=(), attacks=(), tasks=())
         assert [one.spec for one in axes(bare).mechanisms][-len(controls) :] == controls

@@ -82,7 +82,12 @@ def same(a, b):
 
 # min_duration_s chooses tracks, and a decision by probability needs a covariance: both have tests
 # of their own. What is linked passes through no scene: tests/attacks/tasks/test_build.py.
-ELSEWHERE = ("resample.min_duration_s", "conflict.decision", "conflict.probability_threshold")
+ELSEWHERE = (
+    "resample.min_duration_s",
+    "conflict.decision",
+    "conflict.probability_threshold",
+    "attacks.repeats",
+)
 CHANGES = {
     name: 0.8 * value if isinstance(value, float) else value - 1
     for name, value in StageSettings().flat().items()
@@ -221,7 +226,9 @@ def test_further_scenes_are_for_utility_and_change_none_of_the_attacked(
     specs = ("raw", "fid:1000", "correlated:0.75")
     predictors = ("least_squares", "kalman_cv", "kalman_ca")
     axes = {"mechanisms": specs, "predictors": predictors, "attacks": ("identity",), "tasks": ()}
-    few = replace(PRESETS["paper"], scenes=4, utility_scenes=10, other_law=(), **axes)
+    few = replace(
+        PRESETS["paper"], scenes=4, utility_scenes=10, other_law=(), protections=(), **axes
+    )
     monkeypatch.setitem(PRESETS, "paper", few)
     for name in ("experiment.plan", "runs.pieces"):
         monkeypatch.setattr(f"evaluation.{name}.BLOCK_SCENES", 4)
@@ -406,6 +413,7 @@ def test_some_levels_are_computed_under_the_other_law_too(csv_recording, tmp_pat
     """As a run under that law has them; the run's own are as without them."""
     axes = {"mechanisms": ("raw", "fid:1", "fixed:0.5"), "tasks": (), "scenes": 4}
     axes |= {"attacks": ("kalman_rts", "averaging"), "predictors": ("least_squares",)}
+    axes["protections"] = ()
     few = replace(PRESETS["paper"], utility_scenes=4, other_law=("fid:1", "fixed:0.5"), **axes)
     monkeypatch.setitem(PRESETS, "paper", few)
     settings = Settings(dataset=str(csv_recording), jobs=1, out=tmp_path / "both")
