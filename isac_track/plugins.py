@@ -408,6 +408,8 @@ def check_declared(kind: Kind, instance: object, origin: str) -> str:
 
 
 def _text(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()  # as it is written in a SPEC
     return f"{value:.12g}" if isinstance(value, float) else str(value)
 
 

@@ -180,6 +180,8 @@ def test_the_presets_are_those_of_the_design():
     errors = [plugin.level for plugin in paper if plugin.name == "fixed:adding=independent"]
     assert errors == pytest.approx([step / 10 for step in range(1, 11)], abs=1e-12)
     assert PRESETS["full"].scenes == 5000
+    frontier = axes(Settings(preset="frontier"))
+    assert frontier.utility == {one.spec for one in frontier.predictors}  # all scenes, each robot
 
 
 def test_list_names_everything_that_can_be_named(capsys):

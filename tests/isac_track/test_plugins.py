@@ -304,3 +304,9 @@ def test_a_path_names_a_file_of_ones_own(tmp_path, monkeypatch, file, spec, orig
 def test_a_path_that_python_cannot_import_is_refused(spec):
     with pytest.raises(SettingsError, match="followed by a Python file"):
         plugins.parse("mechanisms", spec)
+
+
+def test_a_switch_is_named_as_it_is_asked_for():
+    (aware,) = plugins.parse("predictors", "kalman_cv:aware=true")
+    assert aware.instance.aware is True
+    assert aware.name == aware.spec == "kalman_cv:aware=true"
