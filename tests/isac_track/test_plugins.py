@@ -147,7 +147,7 @@ def test_a_class_by_its_path(here):
     plugin = one("mechanisms", f"{here}:Odd:hard,count=5,loud=true,limit=2.5")
     assert plugin.instance == Odd(word="hard", count=5, loud=True, limit=2.5)
     assert plugin.level is None
-    assert plugin.name == f"{here}:Odd:word=hard,count=5,loud=True,limit=2.5"
+    assert plugin.name == f"{here}:Odd:word=hard,count=5,loud=true,limit=2.5"
     assert one("mechanisms", f"{here}:Odd:limit=none").instance == Odd()
     assert one("mechanisms", plugin.spec).instance == plugin.instance
 
