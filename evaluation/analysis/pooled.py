@@ -210,6 +210,8 @@ class Answered:
         same = max(sum(one > 0 for one in values), sum(one < 0 for one in values))
         least, most = min(of, key=_value), max(of, key=_value)
         told = f"same sign in {same} of {k}"
+        if self.question == "descriptors_tell":  # a spread has no sign
+            told, same = "0 where PLR tells, and never below", 0
         sure = [one["ci_low"] > 0 or one["ci_high"] < 0 for one in of]
         if same == k and all(sure):
             told += f"; in all {k}, each significant at 5 %"
