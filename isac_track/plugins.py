@@ -48,6 +48,7 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
         "averaging": "attacks.reconstruction.averaging:Averaging",
         "shape": "attacks.linkage.alignment:Shape",
         "profile": "attacks.linkage.alignment:Profile",
+        "likelihood_ratio": "attacks.linkage.likelihood_ratio:LikelihoodRatio",
         "dtw": "attacks.linkage.dtw:DTW",
         "behaviour": "attacks.linkage.behaviour:Behaviour",
         "histogram": "attacks.linkage.histogram:Histogram",

@@ -12,7 +12,7 @@ import numpy as np
 
 from attacks.parameters import positive
 from attacks.reconstruction.learning import TOLD, around, smoothed, smoother
-from attacks.remembered import remembered
+from attacks.remembered import noise_m2, remembered
 from isac_track.kalman import Batch, Moods, imm_smoother, smooth_positions
 from isac_track.types import Floats, Knowledge, Reconstruction, Release
 
@@ -160,6 +160,23 @@ def _smooth_again(
 ) -> Reconstruction:
     q, passes, anneal = choice
     return smooth(release, variance, q, passes=passes, anneal=anneal)
+
+
+@remembered
+def information(release: Release) -> Floats:
+    """Return what each sample tells of where the walk was, per axis, (M,) 1/m^2, to who is blind.
+
+    The inverse of the error variance; under radial errors the weights in the smoother's last pass:
+    a sample close to the walk is very likely almost exact.
+    """
+    variance = np.repeat(noise_m2(release), np.diff(release.offsets))
+    if not looks_radial(release):
+        return 1.0 / variance
+    usual = RadialRTS.DEFAULT_Q, RadialRTS.USUAL_PASSES, RadialRTS().anneal
+    found = smoothed(release, _smooth_again, usual)
+    assert found.std is not None
+    square_m2 = ((release.xy - found.xy) ** 2).sum(axis=1)
+    return np.asarray(1.0 / (square_m2 + 2.0 * found.std**2) + 0.5 / variance)
 
 
 @remembered

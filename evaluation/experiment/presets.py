@@ -85,7 +85,7 @@ _PAPER = Preset(
         # Every linker as it is, and behind the stronger smoother where that gains more than it
         # costs. All else runs when named: shape@kalman_rts, dtw@radial_rts.
         *("shape", "shape@radial_rts", "profile", "profile@radial_rts", "dtw"),
-        *("behaviour", "histogram", "kinematic", "kinematic@radial_rts"),
+        *("likelihood_ratio", "behaviour", "histogram", "kinematic", "kinematic@radial_rts"),
     ),
     tasks=(*TASKS,),
     protections=PROTECTIONS,

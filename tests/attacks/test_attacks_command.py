@@ -50,7 +50,7 @@ def test_list_names_rows_and_what_they_do_and_skips_broken_ones(capsys, installe
         "(moving_average|savgol) +reconstruction +blind, informed +[A-Z]",
         "(kalman|radial|imm)_rts +reconstruction +blind, informed, oracle +[A-Z]",
         "gaussian_process +reconstruction +blind, informed, oracle +slow ",
-        "(profile|dtw|shape|behaviour|histogram|kinematic) +linkage +blind, informed ",
+        "(profile|dtw|shape|behaviour|histogram|kinematic|likelihood_ratio) +linkage +blind, info",
         "mine +reconstruction +oracle +Averages repeats as if",
         "linker +linkage +blind +Scores have",
         "fine +reconstruction +blind$",  # it has no docstring

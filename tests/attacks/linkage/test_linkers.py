@@ -10,10 +10,11 @@ from attacks.linkage.dtw import DTW
 from attacks.linkage.histogram import Histogram
 from attacks.linkage.kinematic import Kinematic
 from attacks.linkage.learning import LEAST_MATES, log_rank
+from attacks.linkage.likelihood_ratio import LikelihoodRatio
 from isac_track.protocols import LinkageTrainingSet
 from isac_track.types import Knowledge
 
-BY_MOTION = [Profile(), DTW(), Shape(), Behaviour(), Histogram()]
+BY_MOTION = [Profile(), DTW(), Shape(), Behaviour(), Histogram(), LikelihoodRatio()]
 ALL = [*BY_MOTION, Kinematic()]
 
 
@@ -38,7 +39,7 @@ def test_a_walk_is_its_own_best_match(attack, easy):
     assert hits(scores, np.arange(len(probe))) == 1.0
 
 
-@pytest.mark.parametrize("attack", [Profile(), Shape(), DTW()], ids=name)
+@pytest.mark.parametrize("attack", [Profile(), Shape(), DTW(), LikelihoodRatio()], ids=name)
 def test_a_mirror_image_is_somebody_else(attack, easy):
     probe, _, _ = easy
     score = fitted(attack)

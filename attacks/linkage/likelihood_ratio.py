@@ -1,0 +1,196 @@
+"""How much likelier are two walks if one person walked both? Gaussian walks behind known errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+import numpy as np
+from scipy.special import logsumexp
+
+from attacks.linkage.learning import EVERYBODY, Few, learn, linker, tried
+from attacks.parameters import positive
+from attacks.reconstruction.kalman_rts import information
+from attacks.remembered import remembered, whole
+from isac_track.kalman.slow_errors import added_error
+from isac_track.types import Floats, Knowledge, Release, read_only
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
+
+_STEP_S = 0.5  # Between two lags.
+_TAUGHT_BY = 80
+_SPEED_M_S = 1.4  # Root mean square, of the prior.
+_LEAST_OVERLAP_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class LikelihoodRatio:
+    """ln p(y1, y2) - ln p(y1) - ln p(y2), over all rotations, shifts and lags.
+
+    A walk's overlap with another is a sum of Legendre polynomials of degree 1 to `rank` (the mean
+    is a shift, which hidden frames leave open). Of their coefficients c the prior is that of a walk
+    driven by white acceleration of spectral density `q`, isotropic; a release tells of them
+    A = sum w p p' and h = sum w p z over its samples z, w the information of each: where errors are
+    radial few samples hold most of it. With M = A1 + A2 + S^-1 the ratio at one lag and rotation is
+    Gaussian; averaged over rotations it is
+
+        ln I0(|h1* M^-1 h2|) + (h1* M^-1 h1 + h2* M^-1 h2) / 2 - ln |M| + ln |S|
+            + sum over both of ln |A + S^-1| - h* (A + S^-1)^-1 h / 2
+
+    and the score is the log of its mean over lags, which weighs a lag by exp(-|lag| / `lag_s`). To
+    the error of every coefficient is added `floor_m2`, and to that of a mechanism whose errors are
+    slow what these do to it. Exact for Gaussian walks and errors; a pair that shares no stretch of
+    a walk is not told by it.
+
+    References
+    ----------
+    Likelihood ratio of common origin: Bar-Shalom, Li, Kirubarajan, *Estimation with Applications
+    to Tracking and Navigation*, 2001, ch. 8.4 (track-to-track association). Marginalised rotation:
+    Mardia, Jupp, *Directional Statistics*, 2000, ch. 3.5.
+    """
+
+    floor_m2: float | None = None
+    """m^2; None: learnt from the training set, or `DEFAULT_FLOOR_M2` without one."""
+    lag_s: float | None = None  # Mean lag; None: learnt, or `DEFAULT_LAG_S`.
+    q: float = 0.04  # m^2/s^3
+    rank: int = 6
+    window_s: float = 12.0  # What comes later in a walk is left out.
+    reach_s: float = 6.0  # Greatest lag.
+
+    kind: ClassVar[str] = "linkage"
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN, Knowledge.MECHANISM})
+    DEFAULT_FLOOR_M2: ClassVar[float] = 1e-3
+    DEFAULT_LAG_S: ClassVar[float] = 2.5
+
+    def __post_init__(self) -> None:
+        positive(floor_m2=self.floor_m2, lag_s=self.lag_s, q=self.q)
+        positive(window_s=self.window_s, reach_s=self.reach_s)
+        if not 1 <= self.rank <= 12:  # noqa: PLR2004 - beyond, nothing is left of a walk of 12 s
+            raise ValueError(f"rank must be 1 to 12, got {self.rank}")
+        if self.reach_s > self.window_s - _LEAST_OVERLAP_S:
+            raise ValueError(
+                f"reach_s must leave {_LEAST_OVERLAP_S:g} s of the window's {self.window_s:g} s, "
+                f"got {self.reach_s:g}"
+            )
+
+    def fit(self, context: AttackContext) -> Linker:
+        """Return what scores walks like those in the training set."""
+        options = (
+            tried(self.floor_m2, (self.DEFAULT_FLOOR_M2, 1e-4, 1e-2)),
+            tried(self.lag_s, (self.DEFAULT_LAG_S, 1.0, 6.0)),
+        )
+        knows = Knowledge.MECHANISM in context.granted
+        slow = added_error(context.mechanism) if knows else (0.0, 0.0)
+
+        def scores(train: LinkageTrainingSet, few: Few) -> Callable[[float, float], Floats]:
+            def of(floor_m2: float, lag_s: float) -> Floats:
+                return _ratios(train.probe, train.gallery, self, slow, floor_m2, lag_s, few)
+
+            return of
+
+        chosen = learn(context, options, most=_TAUGHT_BY, scores=scores)
+        return linker(_ratios, self, slow, *chosen)
+
+
+class Told(NamedTuple):
+    """What N walks tell of the coefficients of their stretches, one at each of L lags."""
+
+    information: Floats  # (L, N, K, K) 1/m^2 per axis.
+    pull: Floats  # (L, N, K, 2) 1/m, information times coefficients.
+
+
+def _ratios(
+    probe: Release,
+    gallery: Release,
+    attack: LikelihoodRatio,
+    slow: tuple[float, float],
+    floor_m2: float,
+    lag_s: float,
+    few: Few = EVERYBODY,
+) -> Floats:
+    """Return the score of every pair, (P, G); `slow` as from `added_error`."""
+    lags_s = _lags_s(attack)
+    lasts_s = attack.window_s - np.abs(lags_s)
+    spread_m2 = prior_m2(duration_s=lasts_s, q=attack.q, rank=attack.rank)
+    sides = []
+    for release, rows, sign in zip((probe, gallery), few, (1, -1), strict=True):
+        origin, among = whole(release)
+        everybody = _told(origin, attack, sign)
+        told = Told(*(np.asarray(one[:, among[rows]]) for one in everybody))
+        sides.append(_side(told, attack, slow, floor_m2, 1.0 / spread_m2))
+    log_lag = -np.abs(lags_s) / lag_s
+    log_lag += np.log(spread_m2).sum(axis=1) - logsumexp(log_lag)
+    score = np.empty((sides[0][0].shape[2], sides[1][0].shape[2]))
+    _loops().ratios(sides[0], sides[1], 1.0 / spread_m2, log_lag, score)
+    return score
+
+
+def _lags_s(attack: LikelihoodRatio) -> Floats:
+    most = int(attack.reach_s / _STEP_S)
+    return np.asarray(np.arange(-most, most + 1) * _STEP_S)
+
+
+@remembered
+def _told(release: Release, attack: LikelihoodRatio, sign: int) -> Told:
+    """Return what the walks of a release tell, as a probe (1) or a gallery (-1)."""
+    lags_s, n, rank = _lags_s(attack), len(release), attack.rank
+    start_s = np.maximum(sign * lags_s, 0.0)
+    segments_s = np.column_stack([start_s, start_s + attack.window_s - np.abs(lags_s)])
+    told = Told(np.empty((lags_s.size, n, rank, rank)), np.empty((lags_s.size, n, rank, 2)))
+    walks = release.t, release.xy, information(release), release.offsets
+    _loops().tell(tuple(map(np.ascontiguousarray, walks)), segments_s, *told)
+    return told
+
+
+def _side(
+    told: Told, attack: LikelihoodRatio, slow: tuple[float, float], floor_m2: float, prior: Floats
+) -> tuple[Floats, ...]:
+    """Return what `_ratio_loop.ratios` takes of a side, its errors as large as they are."""
+    lags_s, rank = _lags_s(attack), attack.rank
+    more_m2 = np.tile(floor_m2 * np.eye(rank), (lags_s.size, 1, 1, 1))
+    std_m, tau_s = slow
+    if std_m > 0.0 and 0.0 < tau_s < np.inf:  # a constant error is a shift, a white one shows
+        for at, lag_s in enumerate(np.abs(lags_s).tolist()):
+            more_m2[at] += std_m**2 * _slow_share(attack.window_s - lag_s, tau_s, rank)
+    both = np.concatenate([told.information, told.pull], axis=3)
+    both = np.linalg.solve(np.eye(rank) + told.information @ more_m2, both)
+    known, pull = both[..., :rank], both[..., rank:]
+    alone = known + prior[:, None, :, None] * np.eye(rank)
+    evidence = np.linalg.slogdet(alone)[1]
+    evidence -= 0.5 * (pull * np.linalg.solve(alone, pull)).sum(axis=(2, 3))
+    triangle = known[:, :, *np.tril_indices(rank)].transpose(0, 2, 1)
+    flat = pull.reshape(*pull.shape[:2], 2 * rank).transpose(0, 2, 1)
+    return (*map(np.ascontiguousarray, (triangle, flat, evidence[:, None])),)
+
+
+@lru_cache(maxsize=256)
+def _slow_share(duration_s: float, tau_s: float, rank: int) -> Floats:
+    """Return the covariance of the coefficients of a unit error that fades in `tau_s`, (K, K)."""
+    at = np.linspace(-1.0, 1.0, 64)
+    fit = np.linalg.pinv(np.polynomial.legendre.legvander(at, rank))[1:]
+    gap_s = np.abs(at[:, None] - at) * duration_s / 2.0
+    return read_only(fit @ np.exp(-gap_s / tau_s) @ fit.T)
+
+
+def prior_m2(*, duration_s: Floats, q: float, rank: int) -> Floats:
+    """Return the variance per axis of Legendre coefficients 1 to `rank` of walks, (L, K) m^2.
+
+    Of walks that last (L,) s: degree 1 is the velocity, the others are what white acceleration of
+    spectral density `q`, m^2/s^3, makes of a walk, integrated twice by parts.
+    """
+    k = np.arange(2, rank + 1)
+    ends = 2.0 / ((2 * k + 5) * (2 * k + 3) ** 2) + 2.0 / ((2 * k - 3) * (2 * k - 1) ** 2)
+    bend = ends + 2.0 / (2 * k + 1) * (1.0 / (2 * k + 3) + 1.0 / (2 * k - 1)) ** 2
+    velocity = (_SPEED_M_S * duration_s / 2.0) ** 2 / 2.0
+    return np.column_stack([velocity, q * duration_s[:, None] ** 3 * bend / 32.0])
+
+
+def _loops() -> ModuleType:
+    return import_module("attacks.linkage._ratio_loop")
