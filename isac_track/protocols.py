@@ -114,7 +114,8 @@ class ReconstructionAttack(Adversary, Protocol):
 class LinkageAttack(Adversary, Protocol):
     """An adversary who tells which releases of two sessions are of one person.
 
-    A class attribute ``kind = "linkage"`` tells it from a reconstruction attack (`kind_of`).
+    A class attribute ``kind = "linkage"`` tells it from a reconstruction attack (`kind_of`);
+    ``one_stretch = True`` that it links the same steps, and nothing where a task has none.
     What it scores may be a whole search, or with `linkage.candidates=K` one probe and K candidates:
     the score of a pair should not depend on who else is there.
     """

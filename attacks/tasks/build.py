@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 LEAST_PEOPLE = 24
 """Fewer cannot be split into people to learn from, to calibrate on and to attack, twice."""
+MOST_SIMULATED = 300
+"""People of the two-session crowd: as many as there are can be simulated, and show no more."""
 LEAST_COME_BACK = 8  # In a task that learns leaving one person out.
 CLOCK_S = 1e-9  # Room for the rounding of a frame clock: 12 s at 25 Hz is 300 frames.
 
@@ -256,6 +258,8 @@ def _closed(
     if most < LEAST_PEOPLE:
         raise SettingsError(f"linkage.most_people must be at least {LEAST_PEOPLE}, got {most}")
     draft.need_people(len(long), what)
+    if draft.task.simulated:
+        most = min(most, MOST_SIMULATED)
     rows = np.sort(draft.rng("people").permutation(long)[:most])
     source = [tracks.source[row] for row in rows]
     rows_later = rows_of(later.tracks, source)

@@ -31,6 +31,7 @@ class Task:
     comes_back: bool = False
     """Whether it needs people who are in two sessions of a recording: so few that an adversary
     learns leaving one person out."""
+    is_one_stretch: bool = False  # Whether both show the same steps, in part at least.
     simulated: bool = False  # Whether it needs the two-session crowd instead of a recording.
 
     @property
@@ -62,6 +63,7 @@ TASKS: Final[Mapping[str, Task]] = {
         Task(
             "rerelease",
             "one walk sensed and shared twice, at least 50 % of it the same steps: an upper bound",
+            is_one_stretch=True,
         ),
         Task("split", "two windows of one walk that do not touch: behaviour only"),
         *(

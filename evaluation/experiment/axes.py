@@ -243,8 +243,9 @@ def _linked(
 ) -> tuple[tuple[Task, Consumer], ...]:
     """Return who links in which task.
 
-    Who needs the true frame links where it shows, the others where it does not; an attack that
-    none of the tasks suits is run in every one that it can run in.
+    Who needs the true frame links where it shows, the others where it does not, and who needs
+    ``one_stretch`` of a walk where there is one; an attack that none of the tasks suits is run in
+    every one that it can run in.
     """
     chosen: dict[str, list[Task]] = {}
     for link in links:
@@ -254,8 +255,16 @@ def _linked(
             for task in tasks
             if grants(link, everyone=task.everyone, nobody=task.nobody, asked=asked)
         ]
-        needs_scene = Knowledge.SCENE in link.plugins[0].instance.requires
-        chosen[link.spec] = [task for task in can if task.shows_scene == needs_scene] or can
+        linker = link.plugins[0].instance
+        needs_scene, one_stretch = (
+            Knowledge.SCENE in linker.requires,
+            getattr(linker, "one_stretch", False),
+        )
+        chosen[link.spec] = [
+            task
+            for task in can
+            if task.shows_scene == needs_scene and task.is_one_stretch >= one_stretch
+        ] or can
         if settings.attacks is not None and not can:
             needs = ", ".join(sorted(one.name for one in link.requires)) or "a task"
             where = ", ".join(task.name for task in tasks) or "none"
