@@ -268,7 +268,7 @@ def _rows(
         rows.append(
             {
                 **dict(zip(COLUMNS[:4], where, strict=True)),
-                **{name: getattr(key_a, name) for name in ("consumer", "knowledge", "metric")},
+                **key_a.measure._asdict(),
                 # A control says nothing of an adversary.
                 "headline": metric.is_headline and "/control-" not in key_a.consumer,
                 "a": a.value,
@@ -301,26 +301,22 @@ def _lead(
     Attacks are the strongest of A; rank 1 is of the first task, of 100 people if both have it.
     """
     best = strongest(found, families_in(cells))
-    wanted = [key.measure for key in found if key.metric == MISSED_RATE][:1]
+    known = dict.fromkeys(key.measure for key, one in found.items() if np.isfinite(one.value))
+    wanted = [measure for measure in known if measure.metric == MISSED_RATE][:1]
     wanted += [best[""].measure(EXPOSURE)] if "" in best else []
     for linker in [best[task] for task in best if task][:1]:
         of_100 = linker.measure(SUCCESS_OF_100)
-        is_known = any(
-            key.measure == of_100 and np.isfinite(one.value) for key, one in found.items()
-        )
-        wanted.append(of_100 if is_known else linker.measure(SUCCESS))
+        wanted.append(of_100 if of_100 in known else linker.measure(SUCCESS))
     there = {key.where for key in found}
     at = {
         one["spec"]: where for one in cells if (where := (one["mechanism"], one["level"])) in there
     }
     levels = [at[spec] for spec in PRESETS["smoke"].mechanisms if spec in at]
     levels = levels or list(dict.fromkeys(at.values()))[:_MOST_LEVELS]
-    keys = ["mechanism_a", "level_a", "consumer", "metric", "knowledge"]
+    keys = rows[["mechanism_a", "level_a", "consumer", "metric", "knowledge"]]
     place = {
-        Key(*row): at
-        for at, row in zip(
-            rows.index, rows[keys].replace(math.nan, None).itertuples(index=False), strict=True
-        )
+        Key(name, None if math.isnan(level) else level, *of): row
+        for row, name, level, *of in keys.itertuples(name=None)
     }
     return rows.loc[
         [place[one] for of in wanted for where in levels if (one := of.at(*where)) in place]
@@ -385,12 +381,9 @@ def changed(first: Manifest, second: Manifest) -> dict[str, Apart]:
         described.append(one["identity"] | tracks | {"preset": one["settings"]["preset"]})
         by = {"code version": one["code"], **one["environment"]}
         code.append({name: by[name] for name in _ABOUT_CODE} | by["libraries"])
-    moved = _unequal(*described)
-    return {
-        "data": {name: both for name, both in moved.items() if name in _ABOUT_DATA},
-        "settings": {name: both for name, both in moved.items() if name not in _ABOUT_DATA},
-        "code": _unequal(*code),
-    }
+    settings = _unequal(*described)
+    data = {name: settings.pop(name) for name in [*settings] if name in _ABOUT_DATA}
+    return {"data": data, "settings": settings, "code": _unequal(*code)}
 
 
 def only_in(first: Manifest, second: Manifest) -> Apart:
@@ -420,11 +413,11 @@ def _axes(manifest: Manifest) -> dict[str, list[str]]:
 
 def verdicts(out_a: Path, out_b: Path) -> dict[str, Any] | None:
     """Return the decisions that changed; None unless both runs have a verdict."""
-    if not all((out / _VERDICT).is_file() for out in (out_a, out_b)):
+    both_runs = out_a, out_b
+    if not all((out / _VERDICT).is_file() for out in both_runs):
         return None
     a, b = (
-        {item["id"]: item["decision"] for item in verdict_of(out)["items"]}
-        for out in (out_a, out_b)
+        {item["id"]: item["decision"] for item in verdict_of(out)["items"]} for out in both_runs
     )
     both = [name for name in a if name in b]
     return {

@@ -6,45 +6,30 @@ shared and after the strongest reconstruction of every adversary that was run, a
 strongest linker of each task finds a person again. Beside it the robot's own: MAE and PLR.
 """
 
-from __future__ import annotations
-
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import product
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from evaluation.analysis.families import RAW
-from evaluation.analysis.keys import AS_SHARED, Source
+from evaluation.analysis.keys import AS_SHARED, Key, Source
 from evaluation.analysis.linkability import dataset_of
-from evaluation.analysis.matching import (
-    AT_EQUAL_ALARMS,
-    MIN_DEFINED,
-    MISSED,
-    Sweeps,
-    interpolated,
-    places,
+from evaluation.analysis.matching import CRITERIA, MIN_DEFINED, Sweeps, interpolated, places
+from evaluation.analysis.metrics import DESCRIPTORS, ERROR, EXPOSURE, SUCCESS, SUCCESS_OF_100
+from evaluation.analysis.strongest import (
+    BEYOND,
+    HEADLINE,
+    by_mechanism,
+    by_task,
+    cross_fitted,
+    strongest_of,
 )
-from evaluation.analysis.metrics import (
-    DESCRIPTORS,
-    EQUAL_ALARMS,
-    ERROR,
-    EXPOSURE,
-    MISSED_RATE,
-    SUCCESS,
-    SUCCESS_OF_100,
-)
-from evaluation.analysis.strongest import BEYOND, HEADLINE, by_task, cross_fitted, strongest_of
-from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, percentile_intervals
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from evaluation.analysis.keys import Key
-    from evaluation.runs.cell_files import Summed
-    from isac_track.intervals import Estimate
-    from isac_track.types import Bools, Floats, Ints
+from evaluation.runs.cell_files import Summed
+from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, Estimate, percentile_intervals
+from isac_track.types import Bools, Floats, Ints
 
 TARGETS: Final = (0.03, 0.05, 0.075, 0.1)
 """Rises of the missed-conflict rate over raw, fixed beforehand."""
@@ -54,16 +39,13 @@ NEAR: Final = 0.03
 ENOUGH_LEVELS: Final = 4  # Of a curve within `NEAR` of a target for an interval there.
 MARGIN: Final = 0.02  # By how much a mechanism is beaten.
 OF_ROBOT: Final = "plr_robot"  # What a robot itself knows of where somebody was.
-COLUMNS: Final = [
-    *("dataset", "mechanism", "family", "adding", "robot", "criterion", "target"),
-    *("level", "level_low", "level_high", "consumer", "knowledge", "metric"),
-    *("value", "ci_low", "ci_high", "vs_white", "vs_white_low", "vs_white_high"),
-    *("dominated", "n"),
-]
-_CRITERIA: Final = {MISSED: MISSED_RATE, AT_EQUAL_ALARMS: EQUAL_ALARMS}
 LEVEL_READ: Final = ("level", "level_low", "level_high")
 VALUE: Final = ("value", "ci_low", "ci_high")
 GAP: Final = ("vs_white", "vs_white_low", "vs_white_high")
+COLUMNS: Final = [
+    *("dataset", "mechanism", "family", "adding", "robot", "criterion", "target"),
+    *(*LEVEL_READ, "consumer", "knowledge", "metric", *VALUE, *GAP, "dominated", "n"),
+]
 _ROUNDING: Final = 1e-9
 _LOG_SPAN: Final = 30.0
 """Levels that span more are interpolated on a logarithmic scale, as their sweep runs."""
@@ -103,12 +85,9 @@ def told(
     """
     found = [Told(name, dict.fromkeys(sweeps.known, AS_SHARED)) for name in DESCRIPTORS]
     crossed: dict[Key, Estimate] = {}
-    every = {EXPOSURE: by_task(sweeps.found, metric=EXPOSURE)}
-    every[SUCCESS] = by_task(sweeps.found, metric=SUCCESS)
-    for by, task, blocks in ((by, *one) for by, of in every.items() for one in of.items()):
-        of: dict[str, list[Mapping[Source, float]]] = {}
-        for (mechanism, _), block in blocks.items():
-            of.setdefault(mechanism, []).append(block)
+    every = ((by, by_task(sweeps.found, metric=by)) for by in (EXPOSURE, SUCCESS))
+    for by, task, blocks in ((by, *one) for by, tasks in every for one in tasks.items()):
+        of = by_mechanism(blocks)
         for among in (HEADLINE, *((name,) for name in BEYOND)):
             best = {name: strongest_of(levels, among=among) for name, levels in of.items()}
             whose = {name: source for name, source in best.items() if source}
@@ -123,8 +102,9 @@ def told(
                 if mine:
                     weights = next(iter(mine.values())).weights
                     each = {key: one.sums for key, one in mine.items()}
-                    options: dict[str, Any] = {"weights": weights, "seed": seed, "by": by}
-                    crossed |= cross_fitted(each, sweeps.known, source, **options)[0]
+                    crossed |= cross_fitted(
+                        each, sweeps.known, source, weights=weights, seed=seed, by=by
+                    )[0]
             names = DESCRIPTORS
             if task:
                 at_raw = sweeps.found.get(whose[RAW].measure(SUCCESS_OF_100).at(RAW, None))
@@ -158,19 +138,19 @@ def frontier(
     """
     every, crossed = told(sweeps, sums or {}, seed=seed)
     sweeps = Sweeps({**sweeps.found, **crossed}, sweeps.known)
-    curves = [_curves(sweeps, one) for one in every]
+    shared = [(one, _curves(sweeps, one)) for one in every]
     rows: list[dict[str, Any]] = []
-    for robot, (criterion, metric) in product(predictors, _CRITERIA.items()):
+    for robot, (criterion, metric) in product(predictors, CRITERIA.items()):
         own = [Told(name, dict.fromkeys(sweeps.known, Source(robot))) for name in (ERROR, OF_ROBOT)]
-        cost = Told(metric, own[0].whose)
-        costs = _curves(sweeps, cost)
-        reached = {
-            name: places(np.array(TARGETS), np.abs(curve - curve[:, -1:]))
-            for name, curve in costs.items()
+        cost = Source(robot).measure(metric)
+        rises = {
+            name: np.abs(curve - curve[:, -1:])
+            for name, curve in _curves(sweeps, Told(metric, own[0].whose)).items()
         }
-        rises = {name: np.abs(curve[0] - curve[0, -1])[:, None] for name, curve in costs.items()}
+        reached = {name: places(np.array(TARGETS), rise) for name, rise in rises.items()}
         is_dense = {
-            name: (np.abs(rise - TARGETS) <= NEAR + _ROUNDING).sum(axis=0) >= ENOUGH_LEVELS
+            name: (np.abs(rise[0, :, None] - TARGETS) <= NEAR + _ROUNDING).sum(axis=0)
+            >= ENOUGH_LEVELS
             for name, rise in rises.items()
         }
         level = {
@@ -178,10 +158,7 @@ def frontier(
             for name, where in reached.items()
         }
         axes, first = [], len(rows)
-        for one, of in (
-            *zip(every, curves, strict=True),
-            *((one, _curves(sweeps, one)) for one in own),
-        ):
+        for one, of in [*shared, *((one, _curves(sweeps, one)) for one in own)]:
             left = {
                 name: interpolated(reached[name], curve, log=one.metric in DESCRIPTORS)
                 for name, curve in of.items()
@@ -190,7 +167,7 @@ def frontier(
             axes += [left] * one.is_axis
             for name, values in left.items():
                 measure = one.whose[name].measure(one.metric)
-                _, effective = sweeps.rests_on([name], measure, cost.whose[name].measure(metric))
+                _, effective = sweeps.rests_on([name], measure, cost)
                 can_say = is_dense[name] & (effective >= LEAST_CLUSTERS)
                 told_of = level[name] | _read(VALUE, values, can_say)
                 if WHITE in left:

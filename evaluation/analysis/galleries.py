@@ -8,14 +8,15 @@ and what that changes is added to both sides of the interval. The expected rank 
 gallery, whatever its size; the TPR is of pairs and does not depend on it.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 
+from evaluation.analysis.keys import Key
 from evaluation.analysis.linkability import dataset_of
+from evaluation.analysis.linked_people import LinkedProbes
 from isac_track.intervals import (
     LEAST_CLUSTERS,
     Estimate,
@@ -26,13 +27,7 @@ from isac_track.intervals import (
 )
 from isac_track.linkability.gallery import REACH, predicted_rank1, reach
 from isac_track.linkability.ranks import first_among
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from evaluation.analysis.keys import Key
-    from evaluation.analysis.linked_people import LinkedProbes
-    from isac_track.types import Floats
+from isac_track.types import Floats
 
 SIZES: Final = (10, 30, 100, 300, 1000, 3000, 7545)
 COLUMNS = [

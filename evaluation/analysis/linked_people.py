@@ -5,18 +5,20 @@ windows that are linked, not of the tracks in scenes. Summed by cluster everythi
 sums, so that a bootstrap, a jackknife or one half of the people are weights of these sums.
 """
 
-from __future__ import annotations
-
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW
+from evaluation.analysis.keys import Source, Where
+from evaluation.analysis.matching import Sweeps
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
-from evaluation.analysis.strongest import by_task, strongest_of
+from evaluation.analysis.strongest import Levels, by_mechanism, by_task, strongest_of
 from evaluation.cells.link_scores import COMPANIONS
 from evaluation.cells.link_setup import SIDES
 from evaluation.cells.tables import ON_TRIAL
@@ -25,15 +27,7 @@ from evaluation.runs.cell_files import read_rows
 from isac_track.intervals import cluster_sums
 from isac_track.linkability import GALLERY
 from isac_track.linkability.ranks import among_strangers, expected_hit, first_among
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from evaluation.analysis.keys import Source, Where
-    from evaluation.analysis.matching import Sweeps
-    from evaluation.analysis.strongest import Levels
-    from isac_track.types import Floats, Ints
+from isac_track.types import Floats, Ints
 
 COVARIATES: Final = ("n_samples", "duration_s", "speed_mps", "sigma_m")
 """Of either release: length, speed and mean noise."""
@@ -125,9 +119,7 @@ def _linkers(sweeps: Sweeps, levels: Levels, linker: Source) -> Iterator[tuple[W
         RAW,
         *(sweeps.named(one, adding=rule) for rule in ADDING_RULES for one in (FIXED, FID)),
     ]
-    of: dict[str, list[Mapping[Source, float]]] = {}
-    for (mechanism, _), block in levels.items():
-        of.setdefault(mechanism, []).append(block)
+    of = by_mechanism(levels)
     for where in levels:
         if where[0] in plain:
             yield where, linker

@@ -29,6 +29,7 @@ from isac_track.intervals import Estimate, percentile_intervals
 from isac_track.types import Floats, Ints
 
 MISSED, AT_EQUAL_ALARMS, PLR = "missed", EQUAL_ALARMS, "plr"  # Criteria of matching.
+CRITERIA: Final = {MISSED: MISSED_RATE, AT_EQUAL_ALARMS: EQUAL_ALARMS}  # What noise may cost.
 N_POINTS, N_ATTACK_POINTS = 20, 10  # Of a curve as shared, and of one after an attack.
 MIN_DEFINED = 0.975  # Share of replicates that must reach a point for it to have an interval.
 FEWEST_LEVELS: Final = 2  # Of a curve, beside raw.
@@ -180,7 +181,7 @@ def matched(sweeps: Sweeps, *, predictors: Sequence[str], dataset: str) -> pd.Da
     criteria = [
         (criterion, Measure(predictor, metric), predictor, shared if place else measures)
         for place, predictor in enumerate(predictors)
-        for criterion, metric in ((MISSED, MISSED_RATE), (AT_EQUAL_ALARMS, EQUAL_ALARMS))
+        for criterion, metric in CRITERIA.items()
     ]
     if _SHOWN in shared:
         criteria.append((PLR, _SHOWN, "", [one for one in measures if one != _SHOWN]))

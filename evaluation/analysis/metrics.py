@@ -89,10 +89,7 @@ _ROWS: Final = (
         over="benchmark_plr",
     ),
     Metric("rank1", "rank 1", "linkage", "fraction", "higher", is_headline=True),
-    Metric(
-        *("rank1_g100", "rank 1 of 100", "linkage", "fraction", "higher"),
-        is_headline=True,
-    ),
+    Metric(*("rank1_g100", "rank 1 of 100", "linkage", "fraction", "higher"), is_headline=True),
     Metric("rank1_assigned", "rank 1, assigned", "linkage", "fraction", "higher"),
     Metric("false_link_rate", "false links", "linkage", "fraction", "lower"),
     Metric("mrr", "MRR", "linkage", "ratio", "higher", digits=3),

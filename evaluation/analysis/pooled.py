@@ -7,41 +7,34 @@ between them after Paule and Mandel (1982), the interval after Hartung and Knapp
 narrower than that of a fixed effect.
 """
 
-from __future__ import annotations
-
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from operator import itemgetter
+from pathlib import Path
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
 from scipy.special import ndtri, stdtrit
 
-from evaluation.analysis.families import ADDING_RULES, RAW, families_in
-from evaluation.analysis.keys import AS_SHARED, Measure, Source
+from evaluation.analysis.families import ADDING_RULES, FID, RAW, families_in
+from evaluation.analysis.keys import AS_SHARED, Key, Source, Where
 from evaluation.analysis.linkability import cards
+from evaluation.analysis.matching import Sweeps
 from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE, SUCCESS, SUCCESS_OF_100
 from evaluation.analysis.strongest import strongest
 from evaluation.analysis.summary import estimates, linkage_estimates
 from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, Estimate, difference
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
-    from evaluation.analysis.keys import Key
-
 FEWEST: Final = 5
 """Real recordings below which nothing is pooled: of fewer, nobody knows how much they differ."""
-MEAN: Final = "mean"
-"""In the column of seeds: the average over them."""
+MEAN: Final = "mean"  # In the column of seeds: the average over them.
 POOLED: Final = "pooled"
 LINKED_IN: Final = "rerelease"
-COLUMNS = [
-    *("question", "recording", "adding", "law", "seed"),
-    *("value", "ci_low", "ci_high", "n", "tau2"),
-]
+_ENDS: Final = ("value", "ci_low", "ci_high")
+COLUMNS = ["question", "recording", "adding", "law", "seed", *_ENDS, "n", "tau2"]
 QUESTIONS: Final = {
     "robot_loses": "What the robot loses: missed conflicts at fid:1 less those at raw",
     "left_after_attack": "What an attack wins back: PLR at fid:1 after it, less PLR as shared",
@@ -50,6 +43,8 @@ QUESTIONS: Final = {
     "fid_against_fixed": "FID against fixed noise at equal missed conflicts: PLR after attack",
 }
 """In the order of the first screen; all in fractions."""
+_TAIL: Final = 0.5 + CONFIDENCE / 2.0
+_NORMAL: Final = float(ndtri(_TAIL))
 _STRICT: Final = 1.0  # Threshold of FID at which is asked.
 _OF_VERDICT: Final = {
     "descriptors_tell": {"section": "validity", "descriptor": EXPOSURE, "task": LINKED_IN},
@@ -73,67 +68,40 @@ def answers_of(
     Raises DataError if a cell cannot be read.
     """
     known = families_in(manifest["cells"])
-    found = {
-        **estimates(out, manifest)[0],
-        **linkage_estimates(cards(out, manifest, drawn=(SUCCESS, SUCCESS_OF_100))),
-    }
-    best = strongest(found, known)
-
-    def enough(one: Estimate) -> bool:
-        return one.n >= LEAST_CLUSTERS  # as everywhere: of fewer there is no interval
-
+    read = cards(out, manifest, drawn=(SUCCESS, SUCCESS_OF_100))
+    sweeps = Sweeps({**estimates(out, manifest)[0], **linkage_estimates(read)}, known)
+    best = strongest(sweeps.found, known)
+    recording, seed = manifest["dataset"]["name"], str(manifest["identity"]["seed"])
     rows = []
     for adding in ADDING_RULES:
-        strict = next(
-            (
-                key.where
-                for key in found
-                if key.level == _STRICT
-                and known[key.mechanism].name == "fid"
-                and known[key.mechanism].adding == adding
-            ),
-            None,
-        )
-        told = {} if strict is None else _at(found, strict, best)
-        items = verdict.get("items", [])
+        told = _at(sweeps.found, (sweeps.named(FID, adding=adding), _STRICT), best)
         for question, wanted in _OF_VERDICT.items():
-            of = {**wanted, "adding": adding}
-            for item in items:
-                if all(item.get(name) == value for name, value in of.items()):
-                    value, low, high = (
-                        math.nan if item[one] is None else float(item[one]) for one in _ENDS
-                    )
+            for item in verdict.get("items", []):
+                if {**wanted, "adding": adding}.items() <= item.items():
+                    ends = (item[name] for name in ("effect", *_ENDS[1:]))
+                    value, low, high = (math.nan if one is None else float(one) for one in ends)
                     told[question] = Estimate(value, low, high, n=int(item["n"] or 0))
-        rows += [
-            {
-                "question": question,
-                "recording": manifest["dataset"]["name"],
-                "adding": adding,
-                "law": law,
-                "seed": str(manifest["identity"]["seed"]),
-                "value": told[question].value,
-                "ci_low": told[question].ci_low if enough(told[question]) else math.nan,
-                "ci_high": told[question].ci_high if enough(told[question]) else math.nan,
-                "n": told[question].n,
-                "tau2": math.nan,
-            }
-            for question in QUESTIONS
-            if question in told and math.isfinite(told[question].value)
-        ]
+        for question in QUESTIONS:
+            one = told.get(question)
+            if one is not None and math.isfinite(one.value):
+                # As everywhere: of fewer there is no interval.
+                has_ends = one.n >= LEAST_CLUSTERS
+                low, high = (one.ci_low, one.ci_high) if has_ends else (math.nan, math.nan)
+                about = question, recording, adding, law, seed
+                row = *about, one.value, low, high, one.n, math.nan
+                rows.append(dict(zip(COLUMNS, row, strict=True)))
     return rows
 
 
-_ENDS: Final = ("effect", "ci_low", "ci_high")
-
-
 def _at(
-    found: Mapping[Key, Estimate], where: tuple[str, float | None], best: Mapping[str, Source]
+    found: Mapping[Key, Estimate], where: Where, best: Mapping[str, Source]
 ) -> dict[str, Estimate]:
     """Return the answers that are read at one level."""
     told = {}
-    robots = [key.consumer for key in found if key.metric == MISSED_RATE]
-    if robots and (raw := found.get(Measure(robots[0], MISSED_RATE).at(RAW, None))):
-        told["robot_loses"] = difference(found[Measure(robots[0], MISSED_RATE).at(*where)], raw)
+    if missed := next((key.measure for key in found if key.metric == MISSED_RATE), None):
+        strict, raw = found.get(missed.at(*where)), found.get(missed.at(RAW, None))
+        if strict and raw:
+            told["robot_loses"] = difference(strict, raw)
     if "" in best:
         both = (found.get(one.measure(EXPOSURE).at(*where)) for one in (best[""], AS_SHARED))
         attacked, shared = both
@@ -157,10 +125,8 @@ class Pooled(NamedTuple):
     ci_low: float
     ci_high: float
     predicted_low: float
-    predicted_high: float
-    """Ends of the interval of a further recording."""
-    tau2: float
-    """Variance between recordings."""
+    predicted_high: float  # Ends of the interval of a further recording.
+    tau2: float  # Variance between recordings.
 
 
 def pool(values: Sequence[float], errors: Sequence[float]) -> Pooled:
@@ -180,11 +146,10 @@ def pool(values: Sequence[float], errors: Sequence[float]) -> Pooled:
     weights = 1.0 / (variances + tau2)
     value = float(effects @ weights / weights.sum())
     error = math.sqrt(float(weights @ (effects - value) ** 2) / ((k - 1) * float(weights.sum())))
-    tail = 0.5 + CONFIDENCE / 2.0
-    fixed = float(ndtri(tail)) / math.sqrt(float((1.0 / variances).sum()))
-    half = max(float(stdtrit(k - 1, tail)) * error, fixed)
-    spread = math.sqrt(tau2 + max(error, fixed / float(ndtri(tail))) ** 2)
-    ahead = max(half, float(stdtrit(k - 2, tail)) * spread)
+    fixed = 1.0 / math.sqrt(float((1.0 / variances).sum()))
+    half = max(float(stdtrit(k - 1, _TAIL)) * error, _NORMAL * fixed)
+    spread = math.sqrt(tau2 + max(error, fixed) ** 2)
+    ahead = max(half, float(stdtrit(k - 2, _TAIL)) * spread)
     return Pooled(value, value - half, value + half, value - ahead, value + ahead, tau2)
 
 
@@ -195,8 +160,7 @@ class Answered:
     question: str
     adding: str
     law: str
-    rows: Sequence[Mapping[str, Any]]
-    """Averages over seeds, simulated recordings last."""
+    rows: Sequence[Mapping[str, Any]]  # Averages over seeds, simulated recordings last.
     real: int  # So many of them are of real people.
     pooled: Pooled | None
 
@@ -208,7 +172,7 @@ class Answered:
             return "No real recording tells."
         k, values = len(of), [one["value"] for one in of]
         same = max(sum(one > 0 for one in values), sum(one < 0 for one in values))
-        least, most = min(of, key=_value), max(of, key=_value)
+        least, most = (pick(of, key=itemgetter("value")) for pick in (min, max))
         told = f"same sign in {same} of {k}"
         if self.question == "descriptors_tell":  # a spread has no sign
             told, same = "0 where PLR tells, and never below", 0
@@ -219,39 +183,33 @@ class Answered:
         return f"{told}, largest {100 * most['value']:+.1f} ({most['recording']})."
 
 
-def _value(row: Mapping[str, Any]) -> float:
-    return float(row["value"])
-
-
 def answered(rows: Sequence[Mapping[str, Any]], *, simulated: frozenset[str]) -> list[Answered]:
     """Return each question, adding rule and law: seeds averaged, real recordings pooled.
 
     `rows` are those of `answers_of`, of all runs; `simulated` recordings are never pooled.
     """
-    order = {name: place for place, name in enumerate(QUESTIONS)}
+    order = [*QUESTIONS]
 
     def group(row: Mapping[str, Any]) -> tuple[int, str, str]:
-        return order[row["question"]], row["law"], row["adding"]
+        return order.index(row["question"]), row["law"], row["adding"]
 
     found = []
     for (place, law, adding), of in groupby(sorted(rows, key=group), key=group):
-        mine = list(of)
-        averages = []
-        for name in dict.fromkeys(row["recording"] for row in mine):
-            seeds = [row for row in mine if row["recording"] == name]
-            ends = ("value", "ci_low", "ci_high")
-            mean = {one: float(np.mean([row[one] for row in seeds])) for one in ends}
-            n = min(row["n"] for row in seeds)
-            averages.append({**seeds[0], **mean, "seed": MEAN, "n": n})
-        averages.sort(key=lambda row: row["recording"] in simulated)
+        seeds: dict[str, list[Mapping[str, Any]]] = {}
+        for row in of:
+            seeds.setdefault(row["recording"], []).append(row)
+        averages = [_averaged(seeds[name]) for name in sorted(seeds, key=simulated.__contains__)]
         real = [row for row in averages if row["recording"] not in simulated]
-        half = float(ndtri(0.5 + CONFIDENCE / 2.0))
-        errors = [(row["ci_high"] - row["ci_low"]) / (2.0 * half) for row in real]
+        errors = [(row["ci_high"] - row["ci_low"]) / (2.0 * _NORMAL) for row in real]
         able = len(real) >= FEWEST and all(one > 0.0 for one in errors)
         pooled = pool([row["value"] for row in real], errors) if able else None
-        question = list(QUESTIONS)[place]
-        found.append(Answered(question, adding, law, averages, len(real), pooled))
+        found.append(Answered(order[place], adding, law, averages, len(real), pooled))
     return found
+
+
+def _averaged(seeds: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    means = {name: float(np.mean([row[name] for row in seeds])) for name in _ENDS}
+    return {**seeds[0], **means, "seed": MEAN, "n": min(row["n"] for row in seeds)}
 
 
 def to_frame(rows: Sequence[Mapping[str, Any]], of: Sequence[Answered]) -> pd.DataFrame:
@@ -260,7 +218,6 @@ def to_frame(rows: Sequence[Mapping[str, Any]], of: Sequence[Answered]) -> pd.Da
     for one in of:
         every += one.rows
         if one.pooled is not None:
-            about = dict(one.rows[0]) | {"recording": POOLED, "n": one.real}
-            kept = ("value", "ci_low", "ci_high", "tau2")
-            every.append(about | {name: getattr(one.pooled, name) for name in kept})
+            numbers = {name: getattr(one.pooled, name) for name in (*_ENDS, "tau2")}
+            every.append({**one.rows[0], "recording": POOLED, "n": one.real, **numbers})
     return pd.DataFrame(every, columns=COLUMNS)

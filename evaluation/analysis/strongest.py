@@ -16,7 +16,7 @@ chosen on one half of the people and scored on the other (`cross_fitted`).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
 
 import numpy as np
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from isac_track.intervals import Estimate
     from isac_track.types import Floats
 
-    Levels = dict[Where, dict[Source, float]]
+Levels: TypeAlias = "dict[Where, dict[Source, float]]"  # Success of every attack at each level.
 
 
 class Valued(Protocol):
@@ -155,6 +155,14 @@ def by_task(found: Mapping[Key, Valued], *, metric: str) -> dict[str, Levels]:
             source = key.measure.source
             values.setdefault(source.task, {}).setdefault(key.where, {})[source] = one.value
     return values
+
+
+def by_mechanism(levels: Levels) -> dict[str, list[dict[Source, float]]]:
+    """Return the success of every attack at the levels of each mechanism."""
+    of: dict[str, list[dict[Source, float]]] = {}
+    for (mechanism, _), block in levels.items():
+        of.setdefault(mechanism, []).append(block)
+    return of
 
 
 def most_knowing(of: Iterable[Source]) -> list[Source]:

@@ -4,13 +4,15 @@ A target or limit is met only if the upper end of the interval meets it; where t
 it is not met. Nothing is interpolated, and everything is read from the files of the run.
 """
 
-from __future__ import annotations
-
 import math
 import shlex
 import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
+
+import pandas as pd
 
 from evaluation.analysis import linkability
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW, Family, families_in
@@ -24,12 +26,6 @@ from evaluation.runs.files import content_of, from_csv
 from evaluation.runs.manifest import read_manifest
 from isac_track.errors import DataError, SettingsError, did_you_mean
 from isac_track.intervals import Estimate
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
-    import pandas as pd
 
 TARGETS: Final = ("missed", "false_alarm")  # What chooses a level.
 METRIC_OF: Final = {

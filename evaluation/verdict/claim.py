@@ -4,28 +4,33 @@ At equal missed rate: descriptors as shared, the same after attack, and who is l
 of any other mechanism of the run that has levels.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from itertools import product
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED
 from evaluation.analysis.frontier import TARGETS
 from evaluation.analysis.keys import AS_SHARED, Measure, Source
-from evaluation.analysis.matching import AT_EQUAL_ALARMS, MIN_DEFINED, MISSED, Sweeps, at_changes
-from evaluation.analysis.metrics import DESCRIPTORS, EQUAL_ALARMS, METRICS, MISSED_RATE, SUCCESS
+from evaluation.analysis.matching import (
+    AT_EQUAL_ALARMS,
+    CRITERIA,
+    MIN_DEFINED,
+    MISSED,
+    Sweeps,
+    at_changes,
+)
+from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
 from evaluation.verdict import rules
 from evaluation.verdict.items import Draft
 from evaluation.verdict.rules import NAME, known
 from isac_track.intervals import estimate_of
 from isac_track.types import Floats
 
-Items = Sequence[dict[str, Any]]
-
-_CRITERIA: Final = {
-    MISSED: (MISSED_RATE, "At an equal rise of missed conflicts"),
-    AT_EQUAL_ALARMS: (EQUAL_ALARMS, "At an equal rise of missed conflicts and equal false alarms"),
+_WHERE: Final = {
+    MISSED: "At an equal rise of missed conflicts",
+    AT_EQUAL_ALARMS: "At an equal rise of missed conflicts and equal false alarms",
 }
 AS_IS, AFTER, LINKED = "as-shared", "after-attack", "linkage"  # What a claim compares.
 
@@ -43,7 +48,7 @@ def claims(sweeps: Sweeps, strongest: Mapping[str, Source], *, predictor: str) -
     for adding in ADDING_RULES:
         fixed = sweeps.named(FIXED, adding=adding)
         others = [one for one in sweeps.swept(adding) if one != fixed]
-        for mechanism, (criterion, (metric, _)) in product(others, _CRITERIA.items()):
+        for mechanism, (criterion, metric) in product(others, CRITERIA.items()):
             arms, by = (mechanism, fixed), Measure(predictor, metric)
             found = at_changes(sweeps, arms, by, list(wanted), at=np.array(TARGETS))
             for measure, ours, theirs in found:
@@ -81,7 +86,7 @@ def _claim(
     ]
     source = measure.source
     descriptor = "" if of == LINKED else measure.metric
-    where = f"{_CRITERIA[criterion][1]} ({adding} adding)"
+    where = f"{_WHERE[criterion]} ({adding} adding)"
     who = mechanism or "FID"
     what = {
         AS_IS: f"{NAME.get(descriptor, '')} as shared",

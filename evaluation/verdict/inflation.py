@@ -1,8 +1,7 @@
 """Section d of the verdict: how much higher each descriptor is after attack than as shared."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from itertools import product
-from typing import Any
 
 import numpy as np
 
@@ -14,8 +13,6 @@ from evaluation.verdict import rules
 from evaluation.verdict.items import Draft
 from evaluation.verdict.rules import NAME
 from isac_track.intervals import estimate_of
-
-Items = Sequence[dict[str, Any]]
 
 
 def inflation(sweeps: Sweeps, attacks: Iterable[Source]) -> Iterator[Draft]:

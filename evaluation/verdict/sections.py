@@ -20,8 +20,6 @@ from evaluation.verdict.validity import validity
 from evaluation.verdict.within_level import within
 from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE
 
-Items = Sequence[dict[str, Any]]
-
 
 def verdict(
     sweeps: Sweeps,
