@@ -1,6 +1,7 @@
 """A run from settings to data frames and files: plan, execute, report."""
 
 import contextlib
+import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -23,7 +24,7 @@ from evaluation.analysis.matching import Sweeps, matched
 from evaluation.analysis.metrics import ACHIEVED, SUCCESS_OF_100
 from evaluation.analysis.pooled import Answered, answered, answers_of, to_frame
 from evaluation.analysis.strongest import cross_fitted, strongest
-from evaluation.experiment.constants import OTHER_LAW
+from evaluation.experiment.constants import BLOCK_SCENES, MOST_SCENES, OTHER_LAW
 from evaluation.experiment.plan import Plan, plan
 from evaluation.experiment.settings import Settings, check_drawing
 from evaluation.reporting import page
@@ -45,7 +46,7 @@ from evaluation.runs.workers import ahead, given_back
 from evaluation.verdict import sections as verdict
 from isac_track.errors import DataError, SettingsError
 
-__all__ = ["Results", "build", "load", "rebuild", "run", "study"]
+__all__ = ["Results", "build", "load", "rebuild", "run", "sized", "study"]
 _one_thread = partial(threadpool_limits, limits=1, user_api="blas")
 """Keep linear algebra to this thread: its matrices are small, and others would only spin."""
 
@@ -77,7 +78,8 @@ def run(
     Raises IsacTrackError for anything that a user can mend; finished cells are kept.
     """
     if ready is None:
-        ready = plan((settings or Settings()).changed(**options))
+        told = progress if callable(progress) else _silent
+        ready = plan(sized((settings or Settings()).changed(**options), progress=told))
     elif settings is not None or options:
         raise SettingsError("a plan that is ready has its settings: leave out all others")
     if progress is True:
@@ -89,6 +91,44 @@ def run(
         with ahead():
             execute(ready, update)
         return build(ready.out, pictures=pictures)
+
+
+def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> Settings:
+    """Return settings with as many scenes as the precision that they ask for takes; see docs.
+
+    A pilot of 250 scenes, in a folder of its own beside the run's, shows the half-width h of the
+    widest interval of a missed-conflict rate, over mechanisms and predictors: 250 (h / precision)^2
+    scenes, rounded up to whole blocks. A finished pilot is read, not computed again. Raises
+    SettingsError if that is more than a run takes, or nobody foresees conflicts.
+    """
+    if settings.precision is None or settings.utility_scenes is not None:
+        return settings
+    usual = plan(settings)
+    if not usual.axes.predictors:
+        raise SettingsError("--precision is that of missed-conflict rates: name a --predictor")
+    ready = plan(
+        settings.changed(
+            precision=None,
+            scenes=BLOCK_SCENES,
+            attacks=(),
+            tasks=(),
+            out=usual.out.with_name(f"{usual.out.name}-pilot"),
+        )
+    )
+    pilot = None if settings.fresh else _finished(ready)
+    if pilot is None:
+        pilot = run(ready=ready, progress=progress, pictures=False)
+    missed = pilot.summary[pilot.summary["metric"] == "missed_conflict_rate"]
+    half = float((missed["ci_high"] - missed["ci_low"]).max()) / 2.0
+    if not half > 0.0:
+        raise DataError("250 scenes show no interval of a missed-conflict rate: name --scenes")
+    n_scenes = BLOCK_SCENES * max(math.ceil((half / settings.precision) ** 2), 1)
+    if n_scenes > MOST_SCENES:
+        raise SettingsError(
+            f"--precision {settings.precision:g} takes {n_scenes:,} scenes (+- {half:.3f} after "
+            f"{BLOCK_SCENES}); a run has at most {MOST_SCENES:,}"
+        )
+    return settings.changed(utility_scenes=n_scenes, pilot_half_width=half)
 
 
 def _silent(_done: int, _total: int, _what: str) -> None:

@@ -18,8 +18,10 @@ from isac_track.protocols import ADVERSARIES
 
 _AXES = ("mechanisms", "predictors", "attacks", "tasks")
 _KINDS: dict[str, tuple[Any, type, str]] = {
-    **dict.fromkeys(("scenes", "seed", "jobs"), (Integral, int, "a whole number, as {}=40")),
-    **dict.fromkeys(("fps", "cell_timeout_s"), (Real, float, "a number, as {}=2.5")),
+    **dict.fromkeys(
+        ("scenes", "utility_scenes", "seed", "jobs"), (Integral, int, "a whole number, as {}=40")
+    ),
+    **dict.fromkeys(("fps", "cell_timeout_s", "precision"), (Real, float, "a number, as {}=2.5")),
     **dict.fromkeys(("preset", "dataset", "format", "executor", "scheduler"), (str, str, "text")),
     "out": ((str, Path), Path, "the path of a folder"),
 }
@@ -42,6 +44,10 @@ class Settings:
     sessions: tuple[str, ...] = ()  # Paths of files that are sessions of one recording.
     persistent_ids: bool = False  # Whether ids are the same people in all sessions.
     scenes: int | None = None  # Attacked ones, and all.
+    utility_scenes: int | None = None  # All, where the attacked ones stay the preset's first.
+    precision: float | None = None
+    """Half-width that missed-conflict rates' intervals shall have: it finds `utility_scenes`."""
+    pilot_half_width: float | None = None  # The widest in the 250 scenes that found them.
     seed: int = 0
     mechanisms: tuple[str, ...] | None = None
     """SPECs, or objects of plug-ins; they replace the preset's."""
@@ -89,6 +95,7 @@ class Settings:
             raise SettingsError(f"cell_timeout must be positive, got {self.cell_timeout_s:g} s")
         if self.fps is not None and not self.fps > 0:
             raise SettingsError(f"fps must be positive, got {self.fps:g}")
+        self._check_precision()
         self._check_executor()
 
     def _check_types(self) -> None:
@@ -124,6 +131,17 @@ class Settings:
                 raise SettingsError(f"unknown option {name!r}{hint}")
         return replace(self, **options)
 
+    def _check_precision(self) -> None:
+        if self.precision is None:
+            return
+        if not 0.0 < self.precision < 0.5:  # noqa: PLR2004 - half of all
+            raise SettingsError(
+                "--precision is the half-width of a missed-conflict rate's interval, between 0 "
+                f"and 0.5 (0.01: +- 1 %), got {self.precision:g}"
+            )
+        if self.scenes is not None:
+            raise SettingsError("--precision finds the number of scenes: leave out --scenes")
+
     def _check_executor(self) -> None:
         if self.executor not in ("local", "dask"):
             raise SettingsError(f"the executor is local or dask, got {self.executor!r}")
@@ -146,11 +164,14 @@ class Settings:
     @property
     def n_scenes(self) -> int:
         """Scenes of the run that are attacked: the first of all."""
-        return PRESETS[self.preset].scenes if self.scenes is None else self.scenes
+        usual = PRESETS[self.preset].scenes if self.scenes is None else self.scenes
+        return usual if self.utility_scenes is None else min(usual, self.utility_scenes)
 
     @property
     def n_utility_scenes(self) -> int:
         """All scenes of the run: what noise costs the robot is read in every one."""
+        if self.utility_scenes is not None:
+            return self.utility_scenes
         return PRESETS[self.preset].utility_scenes if self.scenes is None else self.scenes
 
 

@@ -13,6 +13,7 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from evaluation.experiment.constants import BLOCK_SCENES
 from evaluation.experiment.presets import PRESETS
 from isac_track.config import StageSettings
 
@@ -129,6 +130,11 @@ def plan_lines(ready: Plan) -> Iterator[str]:
         f"{ready.dataset.name}: {len(ready.tracks)} of {len(ready.dataset.tracks)} tracks used, "
         f"{scenes_text(ready.identity)}; {ready.n_cells} cells{so_far}, in {near(ready.out)}"
     )
+    if ready.settings.pilot_half_width is not None:
+        yield (
+            f"missed conflicts to +- {ready.settings.precision:g}: {BLOCK_SCENES} scenes of a "
+            f"pilot have +- {ready.settings.pilot_half_width:.3f}"
+        )
     if ready.dataset.notice:
         yield f"notice: {ready.dataset.notice}"
     if ready.dataset.name not in KNOWN:  # of the others docs/data.md tells

@@ -200,6 +200,8 @@ def describe(ready: Plan) -> dict[str, Any]:
             "preset": settings.preset,
             "scenes": settings.n_scenes,
             "scenes_utility": settings.n_utility_scenes,
+            "precision": settings.precision,
+            "pilot_half_width": settings.pilot_half_width,
             "seed": settings.seed,
             "mechanisms": [plugin.spec for plugin in axes.mechanisms],
             "predictors": [plugin.spec for plugin in axes.predictors],

@@ -1,0 +1,71 @@
+"""As many scenes as a half-width takes: found by a pilot, told, kept; refused where it cannot be."""
+
+import json
+import math
+
+import pandas as pd
+import pytest
+
+import evaluation
+from evaluation import matrix
+from evaluation.results import sized
+from isac_track.errors import SettingsError
+
+FEW = {"preset": "smoke", "dataset": "plaza", "mechanisms": ["raw", "fixed:1"], "attacks": []}
+LITTLE = FEW | {"predictors": ["constant_position"], "tasks": [], "jobs": 1}
+
+
+@pytest.fixture(scope="module")
+def precise(tmp_path_factory):
+    out = tmp_path_factory.mktemp("precise") / "run"
+    return evaluation.run(**LITTLE, precision=0.05, out=out, progress=False), out
+
+
+def test_the_number_of_scenes_follows_from_the_widest_interval_of_the_pilot(precise):
+    results, out = precise
+    pilot = pd.read_csv(out.with_name("run-pilot") / "summary.csv")
+    missed = pilot[pilot["metric"] == "missed_conflict_rate"]
+    half = ((missed["ci_high"] - missed["ci_low"]) / 2).max()
+    said = json.loads((out / "manifest.json").read_text())["settings"]
+    assert said["precision"] == 0.05
+    assert said["pilot_half_width"] == pytest.approx(half)
+    assert said["scenes_utility"] == 250 * math.ceil((half / 0.05) ** 2) > 250
+    assert said["scenes"] == 40  # what is attacked stays the preset's
+    reached = results.summary[results.summary["metric"] == "missed_conflict_rate"]
+    assert ((reached["ci_high"] - reached["ci_low"]) / 2).max() < 1.5 * 0.05
+
+
+def test_a_finished_pilot_is_read_and_says_the_same(precise):
+    results, out = precise
+    before = (out.with_name("run-pilot") / "manifest.json").stat().st_mtime_ns
+    again = evaluation.run(**LITTLE, precision=0.05, out=out, progress=False)
+    assert (out.with_name("run-pilot") / "manifest.json").stat().st_mtime_ns == before
+    pd.testing.assert_frame_equal(again.summary, results.summary)
+
+
+def test_a_precision_that_250_scenes_reach_takes_250(precise):
+    _, out = precise
+    asked = evaluation.Settings(**LITTLE, precision=0.4, out=out)
+    assert sized(asked, progress=lambda *_: None).n_utility_scenes == 250
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--precision", "0"], "between 0 and 0.5"),
+        (["--precision", "nan"], "between 0 and 0.5"),
+        (["--precision", "0.01", "--scenes", "40"], "leave out --scenes"),
+        (["--precision", "0.1", "--predictor", "none"], "name a --predictor"),
+        (["--precision", "0.1", "--dry-run"], "leave out --dry-run"),
+    ],
+)
+def test_what_cannot_be_is_one_line_and_exit_2(options, says, tmp_path, capsys):
+    assert matrix.main(["--preset", "smoke", *options, "--out", str(tmp_path / "run")]) == 2
+    errors = capsys.readouterr().err.splitlines()
+    assert [line for line in errors if says in line] == errors[-1:]
+
+
+def test_more_scenes_than_a_run_takes_are_refused(precise):
+    asked = evaluation.Settings(**LITTLE, precision=1e-5, out=precise[1])
+    with pytest.raises(SettingsError, match="a run has at most 10,000,000"):
+        sized(asked, progress=lambda *_: None)
