@@ -53,7 +53,7 @@ _MECHANISM = "sharing mechanism: name[:VALUE][,key=value...], a sweep as LOW..HI
 _TIMEOUT = "kill and leave out a cell that takes longer than this many seconds (default: never)"
 _EXECUTOR = "where cells are computed: here (default), or on a Dask cluster; see docs/cluster.md"
 _PRECISION = (
-    "half-width of the missed-conflict rates' intervals (0.01: +- 1 %): as many scenes as 250 "
+    "half-width of the missed-conflict rates' intervals (0.01: +- 1 point): as many scenes as 250 "
     "computed first say that it takes; not with --scenes"
 )
 _OPTIONS: Final[dict[str, tuple[type, str, str]]] = {

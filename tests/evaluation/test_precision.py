@@ -1,4 +1,4 @@
-"""As many scenes as a half-width takes: found by a pilot, told, kept; refused where it cannot be."""
+"""As many scenes as a half-width takes: found by a pilot, told, kept; or refused."""
 
 import json
 import math
