@@ -6,6 +6,7 @@ import keyword
 import re
 import shlex
 import sys
+from collections.abc import Callable, Sequence
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,7 +18,6 @@ from isac_track.errors import IsacTrackError, SettingsError
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable, Sequence
 
 TEMPLATES = {
     "test_{name}.py": "test_plugin.py.tmpl",

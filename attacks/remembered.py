@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import wraps
 from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
 from weakref import WeakKeyDictionary, ref
@@ -12,8 +13,6 @@ from isac_track.noise import innovation_variance_m2
 from isac_track.types import Floats, Ints, Release
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     _Rest = ParamSpec("_Rest")
 _Source = TypeVar("_Source")
 _Found = TypeVar("_Found")

@@ -3,8 +3,6 @@
 A user's own folder called ``evaluation`` would shadow ``python -m evaluation.matrix``.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from importlib import import_module

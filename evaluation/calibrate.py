@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from isac_track.command_line import DONE, Parser, exit_code
@@ -10,7 +11,6 @@ from isac_track.errors import SettingsError
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Sequence
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

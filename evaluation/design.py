@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,6 @@ from isac_track.kalman import steady
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Sequence
 
     from evaluation.verdict.choose_level import Choice
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,6 @@ from isac_track.errors import DataError, IsacTrackError, SettingsError
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Mapping, Sequence
 
 _EXIT = """\
 exit codes: 0 done, 2 wrong usage or data, 3 a variant failed (the others are done), 130 interrupted

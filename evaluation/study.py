@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 import warnings
+from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,6 @@ from isac_track.config import StageSettings
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Sequence
 
 LAWS = ("radial", "isotropic")
 _EXIT = """\

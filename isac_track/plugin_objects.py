@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import secrets
+from collections.abc import Iterable
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
@@ -11,8 +12,6 @@ from isac_track import plugins
 from isac_track.errors import PluginError, SettingsError, quoted, told
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from isac_track.plugins import Kind, Plugin
 
 

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from isac_track.types import Bools, Floats, Ints
+
 if TYPE_CHECKING:
     from isac_track.config import IntervalsOf, PrivacySettings
-    from isac_track.types import Bools, Floats, Ints
 
 
 @dataclass(frozen=True, eq=False, slots=True)

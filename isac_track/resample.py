@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
 
 from isac_track.rng import stream
 from isac_track.types import Floats, Tracks
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.random import Generator
-
     from isac_track.config import ResampleSettings
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
 
 from isac_track.conflict import is_conflict, minimum_separation, prediction_grid, robot_path
 from isac_track.errors import DataError
@@ -18,8 +19,6 @@ from isac_track.rng import stream
 from isac_track.types import TRACK, Floats, Ints, Scenes, Tracks, end_to_end, runs_of, stretches
 
 if TYPE_CHECKING:
-    from numpy.random import Generator
-
     from isac_track.config import ConflictSettings, StageSettings
 
 _FEW_REDRAWS = 16

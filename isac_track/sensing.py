@@ -11,13 +11,12 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
 
 from isac_track.rng import stream
 from isac_track.types import ErrorLaw, Floats, Ints, Scenes, Sensed, read_only
 
 if TYPE_CHECKING:
-    from numpy.random import Generator
-
     from isac_track.config import SensingSettings
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0

@@ -8,6 +8,7 @@ indexing give zero-copy views of one track, so that a plug-in can be a plain loo
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from enum import Enum
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias, TypeVar
@@ -16,8 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from _typeshed import DataclassInstance
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -39,20 +38,13 @@ _ROUNDING: Final = 1e-5
 class Knowledge(Enum):
     """What a receiver of a release may be granted beyond times, positions and pseudonyms."""
 
-    MECHANISM = "mechanism"
-    """The frozen mechanism object with its parameters (Kerckhoffs)."""
-    SIGMA = "sigma"
-    """The standard deviation declared with each sample."""
-    TRAIN = "train"
-    """Releases of other people, with their truth, perturbed by the same mechanism."""
-    SCENE = "scene"
-    """The true frame and clock; without it both are random per release."""
-    REPEATS = "repeats"
-    """Further releases of the same walks."""
-    ANCHOR = "anchor"
-    """One true position of every walk, at its instant: a door, a camera."""
-    COMPANIONS = "companions"
-    """Releases of who walks along, with errors of their own."""
+    MECHANISM = "mechanism"  # The frozen mechanism object with its parameters (Kerckhoffs).
+    SIGMA = "sigma"  # The standard deviation declared with each sample.
+    TRAIN = "train"  # Releases of other people, with their truth, perturbed by the same mechanism.
+    SCENE = "scene"  # The true frame and clock; without it both are random per release.
+    REPEATS = "repeats"  # Further releases of the same walks.
+    ANCHOR = "anchor"  # One true position of every walk, at its instant: a door, a camera.
+    COMPANIONS = "companions"  # Releases of who walks along, with errors of their own.
 
 
 _SAMPLE: Mapping[str, str] = {"per": "sample"}

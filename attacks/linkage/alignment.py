@@ -5,6 +5,7 @@ Of two paths, by their shape, or of how fast their walkers went and how they tur
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING, ClassVar
@@ -17,8 +18,6 @@ from attacks.parameters import positive
 from isac_track.types import Floats, Knowledge, Release
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 
 _RANK = 8  # Polynomials of a profile.

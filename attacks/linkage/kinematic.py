@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, ClassVar
@@ -16,8 +17,6 @@ from isac_track.kalman import Batch, kalman_last
 from isac_track.types import Floats, Knowledge, Release, derived
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 
 _PRIOR_STD = (100.0, 1.4)

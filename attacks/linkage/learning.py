@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
@@ -11,8 +12,6 @@ from attacks.remembered import remembered
 from isac_track.types import Floats, Ints, Knowledge, Release, read_only
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 
 Rows: TypeAlias = Ints | slice

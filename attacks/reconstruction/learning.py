@@ -12,6 +12,7 @@ the network's estimator is a constant, learnt from other people.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, TypeVar
@@ -25,8 +26,6 @@ from isac_track.sharing import Fid, fid_d_sigma
 from isac_track.types import Floats, Ints, Knowledge, Reconstruction, Release
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from isac_track.protocols import AttackContext, Reconstructor, TrainingSet
 
 _Choice = TypeVar("_Choice")

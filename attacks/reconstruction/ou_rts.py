@@ -9,6 +9,7 @@ walks along is laid on the walk and averaged with it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
@@ -25,8 +26,6 @@ from isac_track.protocols import OF_WALKS
 from isac_track.types import Floats, Knowledge, Reconstruction, Release, derived
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from isac_track.protocols import AttackContext, Reconstructor
 
 _STD_M = (0.2, 0.4, 0.8, 1.6)

@@ -8,12 +8,14 @@ the noise depends. `attacks.tasks.task_list` says which tasks there are.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import combinations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.random import Generator
 
 from attacks.tasks.circumstances import circumstances
 from attacks.tasks.sessions import N_FOLDS, Sessions, Windows, halves, joined, roles
@@ -22,15 +24,10 @@ from isac_track.datasets import load, summarise
 from isac_track.errors import DataError, SettingsError
 from isac_track.resample import sampling_times, walk
 from isac_track.rng import stream
-from isac_track.types import Tracks
+from isac_track.types import Bools, Floats, Ints, Tracks
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from numpy.random import Generator
-
     from isac_track.config import StageSettings
-    from isac_track.types import Bools, Floats, Ints
 
 LEAST_PEOPLE = 24
 """Fewer cannot be split into people to learn from, to calibrate on and to attack, twice."""

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
+from isac_track.types import Floats, Ints, Tracks
 
+if TYPE_CHECKING:
     from attacks.tasks.sessions import Windows
-    from isac_track.types import Floats, Ints, Tracks
 
 COLUMNS: Final[Mapping[str, tuple[int, ...]]] = {
     "queue_place": (0, 1),

@@ -8,21 +8,19 @@ away by a side door, and what an attack achieves there is no measure of anything
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
+from numpy.random import Generator
 
 from attacks.tasks.circumstances import COLUMNS
 from isac_track.sensing import intervals_before
+from isac_track.types import Floats, Ints, Release
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from numpy.random import Generator
-
     from attacks.tasks.task_list import Task
-    from isac_track.types import Floats, Ints, Release
 
 Score: TypeAlias = "Callable[[Release, Release, Generator], Floats]"
 _NO_SIGMA_M = 1e-9

@@ -6,18 +6,16 @@ the adversary or calibrates it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
 
 from isac_track.types import Bools, Floats, Ints, read_only
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.random import Generator
-
     from attacks.tasks.task_list import Task
 
 N_FOLDS = 2

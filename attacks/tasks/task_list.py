@@ -7,6 +7,7 @@ who left has no mate, who is new is a candidate all the same. In the others ever
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -14,8 +15,6 @@ from isac_track.errors import SettingsError, did_you_mean
 from isac_track.protocols import OF_WALKS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from isac_track.types import Knowledge
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
 from copy import deepcopy
 from dataclasses import fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
 from isac_track.protocols import LinkageTrainingSet, TrainingSet
@@ -15,10 +17,6 @@ from isac_track.sensing import fisher_information_density, unit_errors
 from isac_track.types import ErrorLaw, Floats, Release, Sensed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
-    from numpy.typing import NDArray
-
     from isac_track.sharing import Fixed
 
     Person = Callable[[Floats], Floats]

@@ -5,20 +5,18 @@ Reconstructions and linkers get theirs by the same rules, wherever they stand.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
 
 from evaluation.cells.sharing import guarded
 from isac_track.errors import PluginError
 from isac_track.types import Complexes, Floats, Ints, Knowledge, Reconstruction, Release
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.random import Generator
-
     from evaluation.experiment.axes import Consumer
     from isac_track.plugins import Plugin
 

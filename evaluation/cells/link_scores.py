@@ -9,12 +9,14 @@ permutation test, and nobody pairs two.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pyarrow as pa
+from numpy.random import Generator
 
 from evaluation.cells.tables import ROWS, Tables, names_column
 from isac_track import linkability
@@ -22,15 +24,11 @@ from isac_track.intervals import Estimate, cluster_sums, exact_binomial, ratio_e
 from isac_track.linkability.scoring import RANK_METRICS, Drawn, draw, scorecard_of
 from isac_track.linkability.significance import People, people_of
 from isac_track.rng import stream
+from isac_track.types import Bools, Floats, Ints
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.random import Generator
-
     from attacks.tasks.controls import Control
     from evaluation.cells.link_setup import Pairing, SensedSessions
-    from isac_track.types import Bools, Floats, Ints
 
 WITHOUT_GROUPS, WITHOUT_FROZEN = "without_groups", "without_frozen"
 """Without people who walk in a group, and move alike; without nearly frozen annotations."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import pickle
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -20,8 +21,6 @@ from isac_track.sensing import draw_channel, sense, walk_numbers
 from isac_track.types import Bools, Floats, Ints, Sensed, read_only
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
     from attacks.tasks.sessions import Sessions
     from isac_track.config import PrivacySettings, StageSettings
 

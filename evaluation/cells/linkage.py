@@ -7,6 +7,7 @@ person's linkability is compared with.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -50,8 +51,6 @@ from isac_track.rng import stream
 from isac_track.types import Floats, Knowledge, Release, derived
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from attacks.tasks.sessions import Windows
     from evaluation.experiment.axes import Consumer
     from isac_track.linkability import Calibration

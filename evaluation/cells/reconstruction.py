@@ -6,6 +6,7 @@ other half; every attack prepares anew for every mechanism level.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
@@ -28,8 +29,6 @@ from isac_track.sensing import draw_channel, sense, sense_scenes, walk_numbers
 from isac_track.types import Floats, Ints, Knowledge, Release, Scenes, Sensed, derived
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-
     from evaluation.experiment.axes import Consumer
     from isac_track.config import StageSettings
     from isac_track.plugins import Plugin

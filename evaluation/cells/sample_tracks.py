@@ -6,6 +6,7 @@ where a redraw finds them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,13 +20,11 @@ from isac_track.protocols import AttackContext
 from isac_track.rng import stream
 from isac_track.scenes import Cut, make_scenes, track_order
 from isac_track.sensing import sense_scenes
+from isac_track.types import Release
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from isac_track.config import StageSettings
     from isac_track.plugins import Plugin
-    from isac_track.types import Release
 
 COLUMNS = [
     *("track", "source", "mechanism", "attack", "epsilon_m", "t", "x_true", "y_true"),

@@ -6,6 +6,7 @@ What a stranger wrote is called here as everywhere by `guarded`: their mistakes 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
@@ -29,8 +30,6 @@ from isac_track.types import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from evaluation.experiment.axes import Consumer
     from isac_track.plugins import Plugin
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
@@ -9,13 +10,11 @@ import numpy as np
 import pyarrow as pa
 
 from isac_track import privacy
+from isac_track.types import Floats, Ints, Scenes
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from isac_track.config import PrivacySettings
     from isac_track.scenes import Cut
-    from isac_track.types import Floats, Ints, Scenes
 
 Rows: TypeAlias = dict[str, np.ndarray[Any, np.dtype[Any]]]
 Tables: TypeAlias = "dict[str, pa.Table]"

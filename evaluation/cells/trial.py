@@ -6,6 +6,7 @@ All of it has streams of its own: a run comes out the same with it as without.
 from __future__ import annotations
 
 import traceback
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,8 +28,6 @@ from isac_track.sensing import sense_scenes
 from isac_track.types import Knowledge, Release, Tracks
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from evaluation.experiment.axes import Consumer
     from isac_track.config import StageSettings
     from isac_track.plugins import Plugin

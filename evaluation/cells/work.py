@@ -8,6 +8,7 @@ and what sees nothing else is computed once for levels that are shared alike.
 from __future__ import annotations
 
 import traceback
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -39,8 +40,6 @@ from isac_track.sensing import sense_scenes
 from isac_track.types import ErrorLaw, Ints, Knowledge
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from attacks.tasks.sessions import Sessions
     from evaluation.experiment.axes import Consumer
     from isac_track.config import StageSettings

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -17,8 +18,6 @@ from isac_track.protocols import grants, kind_of
 from isac_track.types import ErrorLaw, Knowledge
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     from evaluation.experiment.settings import Settings
     from isac_track.plugins import Plugin
 

@@ -7,6 +7,7 @@ import hashlib
 import json
 import re
 import sysconfig
+from collections.abc import Iterable
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,8 +16,6 @@ from typing import TYPE_CHECKING, Final
 import isac_track
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from evaluation.experiment.axes import Axes, Consumer
     from isac_track.plugins import Plugin
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,8 +19,6 @@ from isac_track.errors import DataError, PluginError, told
 from isac_track.scenes import Cut, cut
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     from attacks.tasks.sessions import Sessions
     from evaluation.experiment.settings import Settings
     from isac_track.plugins import Plugin

@@ -57,8 +57,7 @@ class Settings:
     """SPECs, LINKER@RECONSTRUCTION among them; they replace the preset's. Empty: no attack."""
     tasks: tuple[str, ...] | None = None
     """Linkage tasks; they replace the preset's. Empty: nothing is linked."""
-    adversaries: tuple[str, ...] = ()
-    """Beside blind, informed and oracle."""
+    adversaries: tuple[str, ...] = ()  # Beside blind, informed and oracle.
     stages: StageSettings = field(default_factory=StageSettings)
     jobs: int | None = None
     """Worker processes; None: as many as there are cores where the work is worth it."""

@@ -5,6 +5,7 @@ A variant's run has one assumption changed, and only the attacks that matter.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -17,8 +18,6 @@ from isac_track.datasets.registry import KNOWN, known
 from isac_track.errors import DataError, SettingsError, did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
     from isac_track.plugins import Kind
 
 BASE: Final = "base"

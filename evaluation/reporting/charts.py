@@ -17,8 +17,7 @@ from isac_track.intervals import Estimate
 from isac_track.types import Floats
 
 WIDTH: Final = 360.0
-CHARACTER: Final = 5.6
-"""How wide a character is at most on average, in units of a chart."""
+CHARACTER: Final = 5.6  # How wide a character is at most on average, in units of a chart.
 PERCENT: Final = 100.0
 _SHAPES: Final = (
     "a3.4 3.4 0 1 0 6.8 0a3.4 3.4 0 1 0-6.8 0",
@@ -69,10 +68,8 @@ class Curve(NamedTuple):
 
     look: Look
     name: str
-    x: Floats
-    """(P,) in the unit of the axis"""
-    y: Floats
-    """(3, P) values and both ends of their intervals, NaN where unknown"""
+    x: Floats  # (P,) in the unit of the axis
+    y: Floats  # (3, P) values and both ends of their intervals, NaN where unknown
 
 
 class Axis(NamedTuple):
@@ -93,10 +90,8 @@ class Chart:
     x_ticks: list[tuple[float, str]] = field(default_factory=list)
     y_ticks: list[tuple[float, str]] = field(default_factory=list)
     grid: str = ""
-    lines: list[tuple[str, str]] = field(default_factory=list)
-    """Classes and path."""
-    marks: list[tuple[str, str, str]] = field(default_factory=list)
-    """Classes, path and name."""
+    lines: list[tuple[str, str]] = field(default_factory=list)  # Classes and path.
+    marks: list[tuple[str, str, str]] = field(default_factory=list)  # Classes, path and name.
 
     @property
     def bottom(self) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 import textwrap
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import partial
 from operator import itemgetter
@@ -28,8 +29,6 @@ from isac_track.intervals import Estimate
 from isac_track.kalman import steady
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
     from rich.console import Console
 
 _Row: TypeAlias = "tuple[str, str, str, design.Level | None]"

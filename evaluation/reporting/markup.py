@@ -31,10 +31,8 @@ _LATEX = Environment(  # noqa: S701 - what is not HTML needs another escape: `te
     keep_trailing_newline=True,
 )
 PREAMBLE: Final = "% Needs \\usepackage{booktabs}. Values with 95 % intervals.\n"
-_MOST_COLUMNS = 10
-"""Beside the keys: what a page has room for."""
-_MOST_BESIDE = 6
-"""With more columns of intervals, these stand below their values."""
+_MOST_COLUMNS = 10  # Beside the keys: what a page has room for.
+_MOST_BESIDE = 6  # With more columns of intervals, these stand below their values.
 _WORDS = {"\\": "textbackslash", "~": "textasciitilde", "^": "textasciicircum"}
 _WORDS |= {"<": "textless", ">": "textgreater", "|": "textbar"}
 _SPECIAL = {one: f"\\{one}" for one in "{}$&%#_"}

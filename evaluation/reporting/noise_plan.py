@@ -1,7 +1,5 @@
 """What the closed forms say of a limit, before anything is run; imports nothing heavy."""
 
-from __future__ import annotations
-
 import math
 
 from isac_track.kalman import steady

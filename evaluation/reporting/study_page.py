@@ -1,18 +1,14 @@
 """`study.html`: the five questions over several recordings, a forest plot for each."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from evaluation.analysis.pooled import FEWEST, QUESTIONS, Answered
 from evaluation.reporting.charts import CHARACTER, PERCENT, WIDTH, Chart, Look
 from evaluation.reporting.markup import HTML
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
 
 SET_CONSTANTS: Final = "students03"
 """The recording that the constants of the sensing model were fitted on."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -44,8 +45,6 @@ from isac_track.command_line import check_interrupt
 from isac_track.errors import PluginError, told
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-
     import pandas as pd
 
     from evaluation.cells.work import Item

@@ -16,7 +16,9 @@ import os
 import re
 import secrets
 import stat
+from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from pandas.api.types import is_numeric_dtype
@@ -29,9 +31,6 @@ except ImportError:  # pragma: no cover - Windows has no flock
     fcntl = None  # type: ignore[assignment]  # a module, where there is one
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-    from pathlib import Path
-
     import pandas as pd
 
 FOLDER: Final = "cells"

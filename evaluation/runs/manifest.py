@@ -15,6 +15,7 @@ import shutil
 import subprocess
 import sys
 from collections import defaultdict
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from importlib.metadata import version
 from itertools import groupby
@@ -29,8 +30,6 @@ from evaluation.runs.files import MANIFEST, content_of, label_of, write_whole
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     from evaluation.experiment.plan import Plan, Unit
     from evaluation.runs.cell_files import Index
 

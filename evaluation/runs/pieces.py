@@ -5,6 +5,7 @@ When a plug-in or a worker fails, its cell is left out by name, and the rest goe
 
 from __future__ import annotations
 
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -18,7 +19,6 @@ from isac_track.scenes import track_order
 
 if TYPE_CHECKING:
     from collections import deque
-    from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 
     import pandas as pd
 

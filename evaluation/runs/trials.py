@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Final
@@ -17,8 +18,6 @@ from evaluation.runs.workers import spread
 from isac_track.errors import PluginError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from evaluation.experiment.plan import Plan, Unit
 
 MOST_S: Final = 60.0  # A call that takes longer is given up, and says nothing about the plug-in.

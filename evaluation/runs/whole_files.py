@@ -6,6 +6,7 @@ compress them, too.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from evaluation.cells.where import Failed
@@ -14,8 +15,6 @@ from evaluation.experiment.fingerprint import sources
 from evaluation.runs.cell_files import packed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-
     from evaluation.experiment.plan import Unit
     from evaluation.runs.pieces import Place, Work
 

@@ -18,6 +18,7 @@ import sys
 import threading
 import time
 import traceback
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from importlib import import_module
 from multiprocessing import Pipe, connection
 from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, TypeVar
@@ -32,7 +33,6 @@ from isac_track.errors import told
 
 if TYPE_CHECKING:
     from collections import deque
-    from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 
 W = TypeVar("W")
 R = TypeVar("R")

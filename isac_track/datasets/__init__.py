@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -23,13 +24,11 @@ from isac_track.datasets.repair import to_tracks
 from isac_track.datasets.sessions import as_one
 from isac_track.datasets.sessions import files_in as session_files
 from isac_track.errors import DataError, did_you_mean
+from isac_track.types import Bools, Floats, Tracks
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
     from pandas import DataFrame
 
-    from isac_track.types import Bools, Floats, Tracks
 
 __all__ = ["FORMATS", "Dataset", "Repair", "load", "read", "summarise"]
 
@@ -43,13 +42,11 @@ FORMATS: Mapping[str, Callable[..., Rows]] = {
     **_WITH_CLOCK,
 }
 """Each turns the bytes of a file into rows, and lets no error but `DataError` out."""
-GRAND_CENTRAL = "gc"
-"""The format of an archive or a folder, as `read_gc` describes it."""
+GRAND_CENTRAL = "gc"  # The format of an archive or a folder, as `read_gc` describes it.
 _EXTENSIONS = {".csv": "csv", ".parquet": "parquet", ".ndjson": "trajnet"}
 _Read: TypeAlias = "tuple[Tracks, tuple[Repair, ...], str, str]"
 """Tracks, what was mended, hash and format."""
-SLOW_MPS = 0.2
-"""Slower steps than this are not walking."""
+SLOW_MPS = 0.2  # Slower steps than this are not walking.
 FROZEN_SHARE = 0.9
 """A track with at least this share of exactly-zero steps is nearly frozen: an annotation
 that was left standing rather than a person, whose last position tells the whole walk."""
@@ -60,25 +57,17 @@ _CLOCK_S = 1e-9
 class Dataset:
     """Tracks, where they come from, and what was done to them on reading."""
 
-    name: str
-    """Name in the registry, or of the file."""
+    name: str  # Name in the registry, or of the file.
     tracks: Tracks
-    path: str
-    """Where it was found; for bundled data relative to the package."""
-    sha256: str
-    """Hash of the main file."""
+    path: str  # Where it was found; for bundled data relative to the package.
+    sha256: str  # Hash of the main file.
     format: str
-    simulated: bool
-    """True for the bundled crowd; of a file of one's own nothing is known: False."""
+    simulated: bool  # True for the bundled crowd; of a file of one's own nothing is known: False.
     repairs: tuple[Repair, ...]
-    notice: str | None
-    """Says that another data set than the preferred one was taken; to be shown."""
-    citation: str
-    """Whom to credit; empty if unknown."""
-    licence: str
-    """Empty if unknown."""
-    sessions: tuple[str, ...] = ()
-    """Paths of the files that were named as sessions."""
+    notice: str | None  # Says that another data set than the preferred one was taken; to be shown.
+    citation: str  # Whom to credit; empty if unknown.
+    licence: str  # Empty if unknown.
+    sessions: tuple[str, ...] = ()  # Paths of the files that were named as sessions.
 
 
 def load(

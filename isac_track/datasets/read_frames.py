@@ -6,6 +6,7 @@ import json
 import re
 import warnings
 from array import array
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -15,8 +16,6 @@ from isac_track.datasets import recording
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
     from isac_track.datasets.recording import Repair, Rows
 
 COLUMNS = {
@@ -50,14 +49,11 @@ class Header:
     """What the comments before the first row of a file say."""
 
     fps: float | None
-    unit: str
-    """Of `recording.METRES`; empty if none is named."""
+    unit: str  # Of `recording.METRES`; empty if none is named.
     columns: Mapping[str, int]
     """Places of frame, id, x and y; empty if no line names all the columns of the first row."""
-    line: int
-    """That names them."""
-    marker: int | None = None
-    """Place of the person's number, which lasts over files."""
+    line: int  # That names them.
+    marker: int | None = None  # Place of the person's number, which lasts over files.
 
 
 def read_columns(

@@ -5,8 +5,6 @@
 unpacked: no name in it becomes a path, and limits end one that is not what it says.
 """
 
-from __future__ import annotations
-
 import gzip
 import hashlib
 import json
@@ -14,10 +12,11 @@ import os
 import re
 import tarfile
 import zlib
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import islice
-from pathlib import PurePosixPath
-from typing import IO, TYPE_CHECKING, cast
+from pathlib import Path, PurePosixPath
+from typing import IO, cast
 
 import numpy as np
 
@@ -25,24 +24,15 @@ from isac_track.datasets import recording
 from isac_track.datasets.recording import Place, Repair, Rows
 from isac_track.datasets.registry import shown
 from isac_track.errors import DataError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
-
-    from isac_track.types import Floats, Tracks
+from isac_track.types import Floats, Tracks
 
 ARCHIVE = "gc.tgz"
 FPS = 25.0
-LONGEST_STEP_FRAMES = 20
-"""Between two annotations; a longer gap ends the track."""
-FAST_PIECE_MPS = 4.0
-"""Nobody crosses a hall as fast: steps of the annotation, to be counted."""
+LONGEST_STEP_FRAMES = 20  # Between two annotations; a longer gap ends the track.
+FAST_PIECE_MPS = 4.0  # Nobody crosses a hall as fast: steps of the annotation, to be counted.
 _USED = re.compile(r"(?:.*/)?(Annotation/\d{1,9}\.txt|H\.json)")
-MOST_MEMBERS = 30_000
-"""Files and folders of an archive; Grand Central's has 12,693."""
-MOST_BYTES = 64_000_000
-"""Of an archive unpacked; Grand Central's takes 22 million."""
+MOST_MEMBERS = 30_000  # Files and folders of an archive; Grand Central's has 12,693.
+MOST_BYTES = 64_000_000  # Of an archive unpacked; Grand Central's takes 22 million.
 _MOST_FILE_BYTES = 1_000_000
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
@@ -13,13 +14,11 @@ import numpy as np
 from isac_track.datasets import recording
 from isac_track.datasets.recording import Place, Rows, brief
 from isac_track.errors import DataError
+from isac_track.types import Floats, Ints
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     import pyarrow as pa
 
-    from isac_track.types import Floats, Ints
 
 _NEEDED = ("t", "id", "x", "y")
 _USED = (*_NEEDED, "group")

@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import os
 import time
+from collections.abc import Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from functools import partial
@@ -17,22 +18,18 @@ from isac_track.datasets.recording import printable
 from isac_track.errors import DataError, did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     import requests
 
 DATA_VARIABLE = "ISAC_TRACK_DATA"
 """Folder of data sets that the user keeps: ``NAME/obsmat.txt``. Only read."""
-CACHE_VARIABLE = "ISAC_TRACK_CACHE"
-"""Folder for downloads, instead of the user's cache."""
+CACHE_VARIABLE = "ISAC_TRACK_CACHE"  # Folder for downloads, instead of the user's cache.
 MIRROR_VARIABLE = "ISAC_TRACK_MIRROR"
 """Base URL to download from instead of GitHub; hashes are checked all the same."""
 DEFAULT = "students03"
 FALLBACK = "plaza"
 MAIN_FILE = "obsmat.txt"
 GROUPS_FILE = "groups.txt"
-WHOLE = ""
-"""Instead of a file name: the folder of a data set, hashed by its reader."""
+WHOLE = ""  # Instead of a file name: the folder of a data set, hashed by its reader.
 _OPENTRAJ = (
     "https://raw.githubusercontent.com/crowdbotp/OpenTraj/"
     "97ec1d5e1b579f26febeaa9083705952deac338a/datasets"
@@ -55,14 +52,12 @@ class Known:
     about: str = ""
     citation: str = ""
     licence: str = ""
-    session: int | None = None
-    """Number of the bundled session, if this is the bundled crowd."""
+    session: int | None = None  # Number of the bundled session, if this is the bundled crowd.
     format: str = ""
     fps: float | None = None
     sha256: Mapping[str, str] = field(default_factory=dict)
     """Hash of every file, by file name; empty if bundled or of one's own."""
-    remote: str = ""
-    """Its folder in OpenTraj."""
+    remote: str = ""  # Its folder in OpenTraj.
     sessions: str = ""
     """Which files of that folder are its sessions; their hashes, where known, are in `sha256`."""
     get: str = ""

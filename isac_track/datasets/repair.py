@@ -1,19 +1,14 @@
 """From rows to tracks: sort, mend, split, and count everything that was not taken as it stood."""
 
-from __future__ import annotations
-
 import re
+from collections.abc import Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from isac_track.datasets.recording import METRES, Repair, Rows, listed, steps_within
 from isac_track.errors import DataError
 from isac_track.types import Bools, Ints, Tracks
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
 
 SAME_TIME_S = 1e-7
 """Samples of one id closer than this are at one time: no recording has a frame rate above 1 MHz,
@@ -24,14 +19,11 @@ GAP_STEPS = 1.75
 """A step longer than this many median steps of the file is a gap (a lost frame makes 2)."""
 SPLIT_S = 2.0
 """A gap longer than this, and than `SPLIT_STEPS`, ends the track: to bridge it invents a walk."""
-SPLIT_STEPS = 3.0
-"""Slow recordings may have longer gaps: this many median steps."""
+SPLIT_STEPS = 3.0  # Slow recordings may have longer gaps: this many median steps.
 SPEED_LIMITS_MPS = (0.01, 5.0)
 """Bounds on the median speed of all steps that move: beyond them the units are wrong."""
-_WALKING_MPS = (0.2, 2.5)
-"""A median in another unit that lies here is proposed, never taken."""
-FAST_STEP_MPS = 12.0
-"""Faster than a sprinter: a jump of the tracker, counted and kept."""
+_WALKING_MPS = (0.2, 2.5)  # A median in another unit that lies here is proposed, never taken.
+FAST_STEP_MPS = 12.0  # Faster than a sprinter: a jump of the tracker, counted and kept.
 
 
 def to_tracks(

@@ -1,9 +1,8 @@
 """Several files as the sessions of one recording, and who of them comes back."""
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from itertools import islice
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
@@ -11,20 +10,13 @@ from isac_track.datasets.recording import steps_within
 from isac_track.datasets.registry import shown
 from isac_track.datasets.repair import walking_groups
 from isac_track.errors import DataError
-from isac_track.types import Tracks
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from isac_track.types import Floats
+from isac_track.types import Floats, Tracks
 
 APART_S = 60.0
 """Between the last sample of a session and the first of the next, on the clock of all."""
 _SUFFIXES = (".csv", ".ndjson", ".parquet", ".txt")
 _MOST_FILES = 1000
-_SAME_STEP = 0.01
-"""Usual steps of sessions may differ by this share."""
+_SAME_STEP = 0.01  # Usual steps of sessions may differ by this share.
 
 
 def files_in(folder: Path, pattern: str = "*") -> list[Path]:

@@ -11,16 +11,11 @@ Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to Tracking and Navig
 section 6.5; van Trees, *Detection, Estimation and Modulation Theory* I, 1968, ch. 6.
 """
 
-from __future__ import annotations
-
 import math
 
-Q_M2_PER_S3 = 0.057
-"""Spectral density of the acceleration of pedestrians, as fitted on Students03."""
-INTERVAL_S = 0.0836
-"""Mean time between two samples of the paper's histories."""
-EPSILON_M = 0.3
-"""Distance below which a sample counts as known: the paper's."""
+Q_M2_PER_S3 = 0.057  # Spectral density of the acceleration of pedestrians, as fitted on Students03.
+INTERVAL_S = 0.0836  # Mean time between two samples of the paper's histories.
+EPSILON_M = 0.3  # Distance below which a sample counts as known: the paper's.
 
 
 def smoothed_variance_m2(*, variance_m2: float, dt_s: float, q: float) -> float:

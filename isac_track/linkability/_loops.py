@@ -9,14 +9,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from isac_track.compiling import compiled, part_of_loop, read, written
+from isac_track.types import Floats, Ints
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from isac_track.types import Floats, Ints
-
     Cells: TypeAlias = NDArray[np.int32]
     Places: TypeAlias = NDArray[np.uint16]
     Bins: TypeAlias = NDArray[np.uint8]

@@ -8,8 +8,6 @@ of: who puts p_i = 0 there is too high. Here the p_i have a gamma distribution, 
 how many small p_i there are, and these two rates tell it.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

@@ -10,10 +10,12 @@ Intervals: Davison and Hinkley, Bootstrap Methods, 1997.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from isac_track.intervals import (
     FEW_CLUSTERS,
@@ -61,15 +63,11 @@ from isac_track.linkability.significance import (
     shuffled_log_ranks,
     shuffled_mates,
 )
+from isac_track.types import Floats, Ints
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from isac_track.linkability.scores import Calibration
     from isac_track.linkability.significance import People
-    from isac_track.types import Floats, Ints
 
 RANK_METRICS = ("rank1", "rank1_assigned", "mrr", "chance", "rank1_g100", "false_link_rate")
 """Means over probes: `ProbeRanks.values`."""

@@ -3,8 +3,6 @@
 Exit code 0: all passed; 1: a check failed; 2: wrong usage.
 """
 
-from __future__ import annotations
-
 import importlib
 import sys
 

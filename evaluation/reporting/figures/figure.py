@@ -33,8 +33,7 @@ _PRINTED: Final[dict[str, dict[str, Any]]] = {
     "front": {"color": "#555b63", "linewidth": 2.2, "alpha": 0.6},
 }
 """By class, what `chart.css` says, as matplotlib's lines take it."""
-_ROOM: Final = 40
-"""Characters of a data set's name."""
+_ROOM: Final = 40  # Characters of a data set's name.
 _PIECE: Final = re.compile(r"([MLHV])([-\d. ]+)")
 _MARK: Final = re.compile(r"M([-\d.]+) ([-\d.]+)")
 _ALIGNED: Final = {"x": "center", "y": "right"}
@@ -44,16 +43,12 @@ _ALIGNED: Final = {"x": "center", "y": "right"}
 class Figure:
     """Panels that belong together."""
 
-    name: str
-    """Of its files."""
-    section: str
-    """Of the page."""
+    name: str  # Of its files.
+    section: str  # Of the page.
     title: str
-    panels: Sequence[tuple[str, Chart]]
-    """Heading and chart, row by row."""
+    panels: Sequence[tuple[str, Chart]]  # Heading and chart, row by row.
     columns: int
-    key: Mapping[str, Look]
-    """What each mark is of."""
+    key: Mapping[str, Look]  # What each mark is of.
     caption: str = ""
 
 
@@ -62,10 +57,8 @@ class Layout(NamedTuple):
 
     width: float
     height: float
-    panels: list[tuple[float, float, str, Chart]]
-    """Left, top, heading and chart."""
-    key: list[tuple[float, float, str, Look]]
-    """Middle of each mark, and what it is of."""
+    panels: list[tuple[float, float, str, Chart]]  # Left, top, heading and chart.
+    key: list[tuple[float, float, str, Look]]  # Middle of each mark, and what it is of.
 
 
 def figures_of(run: Results) -> list[Figure]:

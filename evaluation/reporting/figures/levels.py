@@ -20,8 +20,7 @@ from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.result_tables import after_attack, sources_of
 
 _FILES = {FID: "fid_threshold", FIXED: "fixed_error"}
-_MOST_CHARACTERS = 80
-"""Of a file's name."""
+_MOST_CHARACTERS = 80  # Of a file's name.
 _SHARED_LOOKS = {EXPOSURE: Look(5), "ael": Look(4, hollow=True), "mel": Look(5, hollow=True)}
 _PAPER_LOOK = Look(LOOKS - 1)
 _PANELS = {

@@ -1,7 +1,5 @@
 """``python -m isac_track.datasets.crowd``: simulate both sessions of the crowd anew."""
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import asdict
 from pathlib import Path
