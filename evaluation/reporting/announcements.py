@@ -10,6 +10,7 @@ import math
 import shlex
 import textwrap
 from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -18,13 +19,10 @@ from evaluation.experiment.presets import PRESETS
 from isac_track.config import StageSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from evaluation.experiment.plan import Plan
     from isac_track.plugins import Kind
 
-WIDTH: Final = 80
-"""Columns of the first screen."""
+WIDTH: Final = 80  # Columns of the first screen.
 CONSUMERS: Final = ("predictor", "attack", "task")
 _COMMANDS = ("matrix.py", "isac-track", "__main__.py")
 _MOST_SECONDS = 120
@@ -40,8 +38,7 @@ _MENDED: Final = {
 }
 """What is told of repairs, by kind."""
 _TOLD_WHOLE: Final = ("header", "unit", "frame-clock")
-_LARGE_GALLERY = 3000
-"""People, above which it is proposed to score some alone."""
+_LARGE_GALLERY = 3000  # People, above which it is proposed to score some alone.
 _KINDS: tuple[Kind, ...] = ("mechanisms", "predictors", "attacks")
 
 

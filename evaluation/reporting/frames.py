@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import reduce
 from typing import TYPE_CHECKING, Final
@@ -15,14 +16,12 @@ from evaluation.analysis.keys import Source
 from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS
 from evaluation.experiment.constants import SHARED
 from isac_track.errors import SettingsError, did_you_mean
+from isac_track.types import Floats
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from matplotlib.axes import Axes
 
     from evaluation.analysis.families import Family
-    from isac_track.types import Floats
 
 STRONGEST: Final = "strongest"
 AFTER: Final = "_after"  # Ends the name of a descriptor after the strongest attack.

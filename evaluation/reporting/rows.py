@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from html import escape
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, Family, families_in
@@ -15,9 +17,6 @@ from evaluation.reporting import frames
 from evaluation.reporting.table import Column, level, said
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
-
     import pandas as pd
     from matplotlib.axes import Axes
 
