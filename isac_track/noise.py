@@ -12,7 +12,9 @@ UNKNOWN_VARIANCE_M2 = 0.25
 _LEAST_SAMPLES = 3
 
 
-def innovation_variance_m2(*, t: Floats, xy: Floats, offsets: Ints) -> Floats:
+def innovation_variance_m2(
+    *, t: Floats, xy: Floats, offsets: Ints, running: bool = False
+) -> Floats:
     """Return the error variance per axis of each track, (N,) m^2, from its innovations.
 
     The innovations are those of the shortest constant-velocity predictor, which carries the
@@ -21,8 +23,9 @@ def innovation_variance_m2(*, t: Floats, xy: Floats, offsets: Ints) -> Floats:
     r (1 + (1 + b)^2 + b^2), with b the ratio of the two steps; the mean of their squares over the
     track, so scaled, estimates r. A filter's own innovations would mix in its process noise and,
     behind a gate, shrink with what the gate cuts off; at ten samples a second a walk of
-    1 m/s^2 adds but a centimetre to these. ValueError if the shapes of `t`, (M,) s, `xy`, (M, 2) m,
-    and `offsets`, (N + 1,), disagree, a number is not finite or times do not increase.
+    1 m/s^2 adds but a centimetre to these. If `running` it is what was known by each sample, (M,):
+    that of the samples up to it. ValueError if the shapes of `t`, (M,) s, `xy`, (M, 2) m, and
+    `offsets`, (N + 1,), disagree, a number is not finite or times do not increase.
     """
     if offsets.dtype.kind not in "iu":
         raise ValueError("offsets must be integers")
@@ -34,7 +37,32 @@ def innovation_variance_m2(*, t: Floats, xy: Floats, offsets: Ints) -> Floats:
         raise ValueError(f"xy must have shape {(t.size, 2)}, got {xy.shape}")
     if not np.isfinite(xy).all():
         raise ValueError("xy must be finite")
+    if running:
+        step = np.diff(t)
+        step[offsets[1:-1] - 1] = 1.0  # from one track to the next
+        ratio = step[1:] / step[:-1]
+        move = np.diff(xy, axis=0)
+        square = np.square(move[1:] - ratio[:, None] * move[:-1]).sum(axis=1)
+        scaled = 0.5 * square / (1.0 + np.square(1.0 + ratio) + np.square(ratio))
+        variance = running_means(scaled, offsets, start=UNKNOWN_VARIANCE_M2)
+        return np.asarray(np.maximum(variance, MIN_VARIANCE_M2))
     variance = np.empty(offsets.size - 1)
     import_module("isac_track.kalman._linear_loops").innovation_level(t, xy, offsets, variance)
     variance[np.diff(offsets) < _LEAST_SAMPLES] = UNKNOWN_VARIANCE_M2
     return np.asarray(np.maximum(variance, MIN_VARIANCE_M2))
+
+
+def running_means(inner: Floats, offsets: Ints, *, start: float) -> Floats:
+    """Return the mean of a track's innovations up to each sample, (M,); `start` for its first two.
+
+    `inner`, (M - 2,), are those that end with the third of all samples, the fourth, and so on;
+    those that reach from one track into the next count nowhere.
+    """
+    found = np.full(offsets[-1], start)
+    total = np.concatenate([[0.0], np.cumsum(inner)])
+    first = np.repeat(offsets[:-1], np.diff(offsets))
+    last = np.arange(offsets[-1])
+    has = last >= first + 2
+    first, last = first[has], last[has] - 1
+    found[has] = (total[last] - total[first]) / (last - first)
+    return found

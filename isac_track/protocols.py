@@ -69,7 +69,8 @@ class Predictor(Protocol):
     """The robot's forecast of where each pedestrian will be.
 
     One that is aware has a method ``knowing(mechanism)``, which returns the predictor as it is
-    where that mechanism shares; it is called before `predict`.
+    where that mechanism shares; it is called before `predict`. One that has a method
+    ``track(release)`` returns its causal estimate of every sample, (M, 2) m, for `plr_robot`.
     """
 
     @property

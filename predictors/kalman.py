@@ -99,15 +99,25 @@ class KalmanCV:
             return kalman_last(batch, q=self.q, gate=self.gate)
         return filter_tracks(batch, error, q=self.q, gate=self.gate)[0]
 
-    def batch(self, release: Release) -> Batch:
+    def track(self, release: Release) -> Floats:
+        """Return where the robot took everybody to be at each sample, (M, 2) m: from no later one.
+
+        The noise is the estimate by then, and the whole history counts.
+        """
+        error = self._slow_error or SlowError(0.0, 0.0)
+        batch = self.batch(release, is_causal=True)
+        return filter_tracks(batch, error, q=self.q, gate=self.gate)[1]
+
+    def batch(self, release: Release, *, is_causal: bool = False) -> Batch:
         """Return the last `window` samples of every track, or all that it has, for the filters.
 
-        The clock of each track is 0 at its last sample, so that late clocks lose no precision.
+        The clock of each track is 0 at its last sample, so that late clocks lose no precision. If
+        it `is_causal`, all samples, each with what was known of the noise by then.
         """
         last = release.offsets[1:]
         error = self._slow_error
         sizes = np.diff(release.offsets)
-        if error is None:
+        if error is None and not is_causal:
             sizes = np.minimum(sizes, self.window)
         runs = list(zip((last - sizes).tolist(), last.tolist(), strict=True))
         offsets = np.concatenate([[0], np.cumsum(sizes)])
@@ -120,13 +130,14 @@ class KalmanCV:
             variance = end_to_end(release.sigma, runs) ** 2 - slow_m2
             variance = np.maximum(variance * share, 1e-12 if error is None else MIN_VARIANCE_M2)
         else:
-            level = innovation_variance_m2(t=t, xy=xy, offsets=offsets)
+            level = innovation_variance_m2(t=t, xy=xy, offsets=offsets, running=is_causal)
             if error is not None:  # a little of it looks like noise
-                rest = level - slow_m2 * error.innovation_share(t=t, offsets=offsets)
+                shown = error.innovation_share(t=t, offsets=offsets, running=is_causal)
+                rest = level - slow_m2 * shown
                 level = np.maximum(rest, LEAST_REST * level)
             elif self.added_std_m > 0.0:  # no less than what is added
                 level = np.maximum(level, self.added_std_m**2)
-            variance = np.repeat(level, sizes)
+            variance = level if is_causal else np.repeat(level, sizes)
         return Batch(t, xy, variance, offsets, _PRIOR_STD[: self.states])
 
 
@@ -137,6 +148,7 @@ class KalmanCA(KalmanCV):
     q: float = 0.026  # m^2/s^5, from ``python -m benchmarks.tune``
 
     states: ClassVar[int] = 3
+    track = None  # type: ignore[assignment]  # no loop gives the states by the way
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,6 +160,8 @@ class KalmanIMM(KalmanCV):
     walk_s: float = 4.0
     """Mean time of walking on; set, not tuned: the likelihood would make modes of whole tracks"""
     turn_s: float = 1.5  # Mean time of stopping or turning; set, not tuned
+
+    track = None  # type: ignore[assignment]  # as of `KalmanCA`
 
     def __post_init__(self) -> None:
         KalmanCV.__post_init__(self)

@@ -313,6 +313,26 @@ def odd_tracks_are_predicted(predictor: Predictor) -> None:
         _predict(predictor, *_asked(SHORT, steps_s))
 
 
+def track_is_causal(predictor: Predictor) -> None:
+    """What `track` returns, if there is one, is a place for every sample, from no later sample."""
+    if getattr(predictor, "track", None) is None:
+        raise SkipTest("it has no track")
+    if hasattr(predictor, "knowing"):
+        predictor = _called(predictor, "knowing", object, _ADDED)
+    for release in (_asked(SHORT, made.IRREGULAR_S)[0], _asked()[0]):
+        if Knowledge.SIGMA not in predictor.requires:
+            release = release.without_sigma()  # noqa: PLW2901 - as it is handed to a robot
+        first = np.repeat(release.offsets[:-1], np.diff(release.offsets))
+        late = np.arange(release.t.size) - first > np.diff(release.offsets).min() // 2
+        moved = replace(release, xy=release.xy + np.where(late, 7.0, 0.0)[:, None])
+        places = [_called(predictor, "track", np.ndarray, one) for one in (release, moved)]
+        if places[0].shape != release.xy.shape or not np.isfinite(places[0]).all():
+            _fail(predictor, f"track must return finite places, (M, 2) = {release.xy.shape}")
+        gap = np.abs(places[1] - places[0])[~late].max()
+        if not gap <= SAME:
+            _fail(predictor, f"track: later samples move what was known before by {gap:.3g} m")
+
+
 PREDICTOR = (
     result_is_a_prediction,
     only_required_knowledge_is_touched,
@@ -320,5 +340,6 @@ PREDICTOR = (
     same_release_same_prediction,
     one_track_is_predicted_as_among_others,
     odd_tracks_are_predicted,
+    track_is_causal,
 )
 """In the order in which they run."""

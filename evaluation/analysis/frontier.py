@@ -18,7 +18,14 @@ from evaluation.analysis.families import RAW
 from evaluation.analysis.keys import AS_SHARED, Key, Source
 from evaluation.analysis.linkability import dataset_of
 from evaluation.analysis.matching import CRITERIA, MIN_DEFINED, Sweeps, interpolated, places
-from evaluation.analysis.metrics import DESCRIPTORS, ERROR, EXPOSURE, SUCCESS, SUCCESS_OF_100
+from evaluation.analysis.metrics import (
+    DESCRIPTORS,
+    ERROR,
+    EXPOSURE,
+    OF_ROBOT,
+    SUCCESS,
+    SUCCESS_OF_100,
+)
 from evaluation.analysis.strongest import (
     BEYOND,
     HEADLINE,
@@ -38,7 +45,6 @@ WHITE: Final = "fixed:adding=independent,law=isotropic"
 NEAR: Final = 0.03
 ENOUGH_LEVELS: Final = 4  # Of a curve within `NEAR` of a target for an interval there.
 MARGIN: Final = 0.02  # By how much a mechanism is beaten.
-OF_ROBOT: Final = "plr_robot"  # What a robot itself knows of where somebody was.
 LEVEL_READ: Final = ("level", "level_low", "level_high")
 VALUE: Final = ("value", "ci_low", "ci_high")
 GAP: Final = ("vs_white", "vs_white_low", "vs_white_high")

@@ -71,6 +71,7 @@ _ROWS: Final = (
         is_headline=True,
     ),
     Metric("distance_mae", "distance MAE", "predictor", "m", "higher", digits=2),
+    Metric("plr_robot", "robot's own PLR", "predictor", "fraction", "higher"),
     Metric("plr", "PLR", "descriptor", "fraction", "higher", column="plr", is_headline=True),
     Metric("ael", "AEL", "descriptor", "s", "higher", digits=3, column="ael_s", is_headline=True),
     Metric("mel", "MEL", "descriptor", "s", "higher", digits=3, column="mel_s", is_headline=True),
@@ -122,6 +123,7 @@ MISSED_RATE: Final = "missed_conflict_rate"  # What noise costs a robot.
 EQUAL_ALARMS: Final = "missed_at_equal_false_alarms"
 """The same at the false-alarm rate that the predictor has at raw; not in the summary."""
 ERROR: Final = "distance_mae"  # How far off the separation is that a robot foresees.
+OF_ROBOT: Final = "plr_robot"  # What a robot itself knows of where somebody was.
 EXPOSURE: Final = "plr"  # The descriptor that reconstructions are ranked by.
 SUCCESS: Final = "rank1"  # What linkers are ranked by.
 SUCCESS_OF_100: Final = "rank1_g100"  # The same in a gallery of 100: what compares over runs.

@@ -17,7 +17,7 @@ import pyarrow as pa
 from evaluation.analysis.families import Family
 from evaluation.analysis.keys import Key
 from evaluation.analysis.linkability import Cards, dataset_of
-from evaluation.analysis.metrics import DESCRIPTORS, METRICS, RECONSTRUCTION
+from evaluation.analysis.metrics import DESCRIPTORS, METRICS, OF_ROBOT, RECONSTRUCTION
 from evaluation.experiment.constants import OTHER_LAW
 from evaluation.runs.cell_files import Summed, read_rows
 from isac_track.intervals import Estimate, cluster_sums, cluster_weights, ratio_estimates
@@ -35,7 +35,7 @@ _COLUMNS_OF = {
     "attack": [*_SHARED, *(one.over for one in _POSITIONS if one.over)],
     "predictor": [
         *("group", "conflict", "predicted"),
-        *("separation_m", "predicted_separation_m", "probability"),
+        *("separation_m", "predicted_separation_m", "probability", OF_ROBOT),
     ],
 }
 
@@ -187,14 +187,22 @@ def ratios(kind: str, table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
     Of an attack also the ratio to the linear benchmark: sums over the same tracks.
     """
     if kind == "predictor":
-        conflict, predicted, ours, truth = (
+        conflict, predicted, ours, truth, own = (
             table[name].to_numpy()
-            for name in ("conflict", "predicted", "predicted_separation_m", "separation_m")
+            for name in (
+                "conflict",
+                "predicted",
+                "predicted_separation_m",
+                "separation_m",
+                OF_ROBOT,
+            )
         )
+        known = ~np.isnan(own)
         return {
             "missed_conflict_rate": ((conflict & ~predicted) * 1.0, conflict * 1.0),
             "false_alarm_rate": ((~conflict & predicted) * 1.0, ~conflict * 1.0),
             "distance_mae": (np.abs(ours - truth), np.ones_like(ours)),
+            **({OF_ROBOT: (np.nan_to_num(own), known * 1.0)} if known.any() else {}),
         }
     found = {}
     for metric in _POSITIONS:

@@ -8,12 +8,22 @@ import numpy as np
 
 from evaluation.cells.adversary import showing
 from evaluation.cells.sharing import guarded, handed
-from evaluation.cells.tables import Rows, descriptors, track_columns
+from evaluation.cells.tables import Rows, descriptors, track_columns, track_means
+from evaluation.experiment.constants import LOGGED_SCENES
 from isac_track.conflict import conflict_probability, is_conflict, minimum_separation
 from isac_track.errors import PluginError, SettingsError
+from isac_track.privacy import leakage_indicator
 from isac_track.protocols import knowing
 from isac_track.scenes import robot_positions
-from isac_track.types import Prediction, Release, Scenes
+from isac_track.types import (
+    Floats,
+    Prediction,
+    Reconstruction,
+    Release,
+    Scenes,
+    end_to_end,
+    runs_of,
+)
 
 if TYPE_CHECKING:
     from evaluation.experiment.axes import Consumer
@@ -50,12 +60,8 @@ def sharing_rows(
         }
     who = f"predictor {predictor.spec!r}"
     granted = handed(showing(release, predictor.instance.requires), predictor)
-    prediction = guarded(
-        who,
-        lambda: knowing(predictor.instance, mechanism.instance).predict(
-            granted, scenes.t_future.copy()
-        ),
-    )
+    robot_knows = guarded(who, lambda: knowing(predictor.instance, mechanism.instance))
+    prediction = guarded(who, lambda: robot_knows.predict(granted, scenes.t_future.copy()))
     expected = scenes.xy_future.shape
     if not isinstance(prediction, Prediction) or prediction.mean.shape != expected:
         raise PluginError(f"{who} must return a Prediction with mean {expected}")
@@ -88,4 +94,29 @@ def sharing_rows(
         "separation_m": scenes.separation,
         "predicted_separation_m": separation_m,
         "probability": probability,
+        "plr_robot": _own_plr(who, robot_knows, granted, scenes, stages=stages),
     }
+
+
+def _own_plr(
+    who: str, predictor: object, release: Release, scenes: Scenes, *, stages: StageSettings
+) -> Floats:
+    """Return of which share of a scene's first agent's samples the robot knew the place by then.
+
+    (S,); NaN after the first `LOGGED_SCENES`, and for a predictor that has no ``track``. A scene's
+    cluster is that of its first agent. Raises PluginError as `sharing_rows` does.
+    """
+    found = np.full(len(scenes), np.nan)
+    logged = np.flatnonzero(scenes.index < LOGGED_SCENES)
+    track = getattr(predictor, "track", None)
+    if track is None or not logged.size:
+        return found
+    rows = logged * scenes.n_agents
+    first, (runs, offsets) = release.tracks(rows), runs_of(scenes.offsets, rows)
+    places = guarded(who, lambda: Reconstruction(track(first)).xy)
+    if places.shape != first.xy.shape:
+        raise PluginError(f"{who} must track positions {first.xy.shape}, got {places.shape}")
+    truth, epsilon_m = end_to_end(scenes.xy, runs), stages.privacy.epsilon_m
+    leaked = leakage_indicator(shared_xy=places, true_xy=truth, epsilon_m=epsilon_m)
+    found[logged] = track_means(leaked.astype(np.float64), offsets)
+    return found

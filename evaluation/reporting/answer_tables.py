@@ -11,7 +11,14 @@ from evaluation.analysis import paper
 from evaluation.analysis.frontier import GAP, LEVEL_READ, VALUE
 from evaluation.analysis.keys import AS_SHARED, Source, level_text, rows_of
 from evaluation.analysis.matching import AT_EQUAL_ALARMS, MISSED
-from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS, SUCCESS_OF_100
+from evaluation.analysis.metrics import (
+    EXPOSURE,
+    METRICS,
+    MISSED_RATE,
+    OF_ROBOT,
+    SUCCESS,
+    SUCCESS_OF_100,
+)
 from evaluation.analysis.strongest import HEADLINE
 from evaluation.reporting import table as make
 from evaluation.reporting.rows import (
@@ -138,12 +145,14 @@ def claims_table(run: Results) -> Table:
 def frontier_table(run: Results) -> Table:
     """Return what is left, and at which level, where missed conflicts have risen by a target."""
     names, of = ["robot", "mechanism", "target"], run.frontier
-    is_told = of["metric"].isin([EXPOSURE, SUCCESS, SUCCESS_OF_100])
+    is_told = of["metric"].isin([EXPOSURE, OF_ROBOT, SUCCESS, SUCCESS_OF_100])
     records: dict[tuple[Any, ...], dict[str, Any]] = {}
     heads: dict[str, None] = {}
     for row in rows_of(of[is_told & (of["criterion"] == AT_EQUAL_ALARMS)]):
         source = Source(row["consumer"], row["knowledge"])
         head = f"{source.task or METRICS[row['metric']].head}, {_whose(source)}"
+        if row["metric"] == OF_ROBOT:
+            head = METRICS[OF_ROBOT].head
         record = records.setdefault(tuple(row[name] for name in names), dict(row))
         for key, ends in ((head, VALUE), (f"{head}, less white", GAP)):
             if key == head or head == f"{METRICS[EXPOSURE].head}, attacked":

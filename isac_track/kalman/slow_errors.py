@@ -18,6 +18,7 @@ from importlib import import_module
 import numpy as np
 
 from isac_track.kalman import MAX_REJECTIONS, Batch, LastState
+from isac_track.noise import running_means
 from isac_track.types import Floats, Ints
 
 
@@ -35,14 +36,15 @@ class SlowError:
         if not self.tau_s >= 0.0:
             raise ValueError(f"tau_s must not be negative, got {self.tau_s}")
 
-    def innovation_share(self, *, t: Floats, offsets: Ints) -> Floats:
+    def innovation_share(self, *, t: Floats, offsets: Ints, running: bool = False) -> Floats:
         """Return how much of its variance each track's innovations take for noise, (N,).
 
         Those are the innovations of `isac_track.noise`: their mean square, divided by s^2. Next to
-        nothing of a slow error, all of a white one. 1 for tracks of fewer than three samples.
+        nothing of a slow error, all of a white one. 1 for tracks of fewer than three samples. If
+        `running` it is that of the samples up to each one, (M,).
         """
         if self.tau_s == 0.0:
-            return np.ones(offsets.size - 1)
+            return np.ones(t.size if running else offsets.size - 1)
         step, ratio = np.diff(t), np.ones(max(t.size - 2, 0))
         first, second = step[:-1], step[1:]
         np.divide(second, first, out=ratio, where=first > 0.0)
@@ -52,13 +54,8 @@ class SlowError:
         a, b = 1.0 + ratio, ratio  # e_k - a e_(k-1) + b e_(k-2)
         scale = 1.0 + a * a + b * b
         share = (scale - 2.0 * (a * near + a * b * far - b * both)) / scale
-        total = np.concatenate([[0.0], np.cumsum(share)])
-        n_inner = np.diff(offsets) - 2
-        start = offsets[:-1]
-        found: Floats = np.ones(start.size)
-        has = n_inner > 0
-        found[has] = (total[start[has] + n_inner[has]] - total[start[has]]) / n_inner[has]
-        return found
+        found = running_means(share, offsets, start=1.0)
+        return found if running else found[offsets[1:] - 1]
 
     def arrays(self, batch: Batch) -> tuple[Floats | Ints, ...]:
         """Return what a compiled loop takes."""

@@ -36,9 +36,10 @@ NOISE, STAND, CALLS = Noise(), Stand(), count()
 
 def plugin(function):
     """A mechanism if the function takes `sensed`, else a predictor, with this for its method."""
-    base, method = (
-        (Noise, "share") if "sensed" in function.__code__.co_varnames else (Stand, "predict")
-    )
+    takes = function.__code__.co_varnames
+    base, method = (Noise, "share") if "sensed" in takes else (Stand, "predict")
+    if function.__code__.co_argcount == 1:
+        method = "track"
     return type(function.__name__, (base,), {method: lambda _, *given: function(*given)})()
 
 
@@ -132,6 +133,14 @@ def skewed(release, t_future):
     return Prediction(mean, np.broadcast_to([[1.0, 2.0], [0.0, 1.0]], (*mean.shape, 2)))
 
 
+def smooths(release):
+    return np.repeat(release.xy[-1:], release.t.size, axis=0)
+
+
+def last_places(release):
+    return release.xy[release.offsets[1:] - 1]
+
+
 _CASES = [
     (retimed, "result_is_a_release", "in track 0 nothing was sensed at"),
     (undeclared, "sigma_is_declared", "sigma is None"),
@@ -149,6 +158,8 @@ _CASES = [
     (counts, "same_release_same_prediction", "two calls differ"),
     (with_the_crowd, "one_track_is_predicted_as_among_others", "track 0 alone .* mean by"),
     (last_step, "odd_tracks_are_predicted", "IndexError: .* (broken_plugins.py, line "),
+    (smooths, "track_is_causal", "later samples move what was known before by 7 m"),
+    (last_places, "track_is_causal", "must return finite places, (M, 2) = ("),
 ]
 BROKEN = [(type(plugin(function)), check, message) for function, check, message in _CASES]
 """(class, the one check that it fails, what the message says)"""

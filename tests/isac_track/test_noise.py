@@ -93,6 +93,16 @@ def test_neighbours_frame_and_clock_change_nothing():
     assert moved == pytest.approx(whole, rel=1e-6)
 
 
+def test_what_is_known_by_a_sample_is_that_of_the_samples_up_to_it():
+    case = ragged(30, 1, 2, 3, 60)
+    found = innovation_variance_m2(**case, running=True)
+    for lo, hi in pairwise(case["offsets"]):
+        for end in range(lo + 1, hi + 1):
+            start = {name: case[name][lo:end] for name in ("t", "xy")}
+            alone = innovation_variance_m2(**start, offsets=np.array([0, end - lo]))
+            assert found[end - 1] == pytest.approx(alone[0], rel=1e-9)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

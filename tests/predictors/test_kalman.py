@@ -1,6 +1,7 @@
 """The trackers: kernels against filterpy itself, noise, window, prior, gate and covariance."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -9,9 +10,11 @@ from scipy.stats import chi2
 
 from benchmarks.tune import TUNED, releases, tune
 from isac_track import datasets, plugins
+from isac_track.kalman import Batch
 from isac_track.rng import stream
 from isac_track.sharing_controls import Correlated, Offset, correlated_errors
 from isac_track.types import Knowledge
+from predictors import filterpy_engine
 from predictors.kalman import GATE, KalmanCA, KalmanCV, KalmanIMM
 
 TRACKERS = [KalmanCV(), KalmanCA(), KalmanIMM()]
@@ -42,6 +45,41 @@ def test_the_kernels_are_filterpy(tracker, noise):
     theirs = replace(tracker, noise=noise, engine="filterpy").predict(release, t_future)
     assert np.allclose(ours.mean, theirs.mean, atol=1e-9, rtol=1e-9)
     assert np.allclose(ours.cov, theirs.cov, atol=1e-9, rtol=1e-9)
+
+
+@pytest.mark.parametrize("tracker", [KalmanCV(), AWARE], ids=["plain", "aware"])
+@pytest.mark.parametrize("noise", ["estimated", "declared"])
+def test_what_it_tracks_is_filterpy_after_each_sample(tracker, noise):
+    """filterpy starts anew for every sample, and gets none that is later."""
+    release, _, _ = walks(30, 1, 2, 3)
+    xy = release.xy.copy()
+    xy[[12, 20, 21, 22, 23]] += 9.0
+    release = replace(release, xy=xy)
+    tracker = replace(tracker, noise=noise)
+    batch = tracker.batch(release, is_causal=True)
+    found = tracker.track(release)
+    for lo, hi in pairwise(release.offsets):
+        for end in range(lo + 1, hi + 1):
+            one = slice(lo, end)
+            seen = Batch(
+                *(batch.t[one], batch.xy[one], batch.variance[one], np.array([0, end - lo])),
+                batch.prior_std,
+            )
+            alone = flat_release(
+                release.t[one], xy[one], np.array([0, end - lo]), sigma=release.sigma[one]
+            )
+            if noise == "estimated":  # what it knows of the noise is from these samples, too
+                known = tracker.batch(alone).variance[-1]
+                assert batch.variance[end - 1] == pytest.approx(known, rel=1e-9)
+            mean, _ = filterpy_engine.last_states(
+                seen, q=tracker.q, gate=tracker.gate, error=tracker._slow_error
+            )
+            assert np.allclose(found[end - 1], mean[0, :, 0], atol=1e-9, rtol=1e-9)
+
+
+def test_others_track_nothing():
+    assert KalmanCA().track is None
+    assert KalmanIMM().track is None
 
 
 @by_name
