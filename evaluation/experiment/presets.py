@@ -116,7 +116,10 @@ PRESETS = {
         utility_scenes=5000,
         mechanisms=_FRONTIER,
         predictors=UTILITY_PREDICTORS,
-        attacks=("radial_rts", "ou_rts", "shape", "shape@radial_rts", "shape@ou_rts"),
+        attacks=(
+            *("radial_rts", "ou_rts"),
+            *("shape", "shape@radial_rts", "shape@ou_rts", "likelihood_ratio"),
+        ),
         tasks=("rerelease",),
         summary="5,000 scenes (500 attacked), 98 levels of all families, plain and aware robots",
     ),

@@ -2,21 +2,25 @@
 
 import re
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+import pandas as pd
 import pytest
 from helpers.finished_runs import (
     INDEPENDENT,
     emptied,
     levels,
+    make_frontier,
     make_linkability,
     make_run,
     make_summary,
     with_links,
 )
 
+from evaluation.analysis.frontier import WHITE
 from evaluation.reporting.charts import Axis, Curve, Look, curves_chart
 from evaluation.reporting.figures.figure import figures_of, write
 from evaluation.reporting.rows import schemes
@@ -184,3 +188,28 @@ def test_each_mechanism_is_a_scheme_but_controls_and_its_rules_stand_together():
         ("mine", True, "linear adding"),
     ]
     assert found[4].rules == ("linear", "independent")  # without a rule it is shown under both
+
+
+def test_the_frontier_is_drawn_beside_white_noise_and_who_knows_more_is_hollow():
+    usual = make_frontier().assign(criterion="missed_at_equal_false_alarms", robot="kalman_cv")
+    white = usual[usual["mechanism"] == "fixed"].assign(mechanism=WHITE)
+    many = [
+        white,
+        *(usual[usual["mechanism"] == "fid"].assign(mechanism=f"m{n}") for n in range(7)),
+    ]
+    knows = many[1][many[1]["metric"] == "plr"].assign(consumer="ou_rts", knowledge="anchor")
+    told = pd.concat([*many, knows.assign(value=0.95)])
+    made = {one.name: one for one in figures_of(replace(make_run(), frontier=told))}["frontier"]
+    assert [heading for heading, _ in made.panels] == ["kalman_cv, 1", "kalman_cv, 2"]
+    assert list(made.key) == ["white", *(f"m{n}, 1" for n in range(6)), "m6, 2"]
+    chart = made.panels[0][1]
+    names = [name for _, _, name in chart.marks]
+    assert names[1] == "m0, 1: 77 % at +3, 75 % at +5, 73 % at +7.5"
+    (css, path, _), *_ = [one for one in chart.marks if "anchor" in one[2]]
+    assert css.endswith("hollow")
+    assert values(path, chart, log=(False, False)) == pytest.approx(
+        np.array([[3.0, 95.0]]), abs=0.3
+    )
+    at = values(chart.marks[1][1], chart, log=(False, False))
+    assert at == pytest.approx(np.array([[3.0, 77.0], [5.0, 75.0], [7.5, 72.5]]), abs=0.4)
+    assert "frontier" not in drawn()  # none where alarms differ

@@ -1,0 +1,70 @@
+"""What is left at a price: attacked PLR of every family where missed conflicts rise by a target."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+import pandas as pd
+
+from evaluation.analysis.frontier import VALUE, WHITE
+from evaluation.analysis.keys import AS_SHARED, Source, rows_of
+from evaluation.analysis.matching import AT_EQUAL_ALARMS
+from evaluation.analysis.metrics import EXPOSURE
+from evaluation.analysis.strongest import HEADLINE
+from evaluation.reporting.charts import LOOKS, PERCENT, Axis, Curve, Look, curves_chart
+from evaluation.reporting.figures.figure import Figure
+from evaluation.reporting.rows import Results, family_of
+
+_LEAST_POINTS = 2
+_MOST = LOOKS - 1  # Families of a panel beside white noise.
+
+
+def figures(run: Results) -> Iterator[Figure]:
+    """Yield attacked PLR over the rise of misses, six families a panel beside white noise."""
+    of = run.frontier
+    of = of[(of["metric"] == EXPOSURE) & (of["criterion"] == AT_EQUAL_ALARMS)]
+    of = of[(of["consumer"] != AS_SHARED.consumer) & np.isfinite(of["value"])]
+    panels, key = [], dict[str, Look]()
+    for robot, known in of.groupby("robot", sort=False):
+        rows = {str(name): part for name, part in known.groupby("mechanism", sort=False)}
+        counts = {name: part["target"].nunique() for name, part in rows.items()}
+        names = [one for one, n in counts.items() if one != WHITE and n >= _LEAST_POINTS]
+        white = dict.fromkeys([WHITE] if WHITE in rows else [], Look(0))
+        for start in range(0, max(len(names), 1), _MOST):
+            of_panel = names[start : start + _MOST]
+            shown = white | {name: Look(place) for place, name in enumerate(of_panel, start=1)}
+            which = f", {start // _MOST + 1}" if len(names) > _MOST else ""
+            curves, marked = _drawn(run, rows, shown, key, which)
+            if curves:
+                x, y = Axis("rise of missed conflicts (points)"), Axis("PLR, attacked (%)")
+                panels.append((f"{robot}{which}", curves_chart(curves, x=x, y=y, marked=marked)))
+    if panels:
+        title = "PLR after attack where misses have risen"
+        said = (
+            "At raw's false alarms. Hollow: after repeats, an anchor, companions. Down is better."
+        )
+        yield Figure("frontier", "plane", title, panels, 2, key, said)
+
+
+def _drawn(
+    run: Results,
+    rows: Mapping[str, pd.DataFrame],
+    shown: Mapping[str, Look],
+    key: dict[str, Look],
+    which: str,
+) -> tuple[list[Curve], list[tuple[Look, float, float, str]]]:
+    """Return the line of each family, and a hollow mark for what an adversary gets beyond it."""
+    curves, marked = list[Curve](), list[tuple[Look, float, float, str]]()
+    for name, look in shown.items():
+        title = "white" if name == WHITE else f"{family_of(run.families, name).name}{which}"
+        key[title] = look
+        usual = rows[name]["knowledge"].isin(HEADLINE)
+        of = rows[name][usual]
+        ends = of[list(VALUE)].to_numpy(dtype=np.float64).T * PERCENT
+        x = of["target"].to_numpy(dtype=np.float64) * PERCENT
+        told = ", ".join(f"{y:.0f} % at +{at:g}" for at, y in zip(x, ends[0], strict=True))
+        curves.append(Curve(look, f"{title}: {told}", x, ends))
+        for one in rows_of(rows[name][~usual]):
+            at, value = PERCENT * one["target"], PERCENT * one["value"]
+            who = f"{title}, after {Source(one['consumer'], one['knowledge']).label}"
+            marked.append((look._replace(hollow=True), at, value, f"{who}: {value:.0f} %"))
+    return curves, marked
