@@ -11,8 +11,9 @@ import numpy as np
 from isac_track.compiling import compiled, part_of_loop, read, together, written
 from isac_track.types import Floats, Ints
 
-_NEAR = 128  # Gallery walks at a time: all that is made of them stays in the cache.
+_NEAR = 64  # Gallery walks at a time: all that is made of them stays in the cache.
 _Walks: TypeAlias = tuple[Floats, Floats, Floats, Ints]
+_NOTHING = 40.0  # A lag less likely by this factor's exponential adds nothing to a double.
 _BESSEL = 3.75  # Where one approximation gives way to the other.
 _Told: TypeAlias = tuple[Floats, Floats, Floats]
 _WALKS, _TOLD = together(read(1), read(2), read(1), read(1, "int64")), together(*[read(3)] * 3)
@@ -137,7 +138,10 @@ def ratios(  # noqa: C901, PLR0912 - a Cholesky factor of many pairs at a time
                         across += x * v - y * u
                     found = log_lag[at] + p_alone[at, 0, i] + g_alone[at, 0, begin + j]
                     found += 0.5 * square - log(volume[j])
-                    found += _log_i0(sqrt(along * along + across * across))
+                    turned = sqrt(along * along + across * across)
+                    if found + turned < best[j] - _NOTHING:  # I0(x) is less than exp(x)
+                        continue
+                    found += _log_i0(turned)
                     if found > best[j]:
                         total[j] = total[j] * exp(best[j] - found) + 1.0
                         best[j] = found

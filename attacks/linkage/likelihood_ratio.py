@@ -115,7 +115,8 @@ def _ratios(
 
 def _lags_s(attack: LikelihoodRatio) -> Floats:
     most = int(attack.reach_s / _STEP_S)
-    return np.asarray(np.arange(-most, most + 1) * _STEP_S)
+    # The likeliest first: what is far less likely need not be added up.
+    return np.array(sorted(range(-most, most + 1), key=abs)) * _STEP_S
 
 
 @remembered
