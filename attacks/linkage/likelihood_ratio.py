@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 
 from attacks.linkage.learning import linker
 from attacks.parameters import positive
-from attacks.reconstruction.kalman_rts import information
+from attacks.reconstruction.kalman_rts import RadialRTS, information
 from attacks.remembered import remembered, whole
 from isac_track.kalman.slow_errors import added_error
 from isac_track.types import Floats, Knowledge, Release, read_only
@@ -81,7 +81,9 @@ class LikelihoodRatio:
         std_m, tau_s = added_error(context.mechanism) if knows else (0.0, 0.0)
         # A constant error is a shift, a white one shows in the release.
         slow = (std_m, tau_s) if 0.0 < tau_s < np.inf else (0.0, 0.0)
-        return linker(_ratios, self, slow)
+        # Of errors that are added linearly twice as many passes tell more, of others less.
+        linear = knows and getattr(context.mechanism, "adding", "") == "linear"
+        return linker(_ratios, self, slow, (1 + linear) * RadialRTS.USUAL_PASSES)
 
 
 class Told(NamedTuple):
@@ -96,6 +98,7 @@ def _ratios(
     gallery: Release,
     attack: LikelihoodRatio,
     slow: tuple[float, float],
+    passes: int,
 ) -> Floats:
     """Return the score of every pair, (P, G); `slow` as from `added_error`."""
     lags_s = _lags_s(attack)
@@ -104,7 +107,7 @@ def _ratios(
     sides = []
     for release, sign in ((probe, 1), (gallery, -1)):
         origin, among = whole(release)
-        told = Told(*(np.asarray(one[:, among]) for one in _told(origin, attack, sign)))
+        told = Told(*(np.asarray(one[:, among]) for one in _told(origin, attack, sign, passes)))
         sides.append(_side(told, attack, slow, 1.0 / spread_m2))
     log_lag = -np.abs(lags_s) / attack.lag_s
     log_lag += np.log(spread_m2).sum(axis=1) - logsumexp(log_lag)
@@ -120,13 +123,13 @@ def _lags_s(attack: LikelihoodRatio) -> Floats:
 
 
 @remembered
-def _told(release: Release, attack: LikelihoodRatio, sign: int) -> Told:
+def _told(release: Release, attack: LikelihoodRatio, sign: int, passes: int) -> Told:
     """Return what the walks of a release tell, as a probe (1) or a gallery (-1)."""
     lags_s, n, rank = _lags_s(attack), len(release), attack.rank
     start_s = np.maximum(sign * lags_s, 0.0)
     segments_s = np.column_stack([start_s, start_s + attack.window_s - np.abs(lags_s)])
     told = Told(np.empty((lags_s.size, n, rank, rank)), np.empty((lags_s.size, n, rank, 2)))
-    walks = release.t, release.xy, information(release), release.offsets
+    walks = release.t, release.xy, information(release, passes), release.offsets
     _loops().tell(tuple(map(np.ascontiguousarray, walks)), segments_s, *told)
     return told
 

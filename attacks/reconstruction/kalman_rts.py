@@ -163,17 +163,16 @@ def _smooth_again(
 
 
 @remembered
-def information(release: Release) -> Floats:
-    """Return what each sample tells of where the walk was, per axis, (M,) 1/m^2, to who is blind.
+def information(release: Release, passes: int) -> Floats:
+    """Return what each sample tells of where the walk was, per axis, (M,) 1/m^2.
 
-    The inverse of the error variance; under radial errors the weights in the smoother's last pass:
-    a sample close to the walk is very likely almost exact.
+    The inverse of the error variance; under radial errors the weights in the last of a smoother's
+    `passes`: a sample close to the walk is very likely almost exact.
     """
     variance = np.repeat(noise_m2(release), np.diff(release.offsets))
     if not looks_radial(release):
         return 1.0 / variance
-    usual = RadialRTS.DEFAULT_Q, RadialRTS.USUAL_PASSES, RadialRTS().anneal
-    found = smoothed(release, _smooth_again, usual)
+    found = smoothed(release, _smooth_again, (RadialRTS.DEFAULT_Q, passes, RadialRTS().anneal))
     assert found.std is not None
     square_m2 = ((release.xy - found.xy) ** 2).sum(axis=1)
     return np.asarray(1.0 / (square_m2 + 2.0 * found.std**2) + 0.5 / variance)

@@ -45,7 +45,7 @@ def test_the_ratio_is_that_of_dense_gaussians_averaged_over_rotations(curved, ta
     probe, gallery = release_of([first]), release_of([second])
     t = np.concatenate([first[0], second[0]])
     owner = np.repeat([0, 1], [first[0].size, second[0].size])
-    error = np.diag(1.0 / np.concatenate([information(probe), information(gallery)]))
+    error = np.diag(1.0 / np.concatenate([information(one, 5) for one in (probe, gallery)]))
     floor_m2, std_m = 1e-3, 0.3
     # The floor and a slow error act on the coefficients, for each walk by itself.
     more = floor_m2 * np.eye(RANK)
