@@ -11,7 +11,7 @@ import pandas as pd
 from evaluation.analysis import decisions, frontier, linkability, matching, paper, summary
 from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.keys import Source
-from evaluation.analysis.metrics import DESCRIPTORS, METRICS, UTILITY
+from evaluation.analysis.metrics import DESCRIPTORS, METRICS, OF_ROBOT, UTILITY
 from evaluation.reporting.rows import Results
 from evaluation.runs.files import FRAMES
 from evaluation.runs.manifest import FAILED_COLUMNS
@@ -32,7 +32,8 @@ CONTROLS = [
     (f"correlated{INDEPENDENT}", 0.5),
     ("thin:d_sigma=0.75", 4.0),
 ]
-UNITS = {name: METRICS[name].summary_unit for name in (*UTILITY, *DESCRIPTORS, "rmse")}
+COSTS = tuple(name for name in UTILITY if name != OF_ROBOT)  # made-up robots have no `track`
+UNITS = {name: METRICS[name].summary_unit for name in (*COSTS, *DESCRIPTORS, "rmse")}
 RATIOS = dict.fromkeys(("rmse_over_benchmark", "plr_over_benchmark"), "ratio")
 ATTACKS = (
     ("identity", "blind"),
