@@ -35,13 +35,27 @@ from evaluation.reporting import table as make
 from evaluation.reporting.announcements import approximation
 from evaluation.reporting.table import Cell, Column, Table
 from isac_track.linkability import LEVEL
+from isac_track.protection import Laplace
 
+_REPORTS = 366  # Of a track of the paper.
 MARKS = dict(zip(REMARKS, "~^!", strict=True))
 """Of what is to be said of a cell that does not simply link."""
 MEANING = {mark: REMARKS[remark] for remark, mark in MARKS.items()}
 TOO_WEAK = "attack too weak"
 _USUAL = "informed"
 _LABEL_WIDTH = 30
+
+
+def laplace_notes(rows: pd.DataFrame) -> list[str]:
+    """Return what planar Laplace noise promises at each of its levels: a report, and a track."""
+    levels = rows.loc[rows["family"] == "laplace", "level"].dropna().unique()
+    known = [Laplace(float(level)) for level in sorted(levels)]
+    return [
+        f"laplace {level_text(one.std_m)}: epsilon {one.epsilon_per_m:.2f} 1/m a report, "
+        f"{one.epsilon_over(_REPORTS):.0f} 1/m over {_REPORTS}."
+        for one in known
+        if one.std_m > 0
+    ]
 
 
 def sweep_tables(summary: pd.DataFrame) -> list[Table]:
@@ -63,7 +77,7 @@ def sweep_tables(summary: pd.DataFrame) -> list[Table]:
         name, title = (f"sweep-{place}", "") if place else ("sweep", " as shared")
         title += f", predictor {predictor}" if predictor != SHARED else ""
         units = "; ".join(f"{family}: {unit}" for family, unit in LEVEL_UNITS.items())
-        notes = [] if place else [f"Levels: {units}."]
+        notes = [] if place else [f"Levels: {units}.", *laplace_notes(rows)]
         found.append(_by_level(name, f"All levels{title}", rows, columns, notes=notes))
     return [one for one in found if one.rows]
 

@@ -241,3 +241,9 @@ class TestTheDocs:
         with pytest.raises(DataError, match="no README"):
             tables.write_docs(make_run(), root=tmp_path)
         assert not list(tmp_path.iterdir())
+
+
+def test_what_laplace_promises_stands_where_its_level_does():
+    frame = make_summary(predictors=()).assign(family="laplace", level=1.5)
+    (table,) = sweep_tables(frame)
+    assert list(table.notes[1:]) == ["laplace 1.5: epsilon 1.15 1/m a report, 423 1/m over 366."]
