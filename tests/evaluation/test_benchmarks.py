@@ -10,10 +10,13 @@ from importlib import import_module
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
-from helpers.small_runs import write_walks
+from helpers.small_runs import smoke, write_walks
 
+import evaluation
 import isac_track
+from benchmarks import frontier_seeds
 from isac_track.datasets import load
 from isac_track.errors import DataError, SettingsError
 from isac_track.rng import stream
@@ -360,3 +363,14 @@ def test_side_by_side_results_that_differ_are_an_error_and_what_is_missing_a_lin
     assert row["theirs"].startswith("numpy ")
     assert row["largest_difference"] == pytest.approx(float(wrong), rel=1e-3)
     assert row["ratio"] == pytest.approx(row["theirs_ms"] / row["ours_ms"])
+
+
+def test_runs_of_one_seed_pooled_are_that_run(tmp_path):
+    """Twice the same run is the run: level, descriptors and the robot's own, with intervals."""
+    axes = {"predictors": ("kalman_cv",), "mechanisms": ("raw", "fixed:0.4..1.2/3")}
+    settings = smoke("plaza", tmp_path / "run", scenes=250, **axes)
+    one = evaluation.run(settings, pictures=False).frontier
+    both = frontier_seeds.pooled([tmp_path / "run"] * 2)
+    assert one["level"].notna().any()
+    assert set(one["metric"]) == {"plr", "ael", "mel", "distance_mae", "plr_robot"}
+    pd.testing.assert_frame_equal(one, both, check_dtype=False)
