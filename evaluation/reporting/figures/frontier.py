@@ -22,7 +22,7 @@ def figures(run: Results) -> Iterator[Figure]:
     """Yield attacked PLR over the rise of misses, six families a panel beside white noise."""
     of = run.frontier
     of = of[(of["metric"] == EXPOSURE) & (of["criterion"] == AT_EQUAL_ALARMS)]
-    of = of[(of["consumer"] != AS_SHARED.consumer) & np.isfinite(of["value"])]
+    of = of[(of["consumer"] != AS_SHARED.consumer) & of["value"].notna()]
     panels, key = [], dict[str, Look]()
     for robot, known in of.groupby("robot", sort=False):
         rows = {str(name): part for name, part in known.groupby("mechanism", sort=False)}

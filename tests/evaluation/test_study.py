@@ -1,0 +1,82 @@
+"""Several runs, one answer: the table, the page, what is read again, and what is refused."""
+
+import pandas as pd
+import pytest
+
+from evaluation import study
+from evaluation.experiment.settings import Settings
+from evaluation.results import study as answer
+from isac_track.config import StageSettings
+
+LITTLE = {
+    "preset": "smoke",
+    "dataset": "plaza",
+    "mechanisms": ["raw", "fid:1"],
+    "predictors": ["least_squares"],
+    "attacks": ["radial_rts", "likelihood_ratio"],
+    "tasks": ["rerelease"],
+    "stages": StageSettings().changed({"linkage.most_people": 60}),
+    "jobs": 1,
+}
+COLUMNS = "question,recording,adding,law,seed,value,ci_low,ci_high,n,tau2"
+
+
+@pytest.fixture(scope="module")
+def answered(tmp_path_factory):
+    out = tmp_path_factory.mktemp("study")
+    asked = [
+        ("radial", Settings(**LITTLE, seed=seed, out=out / f"plaza-{seed}")) for seed in (0, 1)
+    ]
+    return *answer(asked, out=out), out, asked
+
+
+def test_the_table_has_a_row_a_seed_and_their_mean_and_pools_nothing_simulated(answered):
+    _, n_failed, out, _ = answered
+    table = pd.read_csv(out / "study.csv", dtype={"seed": str})
+    assert n_failed == 0
+    assert ",".join(table.columns) == COLUMNS
+    assert set(table["recording"]) == {"plaza"}  # never pooled: it is simulated, and one
+    told = table[(table["question"] == "left_after_attack") & (table["adding"] == "linear")]
+    assert list(told["seed"]) == ["0", "1", "mean"]
+    values = told.set_index("seed")["value"]
+    assert values["mean"] == pytest.approx((values["0"] + values["1"]) / 2)
+    assert {"robot_loses", "left_after_attack", "people_linked"} <= set(table["question"])
+
+
+def test_the_page_says_which_recording_is_simulated_and_where_its_runs_are(answered):
+    _, _, out, _ = answered
+    text = (out / "study.html").read_text()
+    assert "plaza (simulated)" in text
+    assert "plaza-0" in text
+    assert "pooled</" not in text
+
+
+def test_what_is_finished_is_read_again(answered):
+    of, _, out, asked = answered
+    before = (out / "study.csv").read_bytes()
+    cells = {path: path.stat().st_mtime_ns for path in out.glob("*/cells/*")}
+    again, _ = answer(asked, out=out)
+    assert [one.sentence for one in again] == [one.sentence for one in of]
+    assert (out / "study.csv").read_bytes() == before
+    assert {path: path.stat().st_mtime_ns for path in out.glob("*/cells/*")} == cells
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--dataset", "plazza"], "plazza"),
+        (["--dataset", "plaza", "--law", "round"], "round"),
+        (["--dataset", "plaza", "--seed", "-1"], "must not be negative"),
+        (["--dataset", "plaza", "--jobs", "0"], "at least 1"),
+        ([], "--dataset"),
+    ],
+)
+def test_a_mistake_is_told_before_anything_runs(options, says, tmp_path, capsys):
+    out = tmp_path / "study"
+    try:
+        code = study.main([*options, "--preset", "smoke", "--out", str(out)])
+    except SystemExit as left:
+        code = left.code
+    assert code == 2
+    assert says in capsys.readouterr().err
+    assert not out.exists()
