@@ -213,3 +213,4 @@ def test_the_frontier_is_drawn_beside_white_noise_and_who_knows_more_is_hollow()
     at = values(chart.marks[1][1], chart, log=(False, False))
     assert at == pytest.approx(np.array([[3.0, 77.0], [5.0, 75.0], [7.5, 72.5]]), abs=0.4)
     assert "frontier" not in drawn()  # none where alarms differ
+    assert "frontier" not in drawn(frontier=usual.iloc[:0].astype(object))
