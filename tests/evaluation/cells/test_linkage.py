@@ -582,7 +582,8 @@ class TestAxes:
         found = axes(Settings())
         assert {task.name for task in found.tasks} == TASKS.keys()
         linkers = {one.plugin.name for _, one in found.links}
-        assert linkers == {"shape", "profile", "dtw", "behaviour", "histogram", "kinematic"}
+        known = {"shape", "profile", "dtw", "behaviour", "histogram", "kinematic"}
+        assert linkers == known | {"likelihood_ratio"}
         assert found.ceiling.spec == "clean"
         nothing = axes(Settings(tasks=()))
         assert (nothing.links, nothing.ceiling) == ((), None)
