@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
@@ -182,6 +182,9 @@ def _sessions(
         tracks, repairs = read(
             data=data, path=where, format=format_name, fps=source.fps, unit=unit, by_marker=by
         )
+        if by:  # Who wears no marker is nobody whom another session knows.
+            own = [f"{path.stem}:{who}" if who.startswith("-") else who for who in tracks.group]
+            tracks = replace(tracks, person=tuple(own))
         in_unit = unit or (header.unit if header else "") or "m"
         parts.append((shown(path.stem), tracks, in_unit))
         notes += [*found, *repairs]

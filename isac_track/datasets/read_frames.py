@@ -61,7 +61,8 @@ def read_columns(
 ) -> Rows:
     """Read rows of numbers with spaces or tabs between them; ``#`` begins a comment.
 
-    `by_marker`: who it is says the marker that the header names, not the id.
+    `by_marker`: who it is says the marker that the header names, not the id;
+    without a marker (-1) it is the id, made negative.
     A DataError names file and line, or says that `fps` is missing or contradicts the file's.
     """
     recording.check_text(data=data, path=path)
@@ -95,7 +96,9 @@ def read_columns(
     place = recording.Place(path, lambda: np.fromiter((n for n, _ in _split(data)), dtype=np.int64))
     columns = header.columns or {name: COLUMNS[format_name].index(name) for name in _USED}
     if by_marker and header.marker is not None:
-        columns = {**columns, "id": header.marker}
+        # -1 is PeTrack's word for no marker: such a trajectory keeps its id, below all markers.
+        marker, own = table[:, header.marker], table[:, columns["id"]]
+        table[:, columns["id"]] = np.where(marker < 0, -1 - own, marker)
     rows = recording.framed({name: table[:, columns[name]] for name in _USED}, place)
     return replace(rows, t=rows.t / rate, unit=header.unit)
 

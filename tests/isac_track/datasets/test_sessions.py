@@ -51,6 +51,16 @@ def test_a_marker_is_the_person_whatever_the_id_and_heights_are_never_used(tmp_p
     assert load(tmp_path).sha256 != found.sha256
 
 
+def test_who_wears_no_marker_is_nobody_whom_another_session_knows(tmp_path):
+    petrack(tmp_path / "a.txt", [(1, -1), (2, 702), (3, -1)])
+    petrack(tmp_path / "b.txt", [(1, -1), (2, 702)])
+    tracks = load(tmp_path).tracks
+    assert len(tracks) == 5
+    at = [tracks.source.index(one) for one in ("a:702", "b:702")]
+    assert len({tracks.person[one] for one in at}) == 1
+    assert len(set(tracks.person)) == len(set(tracks.group)) == 4
+
+
 def test_ids_are_other_people_in_another_file_unless_it_is_said_that_they_last(tmp_path):
     files = [csv(tmp_path / "a.csv", (1, 2)), csv(tmp_path / "b.csv", (2, 3))]
     apart, same = (load(sessions=files, persistent_ids=one) for one in (False, True))
