@@ -242,13 +242,21 @@ class Scheme:
         return rows.sort_values("level")
 
 
-def schemes(summary: pd.DataFrame) -> list[Scheme]:
+_CURVE = 3  # Levels that make one.
+
+
+def schemes(summary: pd.DataFrame, *, as_points: bool = False) -> list[Scheme]:
     """Return what is swept in a run: every mechanism with levels but the controls.
 
-    FID and fixed noise come first, the others in the order of the run; adding rules of one stand
-    together.
+    Beside what has levels enough for a curve a few points are no sweep: those are among them only
+    `as_points`. FID and fixed noise come first, the others in the order of the run; adding rules of
+    one stand together.
     """
-    levels = summary.dropna(subset="level").groupby("mechanism")["level"].agg(["min", "max"])
+    levels = (
+        summary.dropna(subset="level").groupby("mechanism")["level"].agg(["min", "max", "nunique"])
+    )
+    if not (as_points or levels.empty):
+        levels = levels[levels["nunique"] >= min(_CURVE, levels["nunique"].max())]
     swept = [
         one
         for name, one in families_in(summary).items()

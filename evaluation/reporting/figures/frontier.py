@@ -24,14 +24,15 @@ def figures(run: Results) -> Iterator[Figure]:
     of = of[(of["metric"] == EXPOSURE) & (of["criterion"] == AT_EQUAL_ALARMS)]
     of = of[(of["consumer"] != AS_SHARED.consumer) & of["value"].notna()]
     panels, key = [], dict[str, Look]()
+    counts = of.groupby(["mechanism", "robot"], sort=False)["target"].nunique()
+    lines = counts[counts >= _LEAST_POINTS].index.get_level_values("mechanism")
+    names = [str(name) for name in dict.fromkeys(lines) if name != WHITE]
     for robot, known in of.groupby("robot", sort=False):
         rows = {str(name): part for name, part in known.groupby("mechanism", sort=False)}
-        counts = {name: part["target"].nunique() for name, part in rows.items()}
-        names = [one for one, n in counts.items() if one != WHITE and n >= _LEAST_POINTS]
-        white = dict.fromkeys([WHITE] if WHITE in rows else [], Look(0))
         for start in range(0, max(len(names), 1), _MOST):
-            of_panel = names[start : start + _MOST]
-            shown = white | {name: Look(place) for place, name in enumerate(of_panel, start=1)}
+            # A mechanism looks alike for every robot.
+            of_panel = [WHITE, *names[start : start + _MOST]]
+            shown = {name: Look(place) for place, name in enumerate(of_panel) if name in rows}
             which = f", {start // _MOST + 1}" if len(names) > _MOST else ""
             curves, marked = _drawn(run, rows, shown, key, which)
             if curves:
@@ -55,7 +56,9 @@ def _drawn(
     """Return the line of each family, and a hollow mark for what an adversary gets beyond it."""
     curves, marked = list[Curve](), list[tuple[Look, float, float, str]]()
     for name, look in shown.items():
-        title = "white" if name == WHITE else f"{family_of(run.families, name).name}{which}"
+        family = family_of(run.families, name)
+        rule = " ind." * (family.adding == "independent")
+        title = "white" if name == WHITE else f"{family.name}{rule}{which}"
         key[title] = look
         usual = rows[name]["knowledge"].isin(HEADLINE)
         of = rows[name][usual]

@@ -18,7 +18,7 @@ def figures(run: picked.Results) -> Iterator[Figure]:
     """Yield the privacy-utility planes of the first predictor: each rule, each descriptor."""
     ours = run.ours[~is_attack(run.ours) & np.isfinite(run.ours["value"])]
     predictor = next(iter(ours["consumer"][ours["metric"] == MISSED_RATE]), "")
-    known = picked.schemes(ours)
+    known = picked.schemes(ours, as_points=True)
     panels, key = [], dict[str, Look]()
     for rule in ADDING_RULES:
         for metric in DESCRIPTORS:
