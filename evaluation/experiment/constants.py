@@ -9,5 +9,3 @@ OTHER_LAW: Final = "isotropic"  # Error law under which the preset's `other_law`
 BLOCK_SCENES = 250
 """Scenes of a unit of work. Part of the keys of the sharing streams: a change changes the draws."""
 MOST_SCENES = 10_000_000
-LOGGED_SCENES: Final = 500
-"""Of how many scenes a robot's own estimate of every sample is held against the truth."""

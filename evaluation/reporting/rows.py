@@ -248,20 +248,22 @@ _CURVE = 3  # Levels that make one.
 def schemes(summary: pd.DataFrame, *, as_points: bool = False) -> list[Scheme]:
     """Return what is swept in a run: every mechanism with levels but the controls.
 
-    Beside what has levels enough for a curve a few points are no sweep: those are among them only
-    `as_points`. FID and fixed noise come first, the others in the order of the run; adding rules of
-    one stand together.
+    Of others than FID and fixed noise a few levels, beside what has enough for a curve, are no
+    sweep: those are among them only `as_points`. FID and fixed noise come first, the others in the
+    order of the run; adding rules of one stand together.
     """
     levels = (
         summary.dropna(subset="level").groupby("mechanism")["level"].agg(["min", "max", "nunique"])
     )
-    if not (as_points or levels.empty):
-        levels = levels[levels["nunique"] >= min(_CURVE, levels["nunique"].max())]
     swept = [
         one
         for name, one in families_in(summary).items()
         if one.is_added and not is_control(one) and name in levels.index
     ]
+    most = min(_CURVE, levels["nunique"].max()) if swept else 0
+    if not as_points:
+        enough = set(levels.index[levels["nunique"] >= most])
+        swept = [one for one in swept if one.name in _KNOWN or one.mechanism in enough]
     names = list(dict.fromkeys([*_KNOWN, *(one.name for one in swept)]))
     swept.sort(key=lambda one: (names.index(one.name), ADDING_RULES.index(one.rules[0])))
     found = []

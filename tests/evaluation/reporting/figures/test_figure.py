@@ -178,6 +178,9 @@ def test_each_mechanism_is_a_scheme_but_controls_and_its_rules_stand_together():
     assert names == ["fid", "fid", "fixed", "fixed"]
     at = [("ou:tau=3", 1.0), ("ou:tau=3,adding=independent", 1.0), ("ou:tau=9", 1.0)]
     assert [one.name for one in schemes(make_summary(at))] == ["ou:tau=3"] * 2 + ["ou:tau=9"]
+    few = make_summary([("ou", 0.2), ("ou", 0.4), *levels()])
+    assert {one.name for one in schemes(few)} == {"fid", "fixed"}  # beside three, two are no curve
+    assert {one.name for one in schemes(few, as_points=True)} == {"fid", "fixed", "ou"}
     found = schemes(make_summary([*STRANGERS, *levels(rules=(INDEPENDENT,), others=[])]))
     assert [(one.mechanism, one.log, one.rule_text) for one in found] == [
         ("fid", True, "linear adding"),
