@@ -7,6 +7,7 @@ innovations, since a robot is not told how accurate a sample is, or taken as dec
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
@@ -99,11 +100,16 @@ class KalmanCV:
             return kalman_last(batch, q=self.q, gate=self.gate)
         return filter_tracks(batch, error, q=self.q, gate=self.gate)[0]
 
-    def track(self, release: Release) -> Floats:
-        """Return where the robot took everybody to be at each sample, (M, 2) m: from no later one.
+    @property
+    def track(self) -> Callable[[Release], Floats] | None:
+        """Where the robot took everybody to be at each sample, (M, 2) m: from no later one.
 
-        The noise is the estimate by then, and the whole history counts.
+        The noise is the estimate by then, and the whole history counts. None for the other models:
+        no loop of theirs tells the states by the way.
         """
+        return self._tracked if type(self) is KalmanCV else None
+
+    def _tracked(self, release: Release) -> Floats:
         error = self._slow_error or SlowError(0.0, 0.0)
         batch = self.batch(release, is_causal=True)
         return filter_tracks(batch, error, q=self.q, gate=self.gate)[1]
@@ -148,7 +154,6 @@ class KalmanCA(KalmanCV):
     q: float = 0.026  # m^2/s^5, from ``python -m benchmarks.tune``
 
     states: ClassVar[int] = 3
-    track = None  # type: ignore[assignment]  # no loop gives the states by the way
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,8 +165,6 @@ class KalmanIMM(KalmanCV):
     walk_s: float = 4.0
     """Mean time of walking on; set, not tuned: the likelihood would make modes of whole tracks"""
     turn_s: float = 1.5  # Mean time of stopping or turning; set, not tuned
-
-    track = None  # type: ignore[assignment]  # as of `KalmanCA`
 
     def __post_init__(self) -> None:
         KalmanCV.__post_init__(self)

@@ -42,8 +42,10 @@ class LikelihoodRatio:
 
     and the score is the log of its mean over lags, which weighs a lag by exp(-|lag| / `lag_s`). To
     the error of every coefficient is added `floor_m2`, and to that of a mechanism whose errors are
-    slow what these do to it. Exact for Gaussian walks and errors; a pair that shares no stretch of
-    a walk is not told by it.
+    slow what these do to it. Exact for walks whose coefficients are independent and Gaussian, and
+    Gaussian errors, at each lag by the overlap alone (of white acceleration coefficients two
+    degrees apart are correlated, which S leaves out); a pair that shares no stretch of a walk is
+    not told by it.
 
     References
     ----------

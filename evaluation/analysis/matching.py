@@ -56,27 +56,23 @@ class Sweeps:
         self.found = found
         self.known = known
         self._levels: dict[str, list[float | None]] = {}
+        self._joined: dict[tuple[str, str, Measure], list[Floats] | None] = {}
         for key in found:
             if key.measure == _SHOWN and known[key.mechanism].is_added:
                 self._levels.setdefault(key.mechanism, []).append(key.level)
-        self._in_order: dict[str, list[float | None]] = {}
-        self._joined: dict[tuple[str, str, Measure], list[Floats] | None] = {}
+        for mechanism, levels in self._levels.items():
+            levels.sort(key=lambda level: (level is None, level))
+            family = known[mechanism].family
+            least, most = (found[_SHOWN.at(mechanism, levels[end])].value for end in (0, -1))
+            if not (family == FID or (family != FIXED and least < most)):
+                levels.reverse()
 
     def levels(self, mechanism: str) -> list[float | None]:
         """Return the levels of a mechanism, noisiest first: eta grows, a fixed error falls.
 
         Of any other mechanism the ends tell: the noisier one shows less.
         """
-        if mechanism not in self._in_order:
-            known = self._levels.get(mechanism, ())
-            levels = sorted(known, key=lambda level: (level is None, level))
-            if len(levels) >= FEWEST_LEVELS:
-                family = self.known[mechanism].family
-                ends = [self.found[_SHOWN.at(mechanism, levels[place])].value for place in (0, -1)]
-                grows = family == FID or (family != FIXED and ends[0] < ends[1])
-                levels = levels if grows else levels[::-1]
-            self._in_order[mechanism] = levels
-        return self._in_order[mechanism]
+        return self._levels.get(mechanism, [])
 
     def named(self, family: str, *, adding: str) -> str:
         """Return a family's mechanism under an adding rule, nothing else of it changed, or ""."""
@@ -89,10 +85,10 @@ class Sweeps:
         plain = [self.named(family, adding=adding) for family in (FID, FIXED)]
         more = [
             name
-            for name in self._levels
+            for name, levels in self._levels.items()
             if name not in plain
             and adding in self.known[name].rules
-            and len(self.levels(name)) >= FEWEST_LEVELS
+            and len(levels) >= FEWEST_LEVELS
         ]
         return [name for name in plain if name] + more
 
@@ -203,15 +199,8 @@ def matched(sweeps: Sweeps, *, predictors: Sequence[str], dataset: str) -> pd.Da
         for criterion, by, predictor, wanted in (criteria if mechanism != fixed else ())
         for measure, points in _compared(sweeps, (mechanism, fixed), by, wanted)
     ]
-    n_points = [part["at"].size for part in parts]
-    return pd.DataFrame(
-        {
-            name: np.concatenate([part[name] for part in parts])
-            if name in _POINTS and parts
-            else np.repeat(np.array([part[name] for part in parts], dtype=object), n_points)
-            for name in COLUMNS
-        }
-    ).infer_objects()
+    table = pd.DataFrame(parts, columns=COLUMNS)
+    return table.explode([*_POINTS], ignore_index=True).infer_objects()
 
 
 def _compared(
@@ -233,18 +222,18 @@ def _compared(
         at = at[::-1] if is_plr else at  # at ascends, in PLR as well
         of = [one for one in measures if (one.consumer == SHARED) == are_shared]
         for measure, compared, fixed in at_changes(sweeps, arms, by, of, at=at):
-            defined = np.isfinite(compared[1:] - fixed[1:]).mean(axis=0)
+            gap = compared - fixed
+            defined = np.isfinite(gap[1:]).mean(axis=0)
             points = {
                 "at": raw - at if is_plr else at,
                 "missed_conflict_rate": np.full(n_points, np.nan) if is_plr else raw + at,
                 "defined": defined,
             }
-            drawn = np.concatenate([compared, fixed, compared - fixed], axis=1).T.copy()
-            has_ends = np.isfinite(drawn[:, 1:]).all(axis=1) | np.tile(defined >= MIN_DEFINED, 3)
-            ends = np.where(has_ends, percentile_intervals(drawn[:, 1:]), np.nan)
-            read = np.stack([drawn[:, 0], *ends]).reshape(3, 3, n_points)
-            for names, values in zip(_INTERVALS, read.swapaxes(0, 1), strict=True):
-                points |= zip(names, values, strict=True)
+            for names, values in zip(_INTERVALS, (compared, fixed, gap), strict=True):
+                drawn = values[1:].T.copy()
+                has_ends = np.isfinite(drawn).all(axis=1) | (defined >= MIN_DEFINED)
+                ends = np.where(has_ends, percentile_intervals(drawn), np.nan)
+                points |= zip(names, (values[0], *ends), strict=True)
             yield measure, points
 
 

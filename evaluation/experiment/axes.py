@@ -255,15 +255,10 @@ def _linked(
             if grants(link, everyone=task.everyone, nobody=task.nobody, asked=asked)
         ]
         linker = link.plugins[0].instance
-        needs_scene, one_stretch = (
-            Knowledge.SCENE in linker.requires,
-            getattr(linker, "one_stretch", False),
-        )
-        chosen[link.spec] = [
-            task
-            for task in can
-            if task.shows_scene == needs_scene and task.is_one_stretch >= one_stretch
-        ] or can
+        suited = [task for task in can if task.shows_scene == (Knowledge.SCENE in linker.requires)]
+        if getattr(linker, "one_stretch", False):
+            suited = [task for task in suited if task.is_one_stretch]
+        chosen[link.spec] = suited or can
         if settings.attacks is not None and not can:
             needs = ", ".join(sorted(one.name for one in link.requires)) or "a task"
             where = ", ".join(task.name for task in tasks) or "none"

@@ -131,6 +131,10 @@ class Settings:
         return replace(self, **options)
 
     def _check_precision(self) -> None:
+        if self.utility_scenes is not None and not 2 <= self.utility_scenes <= MOST_SCENES:  # noqa: PLR2004 - as of scenes
+            raise SettingsError(
+                f"utility_scenes must be 2 to {MOST_SCENES:,}, got {self.utility_scenes}"
+            )
         if self.precision is None:
             return
         if not 0.0 < self.precision < 0.5:  # noqa: PLR2004 - half of all

@@ -16,7 +16,7 @@ from helpers.small_runs import smoke, write_walks
 
 import evaluation
 import isac_track
-from benchmarks import frontier_seeds
+from benchmarks import frontier_seeds, paired_linkers
 from isac_track.datasets import load
 from isac_track.errors import DataError, SettingsError
 from isac_track.rng import stream
@@ -374,3 +374,18 @@ def test_runs_of_one_seed_pooled_are_that_run(tmp_path):
     assert one["level"].notna().any()
     assert set(one["metric"]) == {"plr", "ael", "mel", "distance_mae", "plr_robot"}
     pd.testing.assert_frame_equal(one, both, check_dtype=False)
+
+
+def test_linkers_are_compared_where_they_know_the_same(tmp_path):
+    out, names = tmp_path / "run", ("shape", "likelihood_ratio")
+    axes = {"predictors": (), "attacks": names, "tasks": ("rerelease",), "mechanisms": ("raw",)}
+    summary = evaluation.run(smoke("plaza", out, **axes), pictures=False).summary
+    rows = summary[summary["metric"] == "rank1_g100"].set_index(["consumer", "knowledge"])
+    rows = rows[rows["mechanism"] == "raw"]["value"]
+    found = [one for one in paired_linkers.paired(out, names[1]) if one[0].mechanism == "raw"]
+    assert [key.knowledge for key, _, _ in found] == ["blind", "informed"]
+    for key, best, gap in found:
+        assert best.consumer == "rerelease/shape"
+        apart = rows[key.consumer, key.knowledge] - rows[best.consumer, key.knowledge]
+        assert gap.value == pytest.approx(apart)
+        assert gap.ci_low < gap.value < gap.ci_high
