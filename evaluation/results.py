@@ -24,7 +24,7 @@ from evaluation.analysis.matching import Sweeps, matched
 from evaluation.analysis.metrics import ACHIEVED, SUCCESS_OF_100
 from evaluation.analysis.pooled import Answered, answered, answers_of, to_frame
 from evaluation.analysis.strongest import cross_fitted, strongest
-from evaluation.experiment.constants import BLOCK_SCENES, MOST_SCENES, OTHER_LAW
+from evaluation.experiment.constants import BLOCK_SCENES, MOST_SCENES, WORLDS
 from evaluation.experiment.plan import Plan, plan
 from evaluation.experiment.settings import Settings, check_drawing
 from evaluation.reporting import page
@@ -157,7 +157,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
     manifest = read_manifest(out)
     dataset = manifest["dataset"]["name"]
     found, scored, attacked = summary.estimates(out, manifest)
-    other_law = summary.estimates(out, manifest, law=OTHER_LAW)[0]
+    worlds = {one: summary.estimates(out, manifest, world=one)[0] for one in WORLDS}
     predictors = manifest["settings"]["predictors"]
     curves, decided, at_raw_alarms = decisions(scored, manifest, found)
     once = flags.on_first_releases(out, manifest)
@@ -179,9 +179,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
     results = Results(
         out=out,
         manifest=manifest,
-        summary=summary.to_frame(
-            {**found, **linked}, other_law=other_law, known=known, dataset=dataset
-        ),
+        summary=summary.to_frame({**found, **linked}, worlds=worlds, known=known, dataset=dataset),
         paper_table=paper.paper_table(sweeps, dataset=dataset),
         claims=paper.claims(sweeps, at_equal, dataset=dataset, history=manifest["history"]),
         matched=at_equal,

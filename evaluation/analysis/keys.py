@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
-from evaluation.experiment.presets import SHARED
+from evaluation.experiment.constants import SHARED, WORLDS
 from isac_track.protocols import ADVERSARIES
 
 if TYPE_CHECKING:
@@ -103,6 +104,12 @@ def rows_of(frame: pd.DataFrame) -> list[dict[str, Any]]:
     names = list(frame.columns)
     columns = (frame[name].to_numpy(dtype=object).tolist() for name in names)
     return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
+
+
+def worlds_of(frame: pd.DataFrame) -> pd.Series[str]:
+    """Return of which of `WORLDS` the rows of a summary are; empty: that of the run."""
+    known = "|".join(map(re.escape, sorted(WORLDS, key=len, reverse=True)))
+    return frame["dataset"].str.extract(f":({known})$", expand=False).fillna("")
 
 
 def is_attack(frame: pd.DataFrame) -> pd.Series[bool]:

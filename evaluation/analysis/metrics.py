@@ -7,9 +7,10 @@ that computes it.
 from dataclasses import dataclass
 from typing import Final, Literal
 
-Measured = Literal["predictor", "descriptor", "reconstruction", "linkage"]
+Measured = Literal["predictor", "descriptor", "reconstruction", "linkage", "bound"]
 """Of what a metric is: a predictor's utility; a privacy descriptor of positions, as shared and
-after a reconstruction; what else a reconstruction is measured by; what a linker achieves."""
+after a reconstruction; what else a reconstruction is measured by; what a linker achieves; what no
+attack does better in a world of the fitted motion."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,20 +34,29 @@ class Metric:
     is_biased: bool = False
     """Whether its replicates are biased, so that its intervals are basic ones."""
 
+    is_difference: bool = False
+    """Whether it is a difference of two, which may be negative."""
+
     @property
     def is_share(self) -> bool:
         """Whether it is a share of trials, 0..1."""
-        return self.summary_unit == "fraction"
+        return self.summary_unit == "fraction" and not self.is_difference
 
     @property
     def unit(self) -> str:
         """Unit shown; empty for a ratio."""
-        return "%" if self.is_share else "" if self.summary_unit == "ratio" else self.summary_unit
+        return (
+            "%"
+            if self.summary_unit == "fraction"
+            else ""
+            if self.summary_unit == "ratio"
+            else self.summary_unit
+        )
 
     @property
     def scale(self) -> float:
         """What a value is multiplied with to be shown."""
-        return 100.0 if self.is_share else 1.0
+        return 100.0 if self.summary_unit == "fraction" else 1.0
 
     @property
     def title(self) -> str:
@@ -89,6 +99,13 @@ _ROWS: Final = (
         column="plr",
         over="benchmark_plr",
     ),
+    Metric(
+        *("plr_gap", "below the optimum", "reconstruction", "fraction", "lower"),
+        column="plr_gap",
+        is_difference=True,
+    ),
+    Metric(*("plr_optimum", "optimal PLR", "bound", "fraction", "higher"), column="plr_optimum"),
+    Metric(*("plr_ceiling", "PLR ceiling", "bound", "fraction", "higher"), column="plr_ceiling"),
     Metric("rank1", "rank 1", "linkage", "fraction", "higher", is_headline=True),
     Metric(*("rank1_g100", "rank 1 of 100", "linkage", "fraction", "higher"), is_headline=True),
     Metric("rank1_assigned", "rank 1, assigned", "linkage", "fraction", "higher"),
@@ -119,6 +136,8 @@ UTILITY: Final = measured("predictor")
 DESCRIPTORS: Final = measured("descriptor")  # Of privacy: PLR, AEL and MEL.
 RECONSTRUCTION: Final = measured("descriptor", "reconstruction")
 """Of what an attack makes of the positions."""
+GAP: Final = "plr_gap"  # In model worlds alone.
+BOUNDS: Final = measured("bound")  # Of PLR after any attack.
 MISSED_RATE: Final = "missed_conflict_rate"  # What noise costs a robot.
 EQUAL_ALARMS: Final = "missed_at_equal_false_alarms"
 """The same at the false-alarm rate that the predictor has at raw; not in the summary."""

@@ -17,11 +17,11 @@ import pyarrow as pa
 from evaluation.analysis.families import Family
 from evaluation.analysis.keys import Key
 from evaluation.analysis.linkability import Cards, dataset_of
-from evaluation.analysis.metrics import DESCRIPTORS, METRICS, OF_ROBOT, RECONSTRUCTION
-from evaluation.experiment.constants import OTHER_LAW
+from evaluation.analysis.metrics import BOUNDS, DESCRIPTORS, GAP, METRICS, OF_ROBOT, RECONSTRUCTION
+from evaluation.experiment.constants import MODEL
 from evaluation.runs.cell_files import Summed, read_rows
 from isac_track.intervals import Estimate, cluster_sums, cluster_weights, ratio_estimates
-from isac_track.types import ErrorLaw, Floats, Ints
+from isac_track.types import Floats, Ints
 
 N_REPLICATES = 1000
 COLUMNS = [
@@ -29,10 +29,12 @@ COLUMNS = [
     *("value", "ci_low", "ci_high", "n", "unit", "family", "adding"),
 ]
 _POSITIONS = [METRICS[name] for name in RECONSTRUCTION]
-_SHARED = ["group", *(one.column for one in _POSITIONS if not one.over)]
+_SHARED = ["group", *(one.column for one in _POSITIONS if not one.over and one.name != GAP)]
+_BOUNDS = [METRICS[name] for name in BOUNDS]
 _COLUMNS_OF = {
     "shared": _SHARED,
     "attack": [*_SHARED, *(one.over for one in _POSITIONS if one.over)],
+    "bound": ["group", *(one.column for one in _BOUNDS)],
     "predictor": [
         *("group", "conflict", "predicted"),
         *("separation_m", "predicted_separation_m", "probability", OF_ROBOT),
@@ -46,12 +48,12 @@ the scenes' clusters, (S,), and its columns as in `_COLUMNS_OF`."""
 
 
 def estimates(
-    out: Path, manifest: Mapping[str, Any], *, law: ErrorLaw | None = None
+    out: Path, manifest: Mapping[str, Any], *, world: str = ""
 ) -> tuple[dict[Key, Estimate], tuple[Scored, ...], dict[Key, Floats]]:
     """Return every metric of the scenes with its interval and replicates, and the scores.
 
     The last are the descriptors after each attack, (2, C): numerator and denominator by cluster.
-    All under the run's own error law, or under another one that `law` names.
+    All in the run's own world, or in another one of `WORLDS`.
 
     Raises DataError if a cell cannot be read.
     """
@@ -62,13 +64,14 @@ def estimates(
     entries = [
         entry
         for entry in manifest["cells"]
-        if entry["kind"] in _COLUMNS_OF and entry.get("law") == law
+        if entry["kind"] in _COLUMNS_OF and entry.get("world", "") == world
     ]
-    every = {name for columns in _COLUMNS_OF.values() for name in columns}
+    gap = [GAP] if MODEL in world else []
+    every = {name for columns in (*_COLUMNS_OF.values(), gap) for name in columns}
     for _, of in groupby(entries, key=itemgetter("files")):
         keys, sums = [], []
         for entry in of:
-            columns = _COLUMNS_OF[entry["kind"]]
+            columns = [*_COLUMNS_OF[entry["kind"]], *(gap if entry["kind"] == "attack" else [])]
             table = read_rows(out, entry, columns=columns, beside=every)
             cluster = clusters(table, manifest)
             if entry["kind"] == "predictor":
@@ -159,14 +162,14 @@ def clusters(table: pa.Table, manifest: Mapping[str, Any]) -> Ints:
 def to_frame(
     found: Mapping[Key, Estimate],
     *,
-    other_law: Mapping[Key, Estimate],
+    worlds: Mapping[str, Mapping[Key, Estimate]],
     known: Mapping[str, Family],
     dataset: str,
 ) -> pd.DataFrame:
     """Return the tidy summary; the first six columns are unique together.
 
-    `other_law` is what was found under `OTHER_LAW`, whose data set says so; `known` are the
-    mechanisms of the run, from `families`.
+    `worlds` is what was found in others, whose data sets say so; `known` are the mechanisms of the
+    run, from `families`.
     """
     rows = [
         (
@@ -175,7 +178,10 @@ def to_frame(
             *(one.value, one.ci_low, one.ci_high, one.n, METRICS[key.metric].summary_unit),
             *(known[key.mechanism].family, known[key.mechanism].adding),
         )
-        for name, of in ((dataset, found), (f"{dataset}:law={OTHER_LAW}", other_law))
+        for name, of in (
+            (dataset, found),
+            *((f"{dataset}:{world}", other) for world, other in worlds.items()),
+        )
         for key, one in of.items()
     ]
     return pd.DataFrame(rows, columns=COLUMNS)
@@ -205,13 +211,15 @@ def ratios(kind: str, table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
             **({OF_ROBOT: (np.nan_to_num(own), known * 1.0)} if known.any() else {}),
         }
     found = {}
-    for metric in _POSITIONS:
-        if metric.over and metric.over not in table.column_names:
+    for metric in _BOUNDS if kind == "bound" else _POSITIONS:
+        if (metric.over or metric.column) not in table.column_names:
             continue
         values = table[metric.column].to_numpy()
         over = table[metric.over].to_numpy() if metric.over else np.ones_like(values)
         # A one-sample track that leaks has no exposure length (NaN): it does not count there.
         known = ~np.isnan(over if metric.over else values)
+        if metric.name in {*BOUNDS, GAP} and not known.any():
+            continue
         found[metric.name] = (
             np.where(known & ~np.isnan(values), values, 0.0),
             np.where(known, over, 0.0),

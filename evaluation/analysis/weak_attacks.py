@@ -137,7 +137,7 @@ def on_first_releases(out: Path, manifest: Mapping[str, Any]) -> dict[Key, Estim
     for entry in manifest["cells"]:
         # Nobody is held against an attack that is neither simple nor slow.
         counts = entry.get("slow", False) or _base(entry["consumer"]) in SIMPLER
-        is_own = entry["kind"] == "attack" and not entry.get("law")
+        is_own = entry["kind"] == "attack" and not entry.get("world")
         if is_own and entry["spec"] in seen and counts:
             table = read_rows(out, entry, columns=["scene", "agent", "group", "plr"])
             table = table.filter(np.isin(_names(table), seen[entry["spec"]]))

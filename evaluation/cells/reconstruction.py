@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -16,12 +16,21 @@ import numpy as np
 from attacks.reconstruction.kalman_rts import PRIOR_STD, KalmanRTS
 from attacks.reconstruction.learning import N_CANDIDATES
 from evaluation.cells import sharing
-from evaluation.cells.adversary import SHOWS, Frame, granted_at, reconstructed, showing, view_of
+from evaluation.cells.adversary import (
+    SHOWS,
+    Frame,
+    declared,
+    granted_at,
+    reconstructed,
+    showing,
+    view_of,
+)
 from evaluation.cells.tables import Rows, described_rows, track_columns, track_means
 from evaluation.experiment.constants import MOST_SCENES
 from isac_track import privacy
 from isac_track.errors import DataError, PluginError
 from isac_track.kalman import Batch, smooth_positions
+from isac_track.model_world import Motion, errors_of, fitted_motion, known_share, simulated
 from isac_track.protocols import OF_WALKS, AttackContext, TrainingSet
 from isac_track.rng import stream
 from isac_track.scenes import Cut, make_scenes
@@ -66,6 +75,7 @@ class AttackedBlock:
     """(N,) pass over the recording: in none does a walk occur twice, in the first all do once"""
     training: tuple[tuple[Scenes, Sensed] | None, ...]
     """For each half people of the other one, each once; None if there are none."""
+    is_model: bool  # Whether they are walks of a model, in place of the recorded ones.
     tracks: Cut
     members: Mapping[str, Sequence[int]]  # Rows of `tracks` of every group.
     again: tuple[Sensed, ...]  # The walks of the block sensed anew, for REPEATS.
@@ -92,6 +102,7 @@ class AttackedLevel:
     again: tuple[Release, ...]  # Further releases of the same walks, in the true frame.
     beside: tuple[Release, ...]  # Of who walks along with each track, for COMPANIONS.
     benchmark: Rows  # Columns of what the benchmark expects of each track.
+    bound: Rows  # Columns of what nobody knows better of each.
 
 
 def folds(groups: tuple[str, ...], *, seed: int) -> Ints:
@@ -120,12 +131,27 @@ def slow_cost_s(consumers: Sequence[Consumer], *, tracks: Cut, n_levels: int) ->
 
 
 def attacked_block(
-    *, scenes: Scenes, sensed: Sensed, tracks: Cut, repeats: bool, stages: StageSettings, seed: int
+    *,
+    scenes: Scenes,
+    sensed: Sensed,
+    tracks: Cut,
+    repeats: bool,
+    is_model: bool = False,
+    stages: StageSettings,
+    seed: int,
 ) -> AttackedBlock:
     """Prepare a block of scenes of `tracks` for its attacks.
 
-    `repeats` says whether an attack is granted REPEATS.
+    `repeats` says whether an attack is granted REPEATS; `is_model` that `scenes` and `sensed` are
+    `modelled`, and all others shall be.
     """
+
+    def sensed_in(walks: Scenes, *names: str | int) -> tuple[Scenes, Sensed]:
+        found = sense_scenes(walks, settings=stages.sensing, seed=seed, names=names)
+        if is_model:
+            return modelled(walks, found, motion=motion_of(tracks), seed=seed)
+        return walks, found
+
     half_of = folds(tracks.group, seed=seed)
     half = half_of[scenes.track]
     seats = scenes.index[0] * scenes.n_agents + np.arange(scenes.track.size)
@@ -144,9 +170,9 @@ def attacked_block(
         # Placed and sensed like a scene's first agent, beyond the scenes of any run.
         first = MOST_SCENES + fold * len(tracks)
         walks = make_scenes(tracks, order=people[:, None], first=first, settings=stages, seed=seed)
-        training.append((walks, sense_scenes(walks, settings=stages.sensing, seed=seed)))
+        training.append(sensed_in(walks))
     again = tuple(
-        sense_scenes(scenes, settings=stages.sensing, seed=seed, names=("again", number))
+        sensed_in(scenes, "again", number)[1]
         for number in range(stages.attacks.repeats if repeats else 0)
     )
     members: dict[str, list[int]] = {}
@@ -154,6 +180,7 @@ def attacked_block(
         members.setdefault(group, []).append(row)
     return AttackedBlock(
         scenes=scenes,
+        is_model=is_model,
         tracks=tracks,
         members=members,
         sensed=sensed,
@@ -230,6 +257,7 @@ def attacked_level(
         again=tuple(again),
         beside=along,
         benchmark=benchmark(release, sensed=known, mechanism=mechanism, epsilon_m=epsilon_m),
+        bound=_bound(mechanism, release, known, block),
     )
 
 
@@ -290,11 +318,71 @@ def attack_rows(consumer: Consumer, level: AttackedLevel) -> Rows:
             )
             is_attacked[part.tracks] = True
     rows = np.flatnonzero(is_attacked)
+    described = described_rows(found[:, rows])
+    # Who has more than the one release is beyond the bound.
+    has_more = bool(granted & OF_WALKS & declared(consumer.plugin))
+    best = np.full(rows.size, np.nan) if has_more else level.bound["plr_ceiling"][rows]
     return {
         **track_columns(level.scenes, rows),
-        **described_rows(found[:, rows]),
+        **described,
         **{name: values[rows] for name, values in level.benchmark.items()},
+        **({"plr_gap": best - described["plr"]} if block.is_model else {}),
     }
+
+
+def bound_rows(_bound: Consumer, level: AttackedLevel) -> Rows:
+    """Return what no attack exceeds of every track of a block, as far as the motion holds."""
+    rows = np.arange(len(level.release))
+    return {**track_columns(level.scenes, rows), **level.bound}
+
+
+@lru_cache(maxsize=2)
+def motion_of(tracks: Cut) -> Motion:
+    """Return how people of a recording walk, fitted once."""
+    return fitted_motion(tracks)
+
+
+def modelled(scenes: Scenes, sensed: Sensed, *, motion: Motion, seed: int) -> tuple[Scenes, Sensed]:
+    """Return scenes whose agents walk as the model says, and what is sensed of that.
+
+    A walk starts where the recorded one does and is sensed at the same instants with the very same
+    errors: that these depend on where somebody is, nobody can make use of.
+    """
+    parts = []
+    for at, index in enumerate(scenes.index.tolist()):
+        seats = scenes.offsets[at * scenes.n_agents : (at + 1) * scenes.n_agents + 1]
+        lo, hi = seats[0], seats[-1]
+        start = scenes.xy[seats[:-1]]
+        rng = stream(seed, "model walks", index)
+        walk = {"t": scenes.t[lo:hi], "offsets": seats - lo, "start": start}
+        parts.append(simulated(**walk, motion=motion, rng=rng))
+    xy = np.concatenate(parts)
+    errors = sensed.sigma_raw[:, None] * sensed.unit_error
+    return derived(scenes, xy=xy), derived(sensed, xy=xy + errors)
+
+
+def _bound(mechanism: Plugin, release: Release, sensed: Sensed, block: AttackedBlock) -> Rows:
+    """Return PLR of the genie, and of the exact posterior where a model's errors are Gaussian.
+
+    Of recorded walks the motion is that of who is easiest to smooth, so that the ceiling is high.
+    """
+    motion, epsilon_m = motion_of(block.tracks), block.stages.privacy.epsilon_m
+    first_scene = int(block.scenes.index[0])
+    rng = stream(block.seed, "genie", mechanism.spec, first_scene)
+    of = {"release": release, "sensed": sensed, "mechanism": mechanism.instance}
+    errors, nothing = errors_of(**of, rng=rng), np.full(len(release), np.nan)
+    known = nothing  # of a mechanism that even the genie is blind to
+    if errors is not None:
+        known = known_share(
+            t=release.t,
+            offsets=release.offsets,
+            errors=errors,
+            q=motion.q if block.is_model else motion.q_low,
+            speed_mps=motion.speed_mps,
+            epsilon_m=epsilon_m,
+        )
+    is_exact = block.is_model and errors is not None and errors.is_gaussian
+    return {"plr_ceiling": known, "plr_optimum": known if is_exact else nothing}
 
 
 def _context(

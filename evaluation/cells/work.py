@@ -29,15 +29,19 @@ from evaluation.cells.reconstruction import (
     attack_rows,
     attacked_block,
     attacked_level,
+    bound_rows,
+    modelled,
+    motion_of,
 )
 from evaluation.cells.sharing import Digest, release_digest, sees_release_alone
 from evaluation.cells.tables import ROWS, Tables, rows_table
 from evaluation.cells.where import Failed, here, note
+from evaluation.experiment.constants import MODEL, OTHER_LAW, OTHER_LAW_WORLD
 from evaluation.experiment.fingerprint import OURS
 from isac_track.errors import IsacTrackError, PluginError, told
 from isac_track.scenes import Cut, make_scenes
 from isac_track.sensing import sense_scenes
-from isac_track.types import ErrorLaw, Ints, Knowledge
+from isac_track.types import Ints, Knowledge
 
 if TYPE_CHECKING:
     from attacks.tasks.sessions import Sessions
@@ -59,7 +63,7 @@ class Block:
     first_scene: int
     order: Ints  # (S, A) rows of the tracks.
     levels: Levels
-    law: ErrorLaw | None = None  # Under which errors are drawn; None: that of the run.
+    world: str = ""  # Of `WORLDS`; empty: that of the run.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -142,12 +146,15 @@ def _linked(work: LinkWork, *, stages: StageSettings, seed: int) -> Iterator[Ite
 
 
 def _of_scenes(block: Block, *, tracks: Cut, stages: StageSettings, seed: int) -> Iterator[Item]:
-    if block.law is not None:
-        stages = stages.changed({"sensing.law": block.law})
+    if OTHER_LAW_WORLD in block.world:
+        stages = stages.changed({"sensing.law": OTHER_LAW})
     scenes = make_scenes(
         tracks, order=block.order, first=block.first_scene, settings=stages, seed=seed
     )
     sensed = sense_scenes(scenes, settings=stages.sensing, seed=seed)
+    is_model = MODEL in block.world
+    if is_model:
+        scenes, sensed = modelled(scenes, sensed, motion=motion_of(tracks), seed=seed)
     granted = {what for _, some in block.levels for one in some for what in one.granted}
     attacked: AttackedBlock | None = None
     alike: dict[tuple[Digest, str], Tables] = {}
@@ -161,7 +168,7 @@ def _of_scenes(block: Block, *, tracks: Cut, stages: StageSettings, seed: int) -
             note(mechanism.spec, consumer.label)
             tables = alike.get((digest, consumer.label))
             if tables is None:
-                if consumer.kind != "attack":
+                if consumer.kind not in {"attack", "bound"}:
                     rows = sharing_rows(
                         consumer, release, known, mechanism=mechanism, stages=stages
                     )
@@ -171,12 +178,15 @@ def _of_scenes(block: Block, *, tracks: Cut, stages: StageSettings, seed: int) -
                         sensed=sensed,
                         tracks=tracks,
                         repeats=Knowledge.REPEATS in granted,
+                        is_model=is_model,
                         stages=stages,
                         seed=seed,
                     )
                     attacks = [one for one in consumers if one.kind == "attack"]
                     level = level or attacked_level(mechanism, release, attacked, attacks)
-                    rows = attack_rows(consumer, level)
+                    rows = (attack_rows if consumer.kind == "attack" else bound_rows)(
+                        consumer, level
+                    )
                 tables = {ROWS: rows_table(rows, tracks=tracks)}
             if sees_release_alone(consumer):
                 alike[digest, consumer.label] = tables

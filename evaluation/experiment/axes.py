@@ -10,12 +10,20 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import Task, task_named
-from evaluation.experiment.constants import OTHER_LAW, SHARED, WINDOWS
+from evaluation.experiment.constants import (
+    BOUND,
+    MODEL,
+    OTHER_LAW,
+    OTHER_LAW_WORLD,
+    SHARED,
+    WINDOWS,
+    WORLDS,
+)
 from evaluation.experiment.presets import PRESETS, UTILITY_PREDICTORS
 from isac_track import plugin_objects, plugins
 from isac_track.errors import SettingsError
 from isac_track.protocols import grants, kind_of
-from isac_track.types import ErrorLaw, Knowledge
+from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
     from evaluation.experiment.settings import Settings
@@ -32,14 +40,14 @@ WORTH_WORKERS_LINKED: Final = 400  # Linkage cells: the same.
 class Consumer:
     """Who reads a release: a predictor, an adversary, or nobody (the descriptors as shared)."""
 
-    kind: Literal["shared", "predictor", "attack", "linkage", "control", "windows"]
+    kind: Literal["shared", "predictor", "attack", "bound", "linkage", "control", "windows"]
     plugin: Plugin | None = None
     knowledge: str = ""  # Adversary that the row is named after: blind, informed or oracle.
     granted: frozenset[Knowledge] = frozenset()
     task: str = ""  # Of a linkage attack, a control, or the descriptors of what is linked.
     behind: Plugin | None = None  # Reconstruction that a linkage attack runs behind.
     control: str = ""
-    law: ErrorLaw | None = None  # Under which errors are drawn; None: that of the run.
+    world: str = ""  # Of `WORLDS`; empty: that of the run.
 
     @property
     def plugins(self) -> tuple[Plugin, ...]:
@@ -52,8 +60,8 @@ class Consumer:
         name = "@".join(one.spec for one in self.plugins)
         if self.kind == "control":
             name = f"control-{self.control}"
-        elif self.kind == "windows":
-            name = WINDOWS
+        elif self.kind in {"windows", "bound"}:
+            name = WINDOWS if self.kind == "windows" else BOUND
         return f"{self.task}/{name}" if self.task else name or SHARED
 
     @property
@@ -78,14 +86,14 @@ class Consumer:
 
     @property
     def label(self) -> str:
-        """For people: with the adversary, and the law if it is not the run's."""
-        return consumer_label(self.spec, self.knowledge, self.law)
+        """For people: with the adversary, and the world if it is not the run's."""
+        return consumer_label(self.spec, self.knowledge, self.world)
 
 
-def consumer_label(consumer: str, knowledge: str, law: str | None) -> str:
+def consumer_label(consumer: str, knowledge: str, world: str) -> str:
     """Return what a consumer is called in the files of a run."""
     name = f"{consumer} ({knowledge})" if knowledge else consumer
-    return f"{name}, law={law}" if law else name
+    return f"{name}, {world}" if world else name
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,8 +111,9 @@ class Axes:
     """Tasks of the preset that the recording is too small for, and why."""
     utility: frozenset[str] = frozenset()
     """SPECs of the predictors that are read in all scenes, not in the attacked ones alone."""
-    other_law: tuple[Plugin, ...] = ()
-    """Mechanisms of the scenes that are attacked under `OTHER_LAW`, too."""
+    worlds: Mapping[str, tuple[Plugin, ...]] = field(default_factory=dict)
+    """Mechanisms of the scenes that are attacked in another of `WORLDS`, too."""
+    slow_in_worlds: bool = False
     adversaries: tuple[str, ...] = ()  # Asked for beside the usual ones.
 
     @property
@@ -118,12 +127,17 @@ class Axes:
                 for plugin in self.attacks
                 for adversary, granted in grants(plugin.instance, asked=self.adversaries).items()
             ),
+            *([Consumer("bound")] if self.attacks else []),
         )
 
-    @property
-    def other_law_consumers(self) -> tuple[Consumer, ...]:
-        """The same under the other law, short of those who are slow."""
-        return tuple(replace(one, law=OTHER_LAW) for one in self.consumers if not one.is_slow)
+    def consumers_in(self, world: str) -> tuple[Consumer, ...]:
+        """Return the same in another world: of walks of a model nobody foresees conflicts."""
+        return tuple(
+            replace(one, world=world)
+            for one in self.consumers
+            if (self.slow_in_worlds or not one.is_slow)
+            and (world == OTHER_LAW_WORLD or one.kind in {"attack", "bound"})
+        )
 
     @property
     def linked_mechanisms(self) -> tuple[Plugin, ...]:
@@ -190,13 +204,20 @@ def axes(settings: Settings) -> Axes:
     named = {plugin.spec for plugin in predictors}
     utility = named if settings.predictors is not None else named.intersection(UTILITY_PREDICTORS)
     # Who names mechanisms, or a law, has asked for these alone.
-    is_usual = settings.mechanisms is None and settings.stages.sensing.law != OTHER_LAW
-    other_law = set(preset.other_law) if is_usual else set()
+    other = {OTHER_LAW_WORLD: preset.other_law, **dict.fromkeys(WORLDS[1:], preset.model)}
+    worlds = {
+        world: tuple(one for one in mechanisms if one.spec in specs)
+        for world, specs in other.items()
+        if settings.mechanisms is None
+        and (attacks or world == OTHER_LAW_WORLD)
+        and (settings.stages.sensing.law != OTHER_LAW or world == MODEL)
+    }
     return Axes(
         *(mechanisms, predictors, attacks, pairs, ceiling),
         utility=frozenset(utility),
         adversaries=settings.adversaries,
-        other_law=tuple(one for one in mechanisms if one.spec in other_law),
+        worlds=worlds,
+        slow_in_worlds=settings.preset == "audit",
     )
 
 

@@ -88,7 +88,7 @@ def consumer_key(consumer: Consumer, *, code: Iterable[str], keep_scores: bool) 
             sorted(one.name for one in consumer.granted),
             *code,
             *(["scores"] if has_scores else []),
-            *([consumer.law] if consumer.law else []),
+            *([consumer.world] if consumer.world else []),
         ]
     )
 

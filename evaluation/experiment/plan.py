@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from attacks.tasks.sessions import Sessions
     from evaluation.experiment.settings import Settings
     from isac_track.plugins import Plugin
-    from isac_track.types import ErrorLaw
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -37,9 +36,9 @@ class Unit:
     consumers: Mapping[str, Consumer]  # By their keys.
 
     @property
-    def law(self) -> ErrorLaw | None:
-        """Under which errors are drawn; None: that of the run. It is the same for all consumers."""
-        return next(iter(self.consumers.values())).law
+    def world(self) -> str:
+        """Of which world it is; empty: that of the run. It is the same for all consumers."""
+        return next(iter(self.consumers.values())).world
 
     @property
     def file(self) -> str:
@@ -179,14 +178,16 @@ def _units(
         (crossed.mechanisms, crossed.consumers, attacked),
         (crossed.mechanisms, utility, rest),
         *((crossed.linked_mechanisms, crossed.readers(task), (0,)) for task in crossed.tasks),
-        (crossed.other_law, crossed.other_law_consumers, attacked),
+        *((some, crossed.consumers_in(world), attacked) for world, some in crossed.worlds.items()),
     ):
         by_stage: dict[str, dict[str, Consumer]] = {}
         for consumer in consumers:
             own = code("", *consumer.plugins).values()
             key = fingerprint.consumer_key(consumer, code=own, keep_scores=settings.keep_scores)
             of_block = (
-                fingerprint.RECONSTRUCTION if consumer.kind == "attack" else fingerprint.SHARING
+                fingerprint.RECONSTRUCTION
+                if consumer.kind in {"attack", "bound"}
+                else fingerprint.SHARING
             )
             by_stage.setdefault(consumer.task or of_block, {})[key] = consumer
         for mechanism in mechanisms:

@@ -25,6 +25,8 @@ class Preset:
     """Further mechanisms, which stand beside the panel of the verdict, not in it."""
     other_law: tuple[str, ...] = ()
     """Mechanisms that are shared, foreseen and reconstructed under `OTHER_LAW`, too."""
+    model: tuple[str, ...] = ()
+    """Mechanisms that are reconstructed on walks of the fitted motion, too, under both laws."""
 
 
 SMOKE_LEVELS = ("raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1")
@@ -72,6 +74,11 @@ _FRONTIER = (
     "raw",
     *(f"{name}:{at}{more}" for (name, more), levels in _LEVELS.items() for at in levels.split()),
 )
+_AUDITED = (
+    *SMOKE_LEVELS,
+    *(f"{one},adding=independent" for one in SMOKE_LEVELS[1:]),
+    *("ou:0.4", "laplace:1"),
+)
 UTILITY_PREDICTORS = ("least_squares", "kalman_cv", "kalman_cv:aware=true")
 """Of a preset's own predictors those that are read in all scenes: the cheap ones."""
 _PAPER = Preset(
@@ -90,6 +97,7 @@ _PAPER = Preset(
     tasks=(*TASKS,),
     protections=PROTECTIONS,
     other_law=SMOKE_LEVELS,
+    model=(*SMOKE_LEVELS, "ou:0.4"),
     summary="2,000 scenes (500 attacked), raw, 13 eta, 10 fixed errors, both rules, 6 controls, "
     "4 levels of slow, Laplace and white noise",
 )
@@ -101,6 +109,7 @@ PRESETS = {
         mechanisms=SMOKE_LEVELS,
         protections=(),
         other_law=(),
+        model=(),
         summary="40 scenes, the 5 levels that the paper gives numbers for",
     ),
     "paper": _PAPER,
@@ -122,5 +131,19 @@ PRESETS = {
         ),
         tasks=("rerelease",),
         summary="5,000 scenes (500 attacked), 98 levels of all families, plain and aware robots",
+    ),
+    "audit": Preset(
+        scenes=750,
+        utility_scenes=750,
+        mechanisms=_AUDITED,
+        predictors=("kalman_cv",),
+        attacks=(
+            *("identity", "kalman_rts", "radial_rts", "ou_rts", "imm_rts", "gaussian_process"),
+            *("shape", "shape@radial_rts", "dtw", "likelihood_ratio"),
+        ),
+        tasks=("rerelease",),
+        model=_AUDITED,
+        summary="750 scenes, 11 levels, slow attacks too: how far they are from the optimum in "
+        "worlds of walks that follow the model",
     ),
 }

@@ -13,9 +13,10 @@ import numpy as np
 import pandas as pd
 
 from evaluation.analysis.families import CLEAN, SWEPT, Family, families_in
-from evaluation.analysis.keys import AS_SHARED, Key, Measure, Source, Where, level_text
+from evaluation.analysis.keys import AS_SHARED, Key, Measure, Source, Where, level_text, worlds_of
 from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE, SUCCESS, SUCCESS_OF_100
 from evaluation.analysis.strongest import by_task, strongest, strongest_of
+from evaluation.experiment.constants import OTHER_LAW_WORLD
 from evaluation.reporting import table as make
 from evaluation.reporting.rows import HEADLINE, family_of
 from evaluation.reporting.table import Cell, Column, Table
@@ -31,7 +32,6 @@ TASKS: Final = {
 }
 """Tasks that are shown if a run has them: over a column, and in a sentence."""
 MOST_LEVELS: Final = 14
-LAW: Final = ":law="  # In a data set's name: the same under another error law.
 _MISSED, _KNOWN, _FOUND = "missed", "known in 0.3 m", "found again"
 _METRICS = (MISSED_RATE, EXPOSURE, SUCCESS, SUCCESS_OF_100, "chance")
 
@@ -100,8 +100,8 @@ def headline(
     levels; `linkability` tells the sizes of galleries.
     """
     rows = summary[summary["metric"].isin(_METRICS)]
-    is_law = rows["dataset"].str.contains(LAW, regex=False)
-    own = rows[~is_law]
+    world = worlds_of(rows)
+    own = rows[world == ""]
     found, known = _estimates(own), families_in(own)
     if attacks is None:
         attacks = {task: one.attack for task, one in strongest(found, known).items()}
@@ -110,7 +110,7 @@ def headline(
     return Headline(
         known=known,
         found=found | _own_strongest(found, known, attacks),
-        other_law=_estimates(rows[is_law]),
+        other_law=_estimates(rows[world == OTHER_LAW_WORLD]),
         robots=[
             Shown(_MISSED, ROBOTS.get(name, name).split()[-1], Measure(name, MISSED_RATE))
             for name in [one for one in ROBOTS if one in able] or able[:2]

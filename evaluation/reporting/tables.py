@@ -20,7 +20,7 @@ from rich.text import Text
 
 from evaluation.analysis import weak_attacks
 from evaluation.analysis.families import families_in
-from evaluation.analysis.keys import INFORMED, Source
+from evaluation.analysis.keys import INFORMED, Source, worlds_of
 from evaluation.analysis.metrics import (
     RECONSTRUCTION,
     SUCCESS,
@@ -33,7 +33,7 @@ from evaluation.reporting import terminal
 from evaluation.reporting.announcements import data_notices, notices
 from evaluation.reporting.answers import headline_of
 from evaluation.reporting.first_screen import TABLES, data_line, first_screen
-from evaluation.reporting.headline import LAW, headline, headline_table
+from evaluation.reporting.headline import headline, headline_table
 from evaluation.reporting.markup import latex, markdown
 from evaluation.reporting.rows import ENDS, Results, by_level, sources_at, telling
 from evaluation.reporting.table import Cell, Table, amount, built, held, said
@@ -212,7 +212,7 @@ def filled(text: str, *, results: Path) -> str:
             raise DataError(f"no table {name!r} of {path}; known: {', '.join(DOCS)}")
         rows = pd.read_csv(path, keep_default_na=True)
         if name != "headline":  # it alone shows more than one error law
-            rows = rows[~rows["dataset"].str.contains(LAW, regex=False)]
+            rows = rows[worlds_of(rows) == ""]
         return f"{start}{markdown(DOCS[name](rows))}{end}"
 
     return _BLOCK.sub(block, text)

@@ -84,7 +84,7 @@ def execute(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
             "kind": consumer.kind,
             "consumer": consumer.spec,
             "knowledge": consumer.knowledge,
-            "law": consumer.law,
+            "world": consumer.world,
             "block": block,
             "why": why,
         }

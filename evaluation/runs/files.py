@@ -145,7 +145,7 @@ def label_of(entry: Mapping[str, Any]) -> str:
     """Return the label of the consumer of an entry of a manifest."""
     from evaluation.experiment.axes import consumer_label  # noqa: PLC0415 - a reader needs none
 
-    return consumer_label(entry["consumer"], entry["knowledge"], entry.get("law"))
+    return consumer_label(entry["consumer"], entry["knowledge"], entry.get("world", ""))
 
 
 def is_temporary(name: str) -> bool:

@@ -38,7 +38,7 @@ LAYOUT: Final = 3
 """Of the folder and of its manifest: another one wherever readers would miss or mistake a value."""
 FAILED_COLUMNS: Final = ("spec", "kind", "consumer", "knowledge", "block", "why")
 _OF_LEVEL: Final = ("mechanism", "level", "family", "adding", "spec", "files")
-_OF_CONSUMER: Final = ("kind", "consumer", "knowledge", "slow", "law")
+_OF_CONSUMER: Final = ("kind", "consumer", "knowledge", "slow", "world")
 _LIBRARIES: Final = ("numpy", "scipy", "pandas", "pyarrow")
 
 
@@ -296,7 +296,7 @@ def entries_of(
             "consumer": consumer.spec,
             "knowledge": consumer.knowledge,
             "slow": consumer.is_slow,
-            "law": consumer.law,
+            "world": consumer.world,
             "files": files[mechanism.spec, consumer.label],
         }
         for mechanism, consumer in ready.pairs

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from evaluation.cells.work import Block, Levels, LinkWork
-from evaluation.experiment.constants import BLOCK_SCENES, OTHER_LAW
+from evaluation.experiment.constants import BLOCK_SCENES, WORLDS
 from evaluation.runs.cell_files import index_of, places_of
 from evaluation.runs.files import FOLDER, written_down
 from isac_track.scenes import track_order
@@ -84,16 +84,16 @@ def pieces_of(missing: Sequence[Unit], ready: Plan) -> list[Work]:
     n_attacked = -(-settings.n_scenes // BLOCK_SCENES)
     n_pieces = 1 if ready.jobs == 1 else -(-_TASKS_PER_WORKER * ready.jobs // n_attacked)
     blocks = [
-        Block(number, first, order[first : first + BLOCK_SCENES], piece, law)
+        Block(number, first, order[first : first + BLOCK_SCENES], piece, world)
         for number, first in enumerate(starts)
-        for law in (None, OTHER_LAW)
+        for world in ("", *WORLDS)
         for piece in _shared_out(
             _levels(
                 one
                 for one in missing
-                if one.block == number and one.stage not in tasks and one.law == law
+                if one.block == number and one.stage not in tasks and one.world == world
             ),
-            n_pieces if number < n_attacked and law is None else 1,
+            n_pieces if number < n_attacked and not world else 1,
         )
     ]
     links: list[LinkWork] = []

@@ -16,7 +16,7 @@ def entry_of(out, spec, consumer, knowledge=""):
     (entry,) = [
         one
         for one in cells
-        if (one["spec"], one["consumer"], one["knowledge"]) == wanted and not one["law"]
+        if (one["spec"], one["consumer"], one["knowledge"]) == wanted and not one["world"]
     ]
     return entry
 

@@ -1,0 +1,173 @@
+"""Model worlds: walks of a motion that is known, and what nobody can know better of them.
+
+A walk has constant velocity but for white acceleration of spectral density q, the same in either
+axis; its errors are Gaussian once the scale of each is told. Then the exact posterior is a
+smoother's. Who is told every scale is the genie: no attack, in expectation, knows more samples to
+epsilon than the posterior mean does that a genie computes. Of real walks that says nothing for
+sure: they are not drawn from this motion. Derivations: docs/optimum.md.
+
+References
+----------
+Scale mixtures: Andrews, Mallows, J. R. Statist. Soc. B 36(1), 1974, 99-102; the mean of a Gaussian
+posterior holds most within epsilon: Anderson, Proc. Amer. Math. Soc. 6, 1955, 170-176.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.random import Generator
+
+from isac_track.kalman import Batch, smooth_positions
+from isac_track.kalman.slow_errors import SlowError, smooth_tracks
+from isac_track.protection import Laplace, Ou, OuFid
+from isac_track.sharing import Clean, Fid, Fixed, Raw
+from isac_track.sharing_controls import Thin
+
+if TYPE_CHECKING:
+    from isac_track.types import ErrorLaw, Floats, Ints, Release, Sensed, Tracks
+
+_LAG_S: Final = 1.0  # Over which acceleration is measured: what a smoother averages over.
+_EVERY = 4  # Of them within one lag.
+_MOST_FITTED = 300
+_LOW: Final = 0.1
+"""Quantile of people's spectral densities that stands for a walk which is easy to smooth."""
+_START_STD_M = 100.0  # Around the first sample: nothing is known of where a walk starts.
+_LEAST_VARIANCE_M2 = 1e-12
+_LEAST_Q = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """How people walk, as fitted to tracks."""
+
+    q: float  # m^2/s^3, spectral density of the acceleration, per axis: the mean over people.
+    q_low: float  # The same of the people who accelerate least: a tenth do so less.
+    speed_mps: float  # Standard deviation of the velocity, per axis.
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Errors:
+    """Errors of M samples, Gaussian once their scales are told."""
+
+    variance: Floats  # (M,) m^2 per axis, of what is white.
+    slow: SlowError | None = None  # What else there is.
+    is_gaussian: bool = False  # Whether there was nothing to tell: everybody knows the scales.
+
+
+def fitted_motion(tracks: Tracks) -> Motion:
+    """Return the motion of tracks of two samples or more, from at most 300 of them.
+
+    Of a walk that white acceleration drives x(t + h) - 2 x(t) + x(t - h) has the variance
+    2 q h^3 / 3 per axis; h is 1 s, or a third of a shorter track.
+    """
+    density, square = [], []
+    n_fitted = min(_MOST_FITTED, len(tracks))
+    for row in np.unique(np.linspace(0, len(tracks) - 1, n_fitted).astype(int)).tolist():
+        one = tracks[row]
+        lag_s = min(_LAG_S, (one.t[-1] - one.t[0]) / 3.0)
+        middle = np.arange(one.t[0] + lag_s, one.t[-1] - lag_s, lag_s / _EVERY)
+        before, at, after = (
+            np.column_stack([np.interp(middle + shift_s, one.t, axis) for axis in one.xy.T])
+            for shift_s in (-lag_s, 0.0, lag_s)
+        )
+        bend = np.square(after - 2.0 * at + before).mean()
+        density.append(bend / (2.0 / 3.0 * lag_s**3))
+        square.append(np.square((after - before) / (2.0 * lag_s)).mean())
+    # Nobody walks dead straight: a track that does was left standing.
+    low = max(float(np.quantile(density, _LOW)), _LEAST_Q)
+    return Motion(max(float(np.mean(density)), low), low, float(np.sqrt(np.mean(square))))
+
+
+def simulated(*, t: Floats, offsets: Ints, start: Floats, motion: Motion, rng: Generator) -> Floats:
+    """Return walks of a motion at the instants `t`, (M, 2) m, that start at `start`, (N, 2) m."""
+    first = offsets[:-1]
+    draws = rng.standard_normal((t.size, 2, 2))
+    step = np.diff(t, prepend=t[:1])
+    step[first] = 0.0
+    scale = np.sqrt(motion.q * step)[:, None]
+    # Exact at any steps: the second draw is what of the position the velocity does not tell.
+    kick = scale * draws[:, 0]
+    velocity = _along(kick, offsets, motion.speed_mps * draws[first, 0])
+    before = velocity - kick
+    move = step[:, None] * (before + 0.5 * kick + scale * draws[:, 1] / np.sqrt(12.0))
+    return _along(move, offsets, start)
+
+
+def _along(steps: Floats, offsets: Ints, start: Floats) -> Floats:
+    total = np.cumsum(steps, axis=0)
+    first = offsets[:-1]
+    return np.asarray(
+        total + np.repeat(start - total[first] + steps[first], np.diff(offsets), axis=0)
+    )
+
+
+def errors_of(
+    *, release: Release, sensed: Sensed, mechanism: object, rng: Generator
+) -> Errors | None:
+    """Return the errors of a release as a genie sees them; None of a mechanism that it is blind to.
+
+    `sensed` has the samples of the release and no others. Told are the scales of radial errors
+    and of Laplace noise, drawn from what they are given the errors. Not covered: errors along one
+    line, of a constant length (`offset`), slow radial ones (`correlated`), filtered positions
+    (`forecast`), and mechanisms that are not the project's own.
+    """
+    raw, shared = sensed.sigma_raw, release.sigma
+    if sensed.law == "fixed_direction" or shared is None:
+        return None
+    added: ErrorLaw = getattr(mechanism, "law", None) or sensed.law
+    if isinstance(mechanism, Clean):
+        return Errors(np.full(raw.shape, _LEAST_VARIANCE_M2), is_gaussian=True)
+    if not isinstance(mechanism, (Raw, Fixed, Fid, Thin, Laplace, Ou, OuFid)):
+        return None
+    scale = _scale_m2(raw, np.hypot(*sensed.unit_error.T), law=sensed.law, rng=rng)
+    if getattr(mechanism, "adding", "linear") == "linear":
+        scale *= np.square(np.divide(shared, raw, out=np.ones_like(raw), where=raw > 0.0))
+        return Errors(np.maximum(scale, _LEAST_VARIANCE_M2), is_gaussian=sensed.law == "isotropic")
+    std_m = np.sqrt(np.maximum(np.square(shared) - np.square(raw), 0.0))
+    slow = None
+    if isinstance(mechanism, Ou | OuFid):
+        slow = SlowError(std_m, mechanism.tau_s)
+    else:
+        length_m = np.hypot(*(release.xy - sensed.xy).T)
+        unit = np.divide(length_m, std_m, out=np.ones_like(std_m), where=std_m > 0.0)
+        law = "laplace" if isinstance(mechanism, Laplace) else added
+        scale += _scale_m2(std_m, unit, law=law, rng=rng)
+    gaussian = sensed.law == added == "isotropic" and not isinstance(mechanism, Laplace)
+    return Errors(np.maximum(scale, _LEAST_VARIANCE_M2), slow, is_gaussian=gaussian)
+
+
+def _scale_m2(std_m: Floats, length: Floats, *, law: str, rng: Generator) -> Floats:
+    """Return the variance per axis, (M,) m^2, that errors were drawn with, given how long they are.
+
+    `length` is in units of `std_m`. A radial error is Gaussian of variance s std^2 per axis, s of
+    the arcsine law: 1 / s - 1 is then z^2 / length^2, z standard Gaussian. A Laplace one has s of a
+    Gamma law of shape 3/2, and 1 / s is inverse Gaussian.
+    """
+    if law == "radial":
+        noise = np.square(rng.standard_normal(std_m.size))
+        told = np.square(length)
+        return np.asarray(np.square(std_m) * told / np.maximum(told + noise, 1e-300))
+    if law == "laplace":
+        length = np.maximum(length, 1e-9)
+        return np.asarray(np.square(std_m) / rng.wald(np.sqrt(3.0) / length, 3.0))
+    return np.square(std_m)
+
+
+def known_share(
+    *, t: Floats, offsets: Ints, errors: Errors, q: float, speed_mps: float, epsilon_m: float
+) -> Floats:
+    """Return of which share of its samples the exact posterior of each track tells, (N,).
+
+    That is the expected share within `epsilon_m` of the posterior mean: 1 - exp(-eps^2 / 2 P), P
+    the variance per axis of a smoothed position, averaged over the track.
+    """
+    batch = Batch(t, np.zeros((t.size, 2)), errors.variance, offsets, (_START_STD_M, speed_mps))
+    if errors.slow is None:
+        spread = smooth_positions(batch, q=q)[1]
+    else:
+        spread = smooth_tracks(batch, errors.slow, q=q)[1]
+    known = -np.expm1(-(epsilon_m**2) / (2.0 * np.maximum(spread, _LEAST_VARIANCE_M2)))
+    return np.asarray(np.add.reduceat(known, offsets[:-1]) / np.diff(offsets))
