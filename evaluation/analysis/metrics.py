@@ -100,7 +100,7 @@ _ROWS: Final = (
         over="benchmark_plr",
     ),
     Metric(
-        *("plr_gap", "below the optimum", "reconstruction", "fraction", "lower"),
+        *("plr_gap", "below the optimum", "bound", "fraction", "lower"),
         column="plr_gap",
         is_difference=True,
     ),
@@ -137,7 +137,9 @@ DESCRIPTORS: Final = measured("descriptor")  # Of privacy: PLR, AEL and MEL.
 RECONSTRUCTION: Final = measured("descriptor", "reconstruction")
 """Of what an attack makes of the positions."""
 GAP: Final = "plr_gap"  # In model worlds alone.
-BOUNDS: Final = measured("bound")  # Of PLR after any attack.
+OPTIMUM: Final = "plr_optimum"
+CEILING: Final = "plr_ceiling"
+BOUNDS: Final = (OPTIMUM, CEILING)  # Of PLR after any attack.
 MISSED_RATE: Final = "missed_conflict_rate"  # What noise costs a robot.
 EQUAL_ALARMS: Final = "missed_at_equal_false_alarms"
 """The same at the false-alarm rate that the predictor has at raw; not in the summary."""

@@ -29,7 +29,7 @@ COLUMNS = [
     *("value", "ci_low", "ci_high", "n", "unit", "family", "adding"),
 ]
 _POSITIONS = [METRICS[name] for name in RECONSTRUCTION]
-_SHARED = ["group", *(one.column for one in _POSITIONS if not one.over and one.name != GAP)]
+_SHARED = ["group", *(one.column for one in _POSITIONS if not one.over)]
 _BOUNDS = [METRICS[name] for name in BOUNDS]
 _COLUMNS_OF = {
     "shared": _SHARED,
@@ -211,7 +211,7 @@ def ratios(kind: str, table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
             **({OF_ROBOT: (np.nan_to_num(own), known * 1.0)} if known.any() else {}),
         }
     found = {}
-    for metric in _BOUNDS if kind == "bound" else _POSITIONS:
+    for metric in _BOUNDS if kind == "bound" else [*_POSITIONS, METRICS[GAP]]:
         if (metric.over or metric.column) not in table.column_names:
             continue
         values = table[metric.column].to_numpy()

@@ -10,6 +10,7 @@ from evaluation.analysis.keys import Where
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE
 from evaluation.analysis.strongest import by_task, strongest_of
 from evaluation.reporting import table as make
+from evaluation.reporting.bounds import gap_text
 from evaluation.reporting.headline import ROBOTS, TASKS, Headline, Shown, headline
 from evaluation.reporting.rows import HEADLINE, Results
 from evaluation.verdict import rules
@@ -112,7 +113,9 @@ def _leaks(of: Headline, where: Where) -> str:
     law = f" ({_value(other)} if errors are isotropic)" if other else ""
     is_headline = of.known[where[0]].family in (*SWEPT, CLEAN)
     who = of.attacked.measure.source.label if is_headline else "the strongest attack on it"
-    return f"{told}, {_both(of, where, of.attacked)}{law} after {who}, {_HELD}."
+    near = gap_text(of.gaps, where)
+    held = f"{_HELD}, {near}" if near else _HELD
+    return f"{told}, {_both(of, where, of.attacked)}{law} after {who}, {held}."
 
 
 def _linked(of: Headline, where: Where) -> str:

@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
+from evaluation.analysis.bounds import Gap, gaps
 from evaluation.analysis.families import CLEAN, SWEPT, Family, families_in
 from evaluation.analysis.keys import AS_SHARED, Key, Measure, Source, Where, level_text, worlds_of
 from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE, SUCCESS, SUCCESS_OF_100
@@ -54,6 +55,7 @@ class Headline:
     known: Mapping[str, Family]
     found: Mapping[Key, Estimate]
     other_law: Mapping[Key, Estimate]  # The same under the other error law, where the run has it.
+    gaps: Sequence[Gap]  # From the optimum, in model worlds.
     robots: Sequence[Shown]
     shared: Shown
     attacked: Shown | None  # After the strongest reconstruction.
@@ -111,6 +113,7 @@ def headline(
         known=known,
         found=found | _own_strongest(found, known, attacks),
         other_law=_estimates(rows[world == OTHER_LAW_WORLD]),
+        gaps=gaps(summary),
         robots=[
             Shown(_MISSED, ROBOTS.get(name, name).split()[-1], Measure(name, MISSED_RATE))
             for name in [one for one in ROBOTS if one in able] or able[:2]

@@ -227,7 +227,13 @@ def test_further_scenes_are_for_utility_and_change_none_of_the_attacked(
     predictors = ("least_squares", "kalman_cv", "kalman_ca")
     axes = {"mechanisms": specs, "predictors": predictors, "attacks": ("identity",), "tasks": ()}
     few = replace(
-        PRESETS["paper"], scenes=4, utility_scenes=10, other_law=(), protections=(), **axes
+        PRESETS["paper"],
+        scenes=4,
+        utility_scenes=10,
+        other_law=(),
+        model=(),
+        protections=(),
+        **axes,
     )
     monkeypatch.setitem(PRESETS, "paper", few)
     for name in ("experiment.plan", "runs.pieces"):
@@ -265,7 +271,9 @@ class TestAnotherRunInTheSameFolder:
         assert_kept(kept)
         names = {path.name for path in kept}
         added = [held for name, held in held_by(finished.out).items() if name not in names]
-        assert sorted(map(sorted, added)) == [["identity (blind)"]] * 3 + [["kalman_cv"]] * 3
+        assert (
+            sorted(map(sorted, added)) == [["bound", "identity (blind)"]] * 3 + [["kalman_cv"]] * 3
+        )
         afresh = run(wider, fresh=True).summary
         pd.testing.assert_frame_equal(afresh, after, check_exact=True)
         assert len(list((finished.out / "cells").iterdir())) == 6
@@ -413,7 +421,7 @@ def test_some_levels_are_computed_under_the_other_law_too(csv_recording, tmp_pat
     """As a run under that law has them; the run's own are as without them."""
     axes = {"mechanisms": ("raw", "fid:1", "fixed:0.5"), "tasks": (), "scenes": 4}
     axes |= {"attacks": ("kalman_rts", "averaging"), "predictors": ("least_squares",)}
-    axes["protections"] = ()
+    axes |= {"protections": (), "model": ()}
     few = replace(PRESETS["paper"], utility_scenes=4, other_law=("fid:1", "fixed:0.5"), **axes)
     monkeypatch.setitem(PRESETS, "paper", few)
     settings = Settings(dataset=str(csv_recording), jobs=1, out=tmp_path / "both")

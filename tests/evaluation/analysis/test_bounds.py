@@ -1,0 +1,47 @@
+"""Attacks beside the optimum of model worlds, in a run from settings to sentences."""
+
+from dataclasses import replace
+
+import pandas as pd
+import pytest
+
+from evaluation import Settings, run
+from evaluation.analysis.bounds import gaps
+from evaluation.experiment.presets import PRESETS
+from evaluation.reporting.bounds import bound_table, gap_text
+
+
+def test_in_worlds_of_the_fitted_motion_attacks_stand_beside_the_optimum(
+    csv_recording, tmp_path, monkeypatch
+):
+    axes = {"mechanisms": ("raw", "fixed:0.5"), "tasks": (), "scenes": 4, "other_law": ()}
+    axes |= {"attacks": ("kalman_rts", "averaging"), "predictors": (), "protections": ()}
+    model = replace(PRESETS["paper"], utility_scenes=4, model=("fixed:0.5",), **axes)
+    monkeypatch.setitem(PRESETS, "paper", model)
+    found = run(Settings(dataset=str(csv_recording), jobs=1, out=tmp_path / "model"))
+    alone = run(
+        Settings(
+            dataset=str(csv_recording), jobs=1, mechanisms=("raw", "fixed:0.5"), out=tmp_path / "a"
+        )
+    )
+    own = found.summary[found.summary["dataset"] == found.dataset].reset_index(drop=True)
+    pd.testing.assert_frame_equal(own, alone.summary, check_exact=True)
+    keys = ["dataset", "consumer", "knowledge", "metric"]
+    rows = found.summary.fillna({"knowledge": ""}).set_index(keys)["value"].to_dict()
+    radial, isotropic = f"{found.dataset}:model", f"{found.dataset}:model,law=isotropic"
+    assert {world for world, *_ in rows} == {found.dataset, radial, isotropic}
+    # Only of Gaussian errors the genie's is the exact posterior.
+    assert (radial, "bound", "", "plr_optimum") not in rows
+    ceiling = {world: rows[world, "bound", "", "plr_ceiling"] for world in (radial, isotropic)}
+    assert rows[isotropic, "bound", "", "plr_optimum"] == ceiling[isotropic]
+    gap = {world: rows[world, "kalman_rts", "blind", "plr_gap"] for world in (radial, isotropic)}
+    for world in (radial, isotropic):
+        reached = rows[world, "kalman_rts", "blind", "plr"]
+        assert gap[world] == pytest.approx(ceiling[world] - reached)
+        # Who has further releases of the walk is beyond the bound.
+        assert (world, "averaging", "oracle", "plr") in rows
+        assert (world, "averaging", "oracle", "plr_gap") not in rows
+    assert abs(gap[isotropic]) < gap[radial]
+    assert len(bound_table(found).rows) == 2
+    assert [one.where for one in gaps(found.summary)] == [("fixed", 0.5)] * 2
+    assert gap_text(gaps(found.summary), ("fixed", 0.5)).startswith("in the model world at most ")

@@ -1,0 +1,154 @@
+"""Model worlds: the motion that is fitted, walks of it, and what nobody knows better of them."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from isac_track.kalman import Batch, smooth_positions
+from isac_track.model_world import Errors, Motion, errors_of, fitted_motion, known_share, simulated
+from isac_track.protection import Forecast, Laplace, Ou
+from isac_track.rng import stream
+from isac_track.sensing import unit_errors
+from isac_track.sharing import Clean, Fixed, Raw
+from isac_track.sharing_controls import Correlated, Offset, Thin
+from isac_track.types import Sensed, Tracks
+
+MOTION = Motion(q=0.06, q_low=0.01, speed_mps=0.9)
+N, SIZE = 400, 90
+OFFSETS = np.arange(N + 1) * SIZE
+
+
+def rng(*names):
+    return stream(3, "test", "model world", *names)
+
+
+@pytest.fixture(scope="module")
+def walks():
+    step = rng("steps").uniform(0.05, 0.15, (N, SIZE))
+    t = np.cumsum(step, axis=1).ravel()
+    start = rng("start").uniform(-5.0, 5.0, (N, 2))
+    xy = simulated(t=t, offsets=OFFSETS, start=start, motion=MOTION, rng=rng("walks"))
+    return t, xy, start
+
+
+def sensed(walks, law, sigma_m=0.5):
+    t, xy, _ = walks
+    sigma = sigma_m * rng("sigma").uniform(0.5, 1.5, t.size)
+    unit = unit_errors(n_samples=t.size, law=law, rng=rng("errors", law))
+    ones = np.ones_like(t)
+    of = {"information": ones, "fid": ones, "offsets": OFFSETS, "law": law}
+    return Sensed(t=t, xy=xy + sigma[:, None] * unit, unit_error=unit, sigma_raw=sigma, **of)
+
+
+def test_walks_start_where_they_shall_and_spread_as_the_motion_says(walks):
+    t, xy, start = walks
+    np.testing.assert_allclose(xy[OFFSETS[:-1]], start, atol=1e-9)
+    last_s = t[OFFSETS[1:] - 1] - t[OFFSETS[:-1]]
+    moved = xy[OFFSETS[1:] - 1] - start
+    expected = np.square(MOTION.speed_mps * last_s) + MOTION.q * last_s**3 / 3.0
+    z = moved / np.sqrt(expected)[:, None]
+    assert stats.kstest(z.ravel(), "norm").pvalue > 1e-3
+
+
+def test_the_motion_of_simulated_walks_is_found_again(walks):
+    t, xy, _ = walks
+    names = tuple(map(str, range(N)))
+    found = fitted_motion(Tracks(t=t, xy=xy, offsets=OFFSETS, source=names, group=names))
+    assert found.q == pytest.approx(MOTION.q, rel=0.05)
+    assert found.speed_mps == pytest.approx(MOTION.speed_mps, rel=0.15)
+    assert 0.0 < found.q_low < found.q
+
+
+def test_a_straight_walk_of_two_samples_has_a_motion():
+    one = {"source": ("a",), "group": ("a",)}
+    found = fitted_motion(
+        Tracks(
+            t=np.array([0.0, 1.0]), xy=np.array([[0, 0], [1.0, 1]]), offsets=np.array([0, 2]), **one
+        )
+    )
+    assert found.q == found.q_low > 0.0
+
+
+@pytest.mark.parametrize(
+    ("law", "mechanism"),
+    [
+        ("isotropic", Raw()),
+        ("radial", Raw()),
+        ("radial", Fixed(0.7)),
+        ("radial", Fixed(0.7, adding="independent")),
+        ("isotropic", Fixed(0.7, adding="independent")),
+        ("radial", Laplace(0.6)),
+        ("radial", Thin(3)),
+    ],
+    ids=str,
+)
+def test_told_the_scales_errors_are_standard_gaussian(walks, law, mechanism):
+    of = sensed(walks, law)
+    release = mechanism.share(of, rng("share"))
+    keep = np.isin(
+        of.t + 1e6 * np.repeat(np.arange(N), SIZE),
+        release.t + 1e6 * np.repeat(np.arange(N), np.diff(release.offsets)),
+    )
+    seen = Sensed(
+        **{
+            name: getattr(of, name)[keep]
+            for name in ("t", "xy", "unit_error", "sigma_raw", "information", "fid")
+        },
+        offsets=release.offsets,
+        law=law,
+    )
+    errors = errors_of(release=release, sensed=seen, mechanism=mechanism, rng=rng("genie"))
+    z = (release.xy - walks[1][keep]) / np.sqrt(errors.variance)[:, None]
+    assert stats.kstest(z[:, 0], "norm").pvalue > 1e-3
+    # Nor does a scale tell how far off the error then is.
+    assert abs(np.corrcoef(errors.variance, np.square(z).sum(axis=1))[0, 1]) < 0.02
+    assert errors.is_gaussian == (law == "isotropic" and not isinstance(mechanism, Laplace))
+
+
+@pytest.mark.parametrize("law", ["isotropic", "radial"])
+@pytest.mark.parametrize("mechanism", [Fixed(0.7), Ou(0.4)], ids=str)
+def test_the_posterior_mean_of_who_is_told_holds_the_share_that_is_expected(walks, law, mechanism):
+    """In a linear Gaussian world, scales told, the smoother is the optimum: here it is computed."""
+    of = sensed(walks, law)
+    release = mechanism.share(of, rng("share"))
+    errors = errors_of(release=release, sensed=of, mechanism=mechanism, rng=rng("genie"))
+    about = {"t": of.t, "offsets": OFFSETS, "errors": errors, "q": MOTION.q}
+    expected = known_share(**about, speed_mps=MOTION.speed_mps, epsilon_m=0.3)
+    if errors.slow is None:
+        batch = Batch(of.t, release.xy, errors.variance, OFFSETS, (100.0, MOTION.speed_mps))
+        mean = smooth_positions(batch, q=MOTION.q)[0]
+        off = np.hypot(*(mean - walks[1]).T).reshape(N, SIZE)
+        share = (off < 0.3).mean(axis=1)
+        gap = share - expected
+        assert abs(gap.mean()) < 4.0 * gap.std() / np.sqrt(N)
+    # Knowing less acceleration makes a genie surer, more noise less sure.
+    low = known_share(**about | {"q": MOTION.q_low}, speed_mps=MOTION.speed_mps, epsilon_m=0.3)
+    assert low.mean() > expected.mean()
+
+
+def test_one_gaussian_sample_is_known_as_the_rayleigh_law_says():
+    one = {"t": np.zeros(1), "offsets": np.array([0, 1])}
+    share = known_share(
+        **one, errors=Errors(np.array([0.04])), q=0.05, speed_mps=1.0, epsilon_m=0.3
+    )
+    assert share == pytest.approx(stats.rayleigh(scale=0.2).cdf(0.3), rel=1e-5)
+
+
+def test_clean_walks_are_known(walks):
+    of = sensed(walks, "radial")
+    errors = errors_of(
+        release=Clean().share(of, rng("share")), sensed=of, mechanism=Clean(), rng=rng("genie")
+    )
+    known = known_share(
+        t=of.t, offsets=OFFSETS, errors=errors, q=MOTION.q, speed_mps=1.0, epsilon_m=0.3
+    )
+    np.testing.assert_allclose(known, 1.0)
+
+
+@pytest.mark.parametrize(
+    "mechanism", [Correlated(0.5), Offset(0.3), Forecast(0.3), object()], ids=str
+)
+def test_of_other_errors_nothing_is_said(walks, mechanism):
+    of = sensed(walks, "radial")
+    release = Raw().share(of, rng("share"))
+    assert errors_of(release=release, sensed=of, mechanism=mechanism, rng=rng("genie")) is None
