@@ -15,12 +15,14 @@ posterior holds most within epsilon: Anderson, Proc. Amer. Math. Soc. 6, 1955, 1
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.random import Generator
+from scipy.special import i0e, logsumexp
 
-from isac_track.kalman import Batch, smooth_positions
+from isac_track.kalman import Batch, kalman_last, smooth_positions
 from isac_track.kalman.slow_errors import SlowError, smooth_tracks
 from isac_track.protection import Laplace, Ou, OuFid
 from isac_track.sharing import Clean, Fid, Fixed, Raw
@@ -34,7 +36,7 @@ _EVERY = 4  # Of them within one lag.
 _MOST_FITTED = 300
 _LOW: Final = 0.1
 """Quantile of people's spectral densities that stands for a walk which is easy to smooth."""
-_START_STD_M = 100.0  # Around the first sample: nothing is known of where a walk starts.
+START_STD_M = 100.0  # Around the first sample: nothing is known of where a walk starts.
 _LEAST_VARIANCE_M2 = 1e-12
 _LEAST_Q = 1e-4
 
@@ -164,10 +166,38 @@ def known_share(
     That is the expected share within `epsilon_m` of the posterior mean: 1 - exp(-eps^2 / 2 P), P
     the variance per axis of a smoothed position, averaged over the track.
     """
-    batch = Batch(t, np.zeros((t.size, 2)), errors.variance, offsets, (_START_STD_M, speed_mps))
+    batch = Batch(t, np.zeros((t.size, 2)), errors.variance, offsets, (START_STD_M, speed_mps))
     if errors.slow is None:
         spread = smooth_positions(batch, q=q)[1]
     else:
         spread = smooth_tracks(batch, errors.slow, q=q)[1]
     known = -np.expm1(-(epsilon_m**2) / (2.0 * np.maximum(spread, _LEAST_VARIANCE_M2)))
     return np.asarray(np.add.reduceat(known, offsets[:-1]) / np.diff(offsets))
+
+
+def log_ratios(
+    probe: Batch, gallery: Batch, *, motion: Motion, lags_s: Floats, weight: Floats
+) -> Floats:
+    """Return how much likelier each pair is of one walk than of two, (P, G), as a logarithm.
+
+    ln p(y1, y2) - ln p(y1) - ln p(y2), exactly, for walks of `motion` behind Gaussian errors of
+    known variance, each release turned and shifted by itself; averaged over the lag of the
+    gallery's start after the probe's, which is one of `lags_s`, (L,), with probability `weight`.
+    If a probe's mate is one of the candidates, each as likely, none is guessed with more success
+    than who has the highest ratio (Bayes). The prior of the batches is `START_STD_M` and the
+    motion's speed.
+    """
+    loops, sides, alone = import_module("isac_track.kalman._pair_loops"), [], []
+    for one in (probe, gallery):
+        first = np.repeat(one.offsets[:-1], np.diff(one.offsets))
+        sides.append((one.t - one.t[first], one.xy - one.xy[first], one.variance, one.offsets))
+        alone.append(kalman_last(one, q=motion.q).log_likelihood)
+    prior = np.square([START_STD_M, motion.speed_mps, START_STD_M])
+    found, log_weight = np.empty((len(probe), len(gallery))), np.log(weight)
+    one_probe = np.empty((len(gallery), lags_s.size, 2))
+    for row in range(len(probe)):
+        loops.one_walk(sides[0], row, sides[1], lags_s, prior, motion.q, one_probe)
+        turned = one_probe[:, :, 1]
+        both = one_probe[:, :, 0] + np.log(i0e(turned)) + turned
+        found[row] = logsumexp(both + log_weight, axis=1)
+    return np.asarray(found - alone[0][:, None] - alone[1])

@@ -77,7 +77,9 @@ def answers_of(
         told = _at(sweeps.found, (sweeps.named(FID, adding=adding), _STRICT), best)
         for question, wanted in _OF_VERDICT.items():
             for item in verdict.get("items", []):
-                if {**wanted, "adding": adding}.items() <= item.items():
+                # What else is held against fixed noise says which mechanism; FID's items do not.
+                is_other = item.get("mechanism", "")
+                if not is_other and {**wanted, "adding": adding}.items() <= item.items():
                     ends = (item[name] for name in ("effect", *_ENDS[1:]))
                     value, low, high = (math.nan if one is None else float(one) for one in ends)
                     told[question] = Estimate(value, low, high, n=int(item["n"] or 0))

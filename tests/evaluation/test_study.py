@@ -4,8 +4,10 @@ import pandas as pd
 import pytest
 
 from evaluation import study
+from evaluation.analysis.pooled import answers_of
 from evaluation.experiment.settings import Settings
 from evaluation.results import study as answer
+from evaluation.runs.manifest import read_manifest
 from isac_track.config import StageSettings
 
 LITTLE = {
@@ -59,6 +61,16 @@ def test_what_is_finished_is_read_again(answered):
     assert [one.sentence for one in again] == [one.sentence for one in of]
     assert (out / "study.csv").read_bytes() == before
     assert {path: path.stat().st_mtime_ns for path in out.glob("*/cells/*")} == cells
+
+
+def test_what_fid_is_held_against_fixed_noise_by_is_no_other_mechanism(answered):
+    _, _, out, _ = answered
+    of = {"section": "claim", "criterion": "missed", "of": "after-attack", "descriptor": "plr"}
+    of |= {"adding": "linear", "ci_low": 0.01, "ci_high": 0.03, "n": 50}
+    items = [of | {"effect": 0.02}, of | {"effect": -0.4, "mechanism": "ou"}]
+    folder = out / "plaza-0"
+    told = answers_of(folder, read_manifest(folder), {"items": items}, law="radial")
+    assert [one["value"] for one in told if one["question"] == "fid_against_fixed"] == [0.02]
 
 
 @pytest.mark.parametrize(
