@@ -19,13 +19,15 @@ a check never flickers.
 """
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, Literal, TypeAlias
 from unittest import SkipTest
 
-from attacks.testing import _linkage_checks, _plugin_checks, _reconstruction_checks
+from attacks.testing import _checks, _plugin_checks
 from attacks.testing._checks import Attack, Row
+from attacks.testing._linkage_cases import LinkageCase
+from attacks.testing._reconstruction_cases import ReconstructionCase
 from attacks.testing._releases import copied
 from isac_track import plugins
 from isac_track.errors import PluginError, SettingsError
@@ -49,6 +51,7 @@ __all__ = [
     "run_checks",
 ]
 
+Noun: TypeAlias = Literal["attack", "mechanism", "predictor"]
 Subject: TypeAlias = "Attack | Mechanism | Predictor"
 
 
@@ -71,9 +74,9 @@ def _rows(attack: Attack) -> Iterator[Row]:
     An attack that touches what it was not granted fails the check about that. In all others it
     is given everything, or that one mistake would fail them all and hide the next one.
     """
-    kind = _linkage_checks if kind_of(attack) == "linkage" else _reconstruction_checks
+    world = LinkageCase if kind_of(attack) == "linkage" else ReconstructionCase
     for granted, adversary in _granted(attack).items():
-        row = Row(attack, adversary, granted, granted, *kind.ordinary_and_another(granted))
+        row = Row(attack, adversary, granted, granted, *world.ordinary_and_another(granted))
         try:
             row.raw(copied(row.ordinary))
         except AssertionError:
@@ -103,30 +106,31 @@ def _granted(attack: Attack) -> dict[frozenset[Knowledge], str]:
     return made
 
 
-def _kit(bodies: Iterable[Callable[[Any], None]], *, by_row: bool = False) -> dict[str, Check]:
+def _kit(bodies: Mapping[str, Callable[[Any], None]], *, by_row: bool = False) -> dict[str, Check]:
     return {
-        one.__name__: Check(
-            one.__name__, engine.statement_of(one), partial(_in_every_row, one) if by_row else one
-        )
-        for one in bodies
+        name: Check(name, engine.statement_of(one), partial(_in_every_row, one) if by_row else one)
+        for name, one in bodies.items()
     }
 
 
 # All checks of each kind by name, in the order in which they run
 
-CHECKS = _kit(_reconstruction_checks.ALL, by_row=True)
-LINKAGE_CHECKS = _kit(_linkage_checks.ALL, by_row=True)
-MECHANISM_CHECKS = _kit(_plugin_checks.MECHANISM)
-PREDICTOR_CHECKS = _kit(_plugin_checks.PREDICTOR)
+CHECKS = _kit(_checks.RECONSTRUCTION, by_row=True)
+LINKAGE_CHECKS = _kit(_checks.LINKAGE, by_row=True)
+MECHANISM_CHECKS = _kit(engine.by_name(*_plugin_checks.MECHANISM))
+PREDICTOR_CHECKS = _kit(engine.by_name(*_plugin_checks.PREDICTOR))
 
 
-def noun_of(subject: object) -> Literal["attack", "mechanism", "predictor"]:
+_METHODS: dict[str, tuple[Noun, plugins.Kind]] = {
+    "fit": ("attack", "attacks"),
+    "share": ("mechanism", "mechanisms"),
+    "predict": ("predictor", "predictors"),
+}
+
+
+def noun_of(subject: object) -> Noun:
     """Return what somebody's object is, by its method; an attack if nothing says otherwise."""
-    if hasattr(subject, "fit"):
-        return "attack"
-    if hasattr(subject, "share"):
-        return "mechanism"
-    return "predictor" if hasattr(subject, "predict") else "attack"
+    return next((noun for name, (noun, _) in _METHODS.items() if hasattr(subject, name)), "attack")
 
 
 def checks_for(subject: Any) -> dict[str, Check]:  # noqa: ANN401 - a stranger's
@@ -137,14 +141,13 @@ def checks_for(subject: Any) -> dict[str, Check]:  # noqa: ANN401 - a stranger's
     noun = noun_of(subject)
     if isinstance(subject, type):
         raise PluginError(f"expected an object, got its class: write {subject.__name__}()")
-    kinds: dict[str, plugins.Kind] = {"mechanism": "mechanisms", "predictor": "predictors"}
-    kind, name = kinds.get(noun, "attacks"), f"{noun} {type(subject).__name__}"
+    kind, name = dict(_METHODS.values())[noun], f"{noun} {type(subject).__name__}"
     plugins.check_class(kind, type(subject), name)
     plugins.check_declared(kind, subject, name)
     if noun != "attack":
-        return dict(MECHANISM_CHECKS if noun == "mechanism" else PREDICTOR_CHECKS)
+        return MECHANISM_CHECKS if noun == "mechanism" else PREDICTOR_CHECKS
     _granted(subject)
-    return dict(LINKAGE_CHECKS if kind_of(subject) == "linkage" else CHECKS)
+    return LINKAGE_CHECKS if kind_of(subject) == "linkage" else CHECKS
 
 
 def adversaries_of(attack: Attack) -> tuple[str, ...]:
@@ -168,28 +171,7 @@ def run_checks(subject: Subject, *, names: Sequence[str] | None = None) -> tuple
     return tuple(engine.outcomes(engine.select(checks, names, kit=kit, known=known), subject))
 
 
-def parametrize_attack_checks(attacks: Iterable[Attack]) -> Any:  # noqa: ANN401 - a pytest mark; pytest is not imported here
-    """Return a pytest decorator that runs a test once per attack and check.
-
-    The test takes `attack` and `check`, and calls ``check(attack)``. A check that does not
-    apply to an attack is skipped, with the reason. `attacks` are instances; one attack may come
-    several times, with different parameters. Raises as `checks_for`, and SettingsError without
-    any attack.
-    """
-    return _parametrized("attack", attacks)
-
-
-def parametrize_mechanism_checks(mechanisms: Iterable[Mechanism]) -> Any:  # noqa: ANN401 - as above
-    """Return the same for mechanisms; the test takes `mechanism` and `check`."""
-    return _parametrized("mechanism", mechanisms)
-
-
-def parametrize_predictor_checks(predictors: Iterable[Predictor]) -> Any:  # noqa: ANN401 - as above
-    """Return the same for predictors; the test takes `predictor` and `check`."""
-    return _parametrized("predictor", predictors)
-
-
-def _parametrized(noun: str, subjects: Iterable[Subject]) -> Any:  # noqa: ANN401 - as above
+def _parametrized(noun: str, subjects: Iterable[Subject]) -> Any:  # noqa: ANN401 - a pytest mark; pytest is not imported here
     if not isinstance(subjects, Iterable):
         raise PluginError(
             f"expected a list of {noun}s, got {subjects!r}: write parametrize_{noun}_checks([...])"
@@ -203,6 +185,19 @@ def _parametrized(noun: str, subjects: Iterable[Subject]) -> Any:  # noqa: ANN40
     if not cases:
         raise SettingsError(f"no {noun} to check: the list is empty")
     return engine.parametrize(f"{noun},check", cases)
+
+
+parametrize_attack_checks = partial(_parametrized, "attack")
+"""Return a pytest decorator that runs a test once per attack and check.
+
+The test takes `attack` and `check`, and calls ``check(attack)``. A check that does not apply to an
+attack is skipped, with the reason. `attacks` are instances; one attack may come several times, with
+different parameters. Raises as `checks_for`, and SettingsError without any attack.
+"""
+parametrize_mechanism_checks = partial(_parametrized, "mechanism")
+"""Return the same for mechanisms; the test takes `mechanism` and `check`."""
+parametrize_predictor_checks = partial(_parametrized, "predictor")
+"""Return the same for predictors; the test takes `predictor` and `check`."""
 
 
 def _label(subject: Any) -> str:  # noqa: ANN401 - a frozen dataclass

@@ -1,30 +1,38 @@
-"""An attack as each adversary runs it, and what holds for attacks of either kind."""
+"""An attack as each adversary runs it, and what holds for every attack: each property once.
+
+What the two kinds differ in is in the classes of their cases: how an answer is read, compared and
+scored, and what is made up to ask for one.
+"""
 
 from __future__ import annotations
 
-import inspect
-from contextlib import suppress
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, NoReturn, TypeAlias
 from unittest import SkipTest
 
 import numpy as np
 from scipy.special import bdtrc
 
-from attacks.testing._releases import EPSILON_M, arrays_of, copied, of_each, renamed
-from isac_track.errors import raised_at, told
-from isac_track.protocols import AttackContext, LinkageAttack, ReconstructionAttack
+from attacks.testing._releases import EPSILON_M, RAW_SIGMA_M, changed_by, copied, of_each, renamed
+from isac_track.protocols import (
+    AttackContext,
+    LinkageAttack,
+    LinkageTrainingSet,
+    ReconstructionAttack,
+)
 from isac_track.rng import stream
-from isac_track.types import Bools, Floats, Knowledge, Release
+from isac_track.testing.engine import by_name, call
+from isac_track.types import Floats, Ints, Knowledge, Release
 
 Attack: TypeAlias = "ReconstructionAttack | LinkageAttack"
 Case: TypeAlias = Any
-"""`_reconstruction_checks.Case` or `_linkage_checks.LinkageCase`, by the kind of the attack.
-
-Its answers are arrays, as its `read` makes them: positions and std, or scores.
-"""
+"""`_reconstruction_cases.ReconstructionCase` or `_linkage_cases.LinkageCase`."""
 
 SAME = 1e-6  # Room for rounding: m, or a share of the spread of the scores.
+SAME_FRAME = 1e-5  # The same after a motion by some hundred metres and seconds.
+SAME_LEARNT = 0.01  # Room for what a learner makes of the same examples in another order.
 SPREADS = 3.0
 """Two runs of an attack that draws may differ by so many times what two seeds differ by."""
 SURPRISE = 1e-6  # Probability with which chance alone would fail an attack.
@@ -56,9 +64,9 @@ class Row:
         """Return the row given all that there is in its cases."""
         return replace(self, given=self.ordinary.everything)
 
-    def fail(self, about: str, what: str) -> NoReturn:
+    def fail(self, case: Case, what: str) -> NoReturn:
         """Fail a check, with the row and what the case is about."""
-        raise AssertionError(f"{self}, {about}: {what}")
+        raise AssertionError(f"{self}, {case.about}: {what}")
 
     def answer(self, case: Case, *, seed: int = 0) -> Floats:
         """Return what the attack makes of a case, given copies of all arrays."""
@@ -74,7 +82,7 @@ class Row:
         try:
             answer: Floats = case.read(result)
         except ValueError as error:
-            self.fail(case.about, str(error))
+            self.fail(case, str(error))
         return answer
 
     def raw(self, *cases: Case, seed: int = 0) -> list[object]:
@@ -96,14 +104,10 @@ class Row:
             anchor=first.anchor,
             companions=first.companions,
         )
-        doing, hint = "fit(context)", ""
-        try:
-            fitted: Any = self.attack.fit(context)
-            doing, hint = "the function from fit", _which_kind(fitted, first)
-            return [fitted(*(getattr(case, name) for name in case.asked)) for case in cases]
-        except (Exception, SystemExit) as error:
-            what = f"{doing} raised {told(error)}{raised_at(error)}{hint}"
-            raise AssertionError(f"{self}, {first.about}: {what}") from error
+        who, asked = f"{self}, {first.about}:", " and ".join(first.asked)
+        fitted = call(self.attack.fit, context, who=f"{who} fit(context)")
+        who = f"{who} the function from fit, asked for {asked},"
+        return [call(fitted, *(getattr(one, name) for name in one.asked), who=who) for one in cases]
 
     def expect_same(
         self, got: Floats, expected: Floats, *, what: str, hint: str, tolerance: float = SAME
@@ -120,11 +124,10 @@ class Row:
         gap = _rms(gaps) if chance > 0 else float(gaps.max())
         if gap > tolerance + SPREADS * chance:
             drawn = f" (two seeds differ by {chance:.3g}{case.unit})" if chance > 0 else ""
-            relative = "" if case.unit else " of their spread"
             self.fail(
-                case.about,
-                f"{what}: {case.compared} differ by {gap:.3g}{case.unit}{relative}, expected "
-                f"at most {tolerance:g}{case.unit}{drawn}; {hint}",
+                case,
+                f"{what}: {case.compared} differ by {gap:.3g}{case.unit}, expected at most "
+                f"{tolerance:g}{case.unit}{drawn}; {hint}",
             )
 
 
@@ -133,19 +136,15 @@ def _rms(gaps: Floats) -> float:
     return float(np.sqrt(np.mean(gaps**2, axis=-1)).max())
 
 
-def _which_kind(fitted: Any, case: Case) -> str:  # noqa: ANN401 - whatever came from fit
-    """Return a hint if what came from fit takes another number of releases than its kind says."""
-    if not callable(fitted):
-        raise TypeError(f"fit must return a function {case.gives}, got {fitted!r}")
-    with suppress(ValueError):  # not every function tells what it takes
-        try:
-            inspect.signature(fitted).bind(*case.asked)
-        except TypeError:
-            return f"; it takes a function {case.gives}: which `kind` is the attack?"
-    return ""
-
-
 # The checks; each is held against every row that an attack makes
+
+
+def result_is_right(row: Row) -> None:
+    """What comes back is of the type and shape that the contract says, and finite."""
+    (result,) = row.raw(copied(row.ordinary))
+    row.read(row.ordinary, result)
+    if wrong := row.ordinary.wrong_type(result):
+        row.fail(row.ordinary, wrong)
 
 
 def same_seed_same_result(row: Row) -> None:
@@ -155,7 +154,7 @@ def same_seed_same_result(row: Row) -> None:
     if first.tobytes() != second.tobytes():
         changed = case.gaps(first, second, first)[0] > 0
         row.fail(
-            case.about,
+            case,
             f"two runs with one seed differ in {np.count_nonzero(changed)} of {changed.size} "
             f"{case.compared}; draw from context.rng alone, and keep nothing between two calls of "
             "fit",
@@ -165,17 +164,13 @@ def same_seed_same_result(row: Row) -> None:
 def inputs_are_not_mutated(row: Row) -> None:
     """What an attack is given, context and releases, is left as it came."""
     case = row.ordinary
-    given = copied(case)
-    row.raw(given)
-    after = arrays_of(given)
     changed = [
         f"context{path}" if path.startswith((".train", ".repeats")) else path.removeprefix(".")
-        for path, before in arrays_of(case).items()
-        if before.tobytes() != after[path].tobytes()
+        for path in changed_by(row.raw, case)
     ]
     if changed:
         row.fail(
-            case.about,
+            case,
             f"changed {', '.join(changed)}; others read the same arrays: "
             f"work on a copy, as in xy = {case.asked[0]}.xy.copy()",
         )
@@ -189,11 +184,10 @@ def only_granted_knowledge_is_touched(row: Row) -> None:
     except AssertionError as error:
         # Whether more knowledge would help tells a denial from any other fault.
         row.with_everything().raw(copied(case))
-        sigmas = " and ".join(f"{name}.sigma" for name in case.asked)
         raise AssertionError(
             f"{error}; given all knowledge it runs: declare what you touch in `requires` or "
             "`uses`, and look into context.granted before you touch what is only in `uses` "
-            f"(without SIGMA, {sigmas} {'is' if len(case.asked) == 1 else 'are'} None)"
+            f"(without SIGMA, {case.asked[0]}.sigma is None)"
         ) from error
 
 
@@ -208,6 +202,24 @@ def order_of_tracks_does_not_matter(row: Row) -> None:
     )
 
 
+def frames_do_not_matter(row: Row) -> None:
+    """Whatever came in a frame of its own comes in another frame and clock: the same answer.
+
+    Whoever is granted SCENE may well know where the walls are: such a row is exempt.
+    """
+    if row.scene:
+        raise SkipTest("granted SCENE in every row: it may depend on the true frame and clock")
+    changed, follow = row.ordinary.in_other_frames()
+    row.expect_same(
+        row.answer(changed),
+        follow(row.answer(row.ordinary)),
+        tolerance=SAME_FRAME,
+        what=f"another frame and clock for {row.ordinary.framed}",
+        hint="without SCENE they are random; does anything depend on x and y taken by themselves, "
+        "on headings, on absolute times, or on two of these sharing a frame?",
+    )
+
+
 def pseudonyms_do_not_matter(row: Row) -> None:
     """Other pseudonyms, same result."""
     row.expect_same(
@@ -218,6 +230,45 @@ def pseudonyms_do_not_matter(row: Row) -> None:
     )
 
 
+def odd_tracks_are_handled(row: Row) -> None:
+    """With tracks of one to three samples and steps from 1 ms to 30 s answers stay in bounds."""
+    for case in row.ordinary.odd(scene=row.scene):
+        if wrong := case.out_of_bounds(row.answer(case)):
+            hint = (
+                "does a window or a fit get too few samples, or is anything divided by a time step?"
+            )
+            row.fail(case, f"{wrong}; {hint}")
+
+
+def training_without_mates_is_handled(row: Row) -> None:
+    """Where a third of the training probes has no mate (-1), nobody is taken for theirs.
+
+    Of every other such probe the gallery track is gone, of the rest it stays as a stranger's. The
+    training gallery is then turned back to front: who takes -1 for the last track learns something
+    else. Who learns may differ by 1 % of the spread.
+    """
+    train = row.ordinary.train
+    mate = train.mate.copy()
+    mate[::3] = -1
+    stays = np.setdiff1d(np.arange(len(train.gallery)), train.mate[::6])
+    about = f"{row.ordinary.about}, {np.count_nonzero(mate < 0)} of {mate.size} others mateless"
+
+    def with_gallery(rows: Ints) -> Case:
+        place = np.full(len(train.gallery) + 1, -1)  # the last is that of nobody, -1
+        place[rows] = np.arange(rows.size)
+        fewer = LinkageTrainingSet(train.probe, train.gallery.tracks(rows), place[mate])
+        return replace(row.ordinary, about=about, train=fewer)
+
+    case = with_gallery(stays)
+    replace(row, ordinary=case).expect_same(
+        row.answer(with_gallery(stays[::-1])),
+        row.answer(case),
+        tolerance=SAME_LEARNT,
+        what="the gallery of the training set back to front",
+        hint="a mate of -1 is no index: keep only the probes with train.mate >= 0",
+    )
+
+
 def calls_do_not_remember(row: Row) -> None:
     """What the function from fit answers does not depend on what it was asked before.
 
@@ -225,47 +276,98 @@ def calls_do_not_remember(row: Row) -> None:
     A's pseudonyms and as many samples, lest a cache go by those.
     """
     case, other = row.ordinary, row.another
-    releases = "another release" if len(case.asked) == 1 else "other releases"
     first, after, again = row.answers(case, other, case)
     hint = "one function serves many releases: keep nothing from one to the next"
     for got, expected, what in (
-        (again, first, f"asked once more, after {releases}"),
-        (after, row.answer(other), f"{releases}, asked after the first"),
+        (again, first, "asked once more, after another release"),
+        (after, row.answer(other), "another release, asked after the first"),
     ):
         if got.tobytes() != expected.tobytes():
             row.expect_same(got, expected, what=what, hint=hint, tolerance=0.0)
 
 
-# What the checks of one kind share
+def null_stays_at_chance(row: Row) -> None:
+    """Where the releases say nothing of the truth, it is hit no more often than by chance.
 
-FIRST = (
+    The truth is drawn apart from them, each part of it by itself: whatever the attack says, it is
+    hit with the probability `chance` at most, independently of all others.
+    """
+    case = row.ordinary.null(scene=row.scene)
+    hits = case.hits(row.answer(case))
+    found, chance = float(hits.sum()), case.chance
+    # The survival function counts what exceeds its argument.
+    if found >= 1 and bdtrc(int(found) - 1, hits.size, chance) < SURPRISE:
+        row.fail(
+            case,
+            f"{found:.4g} of {hits.size} {case.hit}, expected about {chance * hits.size:.3g} by "
+            "chance; does the truth reach the attack by a way other than its context?",
+        )
+
+
+def easy_case_beats_chance(row: Row) -> None:
+    """With errors of 5 cm a share of the truth is hit that chance alone would not bring."""
+    case = row.ordinary.noisy(RAW_SIGMA_M, "radial", scene=row.scene)
+    hits = case.hits(row.answer(case))
+    found, needed = hits.sum(), case.easy_share * hits.size
+    if found < needed:
+        row.fail(
+            case,
+            f"{found:.4g} of {hits.size} {case.hit}, expected at least {needed:g}; chance "
+            f"brings {case.chance * hits.size:.3g} ({case.easy_hint})",
+        )
+
+
+def success_falls_with_noise(row: Row) -> None:
+    """What an attack achieves falls from each level of isotropic noise to the next.
+
+    The same people with the same unit errors, so that each is compared with themselves: the mean
+    fall must exceed 2.5 of its standard errors over the people.
+    """
+    world = row.ordinary
+    levels = [world.noisy(sigma_m, "isotropic", scene=row.scene) for sigma_m in world.levels_m]
+    success = [case.success(row.answer(case)) for case in levels]
+    for (low, high), (less, more) in zip(pairwise(success), pairwise(world.levels_m), strict=True):
+        fall = low - high
+        needed = STANDARD_ERRORS * float(fall.std(ddof=1) / np.sqrt(fall.size))
+        if not fall.mean() > needed:
+            row.fail(
+                world.noisy(more, "isotropic", scene=row.scene),
+                f"{world.achieved} is {low.mean():.3f} at {less:g} m of noise and "
+                f"{high.mean():.3f} at {more:g} m, expected a fall of more than {needed:.3f}; what "
+                "does the attack take the noise for?",
+            )
+
+
+_FIRST = (
     same_seed_same_result,
     inputs_are_not_mutated,
     only_granted_knowledge_is_touched,
     order_of_tracks_does_not_matter,
 )
+_REST = (
+    calls_do_not_remember,
+    null_stays_at_chance,
+    easy_case_beats_chance,
+    success_falls_with_noise,
+)
 
 
-def frames_do_not_matter(row: Row, *, what: str, hint: str, tolerance: float) -> None:
-    """Compare answers in other frames and clocks; skip a row that sees the true ones."""
-    if row.scene:
-        raise SkipTest("granted SCENE in every row: it may depend on the true frame and clock")
-    changed, follow = row.ordinary.in_other_frames()
-    expected = follow(row.answer(row.ordinary))
-    row.expect_same(row.answer(changed), expected, what=what, hint=hint, tolerance=tolerance)
+def _kit(
+    result: str, frames: str, *more: Callable[[Row], None]
+) -> dict[str, Callable[[Row], None]]:
+    """Return the checks of a kind by name, as they run; two have other names for each kind."""
+    then = (pseudonyms_do_not_matter, odd_tracks_are_handled, *more, *_REST)
+    return {
+        result: result_is_right,
+        **by_name(*_FIRST),
+        frames: frames_do_not_matter,
+        **by_name(*then),
+    }
 
 
-def expect_chance(
-    row: Row, about: str, hits: Floats | Bools, *, chance: float, what: str, hint: str
-) -> None:
-    """Fail if chance alone brings as many hits or more with less than `SURPRISE`."""
-    found = float(np.sum(hits))
-    # The survival function counts what exceeds its argument.
-    if found >= 1 and bdtrc(int(found) - 1, len(hits), chance) < SURPRISE:
-        expected = f"expected about {chance * len(hits):.3g} by chance"
-        row.fail(about, f"{found:.4g} of {len(hits)} {what}, {expected}; {hint}")
-
-
-def least_rise(changes: Floats) -> float:
-    """Return what a mean change of people must exceed, each compared with themselves."""
-    return STANDARD_ERRORS * float(changes.std(ddof=1) / np.sqrt(changes.size))
+RECONSTRUCTION = _kit("result_is_a_reconstruction", "frame_and_clock_do_not_matter")
+LINKAGE = _kit(
+    "result_is_a_score_matrix",
+    "frames_and_clocks_do_not_matter",
+    training_without_mates_is_handled,
+)

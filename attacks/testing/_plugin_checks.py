@@ -11,9 +11,11 @@ import numpy as np
 
 from attacks.testing import _releases as made
 from attacks.testing._checks import SAME, SPREADS
-from isac_track.errors import raised_at, told
+from attacks.testing._releases import changed_by
+from isac_track.protocols import knowing
 from isac_track.rng import stream
 from isac_track.sharing import Fixed
+from isac_track.testing.engine import call
 from isac_track.types import (
     SHARED_LIMIT_M,
     Floats,
@@ -51,13 +53,9 @@ def _fail(plugin: object, what: str) -> NoReturn:
     raise AssertionError(f"{type(plugin).__name__}: {what}")
 
 
-def _called(plugin: Any, method: str, expected: type, *arguments: object) -> Any:  # noqa: ANN401 - a stranger's
+def _called(plugin: Any, method: str, expected: type, *given: object) -> Any:  # noqa: ANN401 - a stranger's
     """Return what a method returns; what it raises, or another type, fails the check."""
-    try:
-        result = getattr(plugin, method)(*arguments)
-    except (Exception, SystemExit) as error:
-        wrong = f"{method} raised {told(error)}{raised_at(error)}"
-        raise AssertionError(f"{type(plugin).__name__}: {wrong}") from error
+    result = call(getattr(plugin, method), *given, who=f"{type(plugin).__name__}: {method}")
     if not isinstance(result, expected):
         _fail(plugin, f"{method} must return a {expected.__name__}, got {type(result).__name__}")
     return result
@@ -66,12 +64,8 @@ def _called(plugin: Any, method: str, expected: type, *arguments: object) -> Any
 def _expect_unchanged(
     plugin: object, method: str, before: tuple[object, ...], *more: object
 ) -> None:
-    given = made.copied(before)
-    _called(plugin, method, object, *given, *more)
-    after = made.arrays_of(given)
-    for path, array in made.arrays_of(before).items():
-        if array.tobytes() != after[path].tobytes():
-            _fail(plugin, f"changed its input {path}; others read the same arrays: work on a copy")
+    for path in changed_by(lambda given: _called(plugin, method, object, *given, *more), before):
+        _fail(plugin, f"changed its input {path}; others read the same arrays: work on a copy")
 
 
 def _bits(result: object) -> list[bytes]:
@@ -91,19 +85,19 @@ def _share(mechanism: Mechanism, sensed: Sensed, *, seed: int = 0) -> Release:
 
 def _rows_shared(mechanism: Mechanism, release: Release, sensed: Sensed) -> Ints:
     """Return which of the sensed samples are shared; one that was not sensed fails the check."""
-    rows = []
-    for number, (mine, theirs) in enumerate(zip(release, sensed, strict=True)):
-        row = np.minimum(np.searchsorted(theirs.t, mine.t), theirs.t.size - 1)
-        strange = np.flatnonzero(theirs.t[row] != mine.t)
-        if strange.size:
-            at_s = mine.t[strange[0]]
-            _fail(
-                mechanism,
-                f"in track {number} nothing was sensed at {at_s:.12g} s; samples may be left out, "
-                "not moved in time or added",
-            )
-        rows.append(sensed.offsets[number] + row)
-    return np.concatenate(rows)
+    # Number of the track and time: numpy orders complex numbers by the real part first.
+    shared, known = (
+        np.repeat(np.arange(len(one)), np.diff(one.offsets)) + 1j * one.t
+        for one in (release, sensed)
+    )
+    rows = np.minimum(np.searchsorted(known, shared), known.size - 1)
+    for strange in shared[known[rows] != shared]:
+        _fail(
+            mechanism,
+            f"in track {strange.real:g} nothing was sensed at {strange.imag:.12g} s; samples may "
+            "be left out, not moved in time or added",
+        )
+    return rows
 
 
 def result_is_a_release(mechanism: Mechanism) -> None:
@@ -242,25 +236,36 @@ def _asked(
     return release, last[:, None] + np.linspace(0.0, HORIZON_S, N_STEPS)
 
 
+def _granted(predictor: Predictor, release: Release) -> tuple[Any, Release]:
+    """Return a predictor as it is where the mechanism shares, and what it receives there."""
+    who = f"{type(predictor).__name__}: knowing"
+    has_sigma = Knowledge.SIGMA in predictor.requires
+    return call(knowing, predictor, _ADDED, who=who), (
+        release if has_sigma else release.without_sigma()
+    )
+
+
 def _predict(
     predictor: Predictor, release: Release, t_future: Floats, *, strictly: bool = False
 ) -> Prediction:
     """Return a prediction from what is granted; who touches more fails `strictly` alone."""
-    given = release if Knowledge.SIGMA in predictor.requires else release.without_sigma()
-    if hasattr(predictor, "knowing"):
-        predictor = _called(predictor, "knowing", object, _ADDED)
-    for tried in (given, release):
-        try:
-            asked = made.copied(tried), t_future.copy()
-            prediction: Prediction = _called(predictor, "predict", Prediction, *asked)
-            break
-        except AssertionError:
-            if strictly or tried is release:
-                raise
-    if prediction.mean.shape != (*t_future.shape, 2):
+    ready, granted = _granted(predictor, release)
+
+    def predicted(given: Release) -> Prediction:
+        asked = made.copied(given), t_future.copy()
+        prediction: Prediction = _called(ready, "predict", Prediction, *asked)
+        return prediction
+
+    try:
+        found = predicted(granted)
+    except AssertionError:
+        if strictly:
+            raise
+        found = predicted(release)
+    if found.mean.shape != (*t_future.shape, 2):
         expected = f"(N, H, 2) = {(*t_future.shape, 2)}"
-        _fail(predictor, f"mean has shape {prediction.mean.shape}, expected {expected}")
-    return prediction
+        _fail(predictor, f"mean has shape {found.mean.shape}, expected {expected}")
+    return found
 
 
 def result_is_a_prediction(predictor: Predictor) -> None:
@@ -317,15 +322,12 @@ def track_is_causal(predictor: Predictor) -> None:
     """What `track` returns, if there is one, is a place for every sample, from no later sample."""
     if getattr(predictor, "track", None) is None:
         raise SkipTest("it has no track")
-    if hasattr(predictor, "knowing"):
-        predictor = _called(predictor, "knowing", object, _ADDED)
-    for release in (_asked(SHORT, made.IRREGULAR_S)[0], _asked()[0]):
-        if Knowledge.SIGMA not in predictor.requires:
-            release = release.without_sigma()  # noqa: PLW2901 - as it is handed to a robot
+    for shared in (_asked(SHORT, made.IRREGULAR_S)[0], _asked()[0]):
+        ready, release = _granted(predictor, shared)
         first = np.repeat(release.offsets[:-1], np.diff(release.offsets))
         late = np.arange(release.t.size) - first > np.diff(release.offsets).min() // 2
         moved = replace(release, xy=release.xy + np.where(late, 7.0, 0.0)[:, None])
-        places = [_called(predictor, "track", np.ndarray, one) for one in (release, moved)]
+        places = [_called(ready, "track", np.ndarray, one) for one in (release, moved)]
         if places[0].shape != release.xy.shape or not np.isfinite(places[0]).all():
             _fail(predictor, f"track must return finite places, (M, 2) = {release.xy.shape}")
         gap = np.abs(places[1] - places[0])[~late].max()

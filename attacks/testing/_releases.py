@@ -171,3 +171,12 @@ def arrays_of(held: object, name: str = "") -> dict[str, NDArray[Any]]:
         inside = {f"{name}.{item.name}": getattr(held, item.name) for item in fields(held)}
     deeper = (arrays_of(one, path) for path, one in inside.items())
     return {path: array for found in deeper for path, array in found.items()}
+
+
+def changed_by(call: Callable[[Holder], object], given: Holder) -> list[str]:
+    """Return the paths of the arrays that a call changes in its copy of what it is given."""
+    own = copied(given)
+    call(own)
+    after = arrays_of(own)
+    paths = arrays_of(given).items()
+    return [path for path, before in paths if before.tobytes() != after[path].tobytes()]

@@ -11,7 +11,7 @@ from operator import attrgetter
 from typing import Any, Literal
 from unittest import SkipTest
 
-from isac_track.errors import SettingsError, did_you_mean
+from isac_track.errors import SettingsError, did_you_mean, raised_at, told
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -54,9 +54,25 @@ class Outcome:
         return self.status == "passed"
 
 
+def call(function: Callable[..., Any], *given: object, who: str, case: str = "") -> Any:  # noqa: ANN401 - a stranger's
+    """Return what a stranger's function makes of its arguments.
+
+    Whatever it raises becomes an AssertionError that tells `who` did, in which line and `case`.
+    """
+    try:
+        return function(*given)
+    except (Exception, SystemExit) as error:
+        raise AssertionError(f"{who} raised {told(error)}{raised_at(error)}{case}") from error
+
+
 def statement_of(function: Callable[..., None]) -> str:
     """Return the first line of a docstring: what a check shows."""
     return (function.__doc__ or "").strip().partition("\n")[0]
+
+
+def by_name(*bodies: Callable[..., None]) -> dict[str, Callable[..., None]]:
+    """Return the bodies of checks by the names of their functions."""
+    return {one.__name__: one for one in bodies}
 
 
 def select(

@@ -234,13 +234,12 @@ def keeps_by_name(_context):
     return lambda release: known.setdefault(release.pseudonym, Reconstruction(release.xy))
 
 
-def locals_called(name, shape):
-    """Yield the arrays of that name and shape of whoever called."""
+def truth_called(name):
+    """Yield what the case of the null check holds under that name, if it is that which called."""
     frame = sys._getframe(1)
     while frame is not None:
-        held = frame.f_locals.get(name)
-        if isinstance(held, np.ndarray) and held.shape == shape:
-            yield held
+        if frame.f_code.co_name == "null_stays_at_chance":
+            yield getattr(frame.f_locals["case"], name)
         frame = frame.f_back
 
 
@@ -248,12 +247,12 @@ def locals_called(name, shape):
 def peeks(release):
     """Takes every tenth position from whoever called and has it."""
     xy = release.xy.copy()
-    for truth in locals_called("truth", xy.shape):
+    for truth in truth_called("truth"):
         xy[::10] = truth[::10]
     return xy
 
 
-@fails("easy_case_beats_chance", "expected at least 0.5")
+@fails("easy_case_beats_chance", "expected at least 1548; chance brings 2.19")
 def steps_aside(track):
     """Off by 0.4 m to the left of the way."""
     way = track.xy[-1] - track.xy[0]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from helpers.broken_attacks import TRAIN, locals_called, planting
+from helpers.broken_attacks import TRAIN, planting, truth_called
 
 from attacks.linkage.kinematic import Kinematic
 from isac_track.noise import innovation_variance_m2
@@ -133,7 +133,7 @@ def ends(probe, gallery):
     return probe.xy[probe.offsets[1:] - 1], gallery.xy[gallery.offsets[:-1]]
 
 
-@fails("frames_and_clocks_do_not_matter", "two walks sharing a frame?")
+@fails("frames_and_clocks_do_not_matter", "two of these sharing a frame?")
 def same_frame_for_both(probe, gallery):
     """Asks how far apart the walks are, without asking for SCENE."""
     last, first = ends(probe, gallery)
@@ -199,7 +199,7 @@ def takes_the_last_for_nobody(context):
     return lambda probe, gallery: -np.log1p((BASE.link(probe, gallery) / scale) ** 2)
 
 
-@fails("calls_do_not_remember", "other releases, asked after the first: scores")
+@fails("calls_do_not_remember", "another release, asked after the first: scores")
 def keeps_by_name(_context):
     """Looks a track up that has been seen under the same pseudonym."""
     probes, candidates = {}, {}
@@ -214,11 +214,11 @@ def keeps_by_name(_context):
     )
 
 
-@fails("null_stays_at_chance", "24 of 24 drawn mates come first, expected about 1 by")
+@fails("null_stays_at_chance", "24 of 24 mates come first, expected about 1 by")
 def peeks(probe, gallery):
     """Takes the mates from whoever called and has them."""
     scores = BASE.link(probe, gallery)
-    for mate in locals_called("mate", (len(probe),)):
+    for mate in truth_called("mate"):
         scores[np.arange(len(probe)), mate] += 10.0
     return scores
 
@@ -229,7 +229,7 @@ def slow_or_fast(release):
     return (BASE.traits(release) > 1.3).astype(float)
 
 
-@fails("success_falls_with_noise", "expected a rise by a factor of more than")
+@fails("success_falls_with_noise", "expected a fall of more than")
 def gives_up_in_between(probe, gallery):
     """Takes noise of decimetres for people who stand still."""
     variance = innovation_variance_m2(t=probe.t, xy=probe.xy, offsets=probe.offsets)

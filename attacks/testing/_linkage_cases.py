@@ -1,0 +1,235 @@
+"""Made-up people as a linkage attack gets them, and what its scores come to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any, ClassVar
+
+import numpy as np
+
+from attacks.testing import _releases as made
+from attacks.testing._releases import RAW_SIGMA_M, draws
+from isac_track.linkability import log_rank, rank1
+from isac_track.protocols import OF_WALKS, LinkageTrainingSet
+from isac_track.sharing import Fixed
+from isac_track.types import ErrorLaw, Floats, Ints, Knowledge, Release
+
+GAP_S = 1.0  # Silence before the gallery goes on, where the scene is shown.
+N_PEOPLE = 24
+PEOPLE, OTHERS = (128,) * N_PEOPLE, (128,) * 20  # Samples of each: 12 s at 8 to 16 Hz.
+_FARTHEST_M = 100.0
+_LATEST_S = 1000.0
+
+ODD = (
+    *(((128,) * probes, (128,) * gallery, OTHERS) for probes, gallery in ((1, 1), (4, 1), (1, 4))),
+    ((1, 1, 1), (1, 1, 1, 1), (40,) * 8),
+    ((1, 2, 3, 128), (3, 2, 128, 1, 2), (40,) * 8),
+    ((128, 128, 2), (128, 3, 1, 128), (1, 2, 3, 1, 2, 3, 40, 40, 40, 40)),
+)
+"""Samples of probes, of the gallery and of the training set."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LinkageCase:
+    """P probes, G gallery tracks, and everything that an adversary may know besides.
+
+    Where the scene is hidden, every walk of all four releases comes in a frame and on a clock of
+    its own. Probe and gallery are then two recordings of one walk. Where the scene is shown, all
+    is in one frame and on one clock, and the gallery goes on after `GAP_S` of silence.
+    """
+
+    asked: ClassVar[tuple[str, ...]] = ("probe", "gallery")
+    repeats: ClassVar[None] = None
+    anchor: ClassVar[None] = None
+    companions: ClassVar[None] = None
+    """Nobody who links is granted any: the repeats of a walk would be linked already."""
+    compared: ClassVar[str] = "scores"
+    unit: ClassVar[str] = " of their spread"
+    framed: ClassVar[str] = "every walk of either release and of the training set"
+    hit: ClassVar[str] = "mates come first"
+    chance: ClassVar[float] = 1 / N_PEOPLE
+    easy_share: ClassVar[float] = 1 / 4  # Chance alone brings 6 of 24 once in 1000 at most.
+    easy_hint: ClassVar[str] = "is the sign right? a higher score means the same person"
+    levels_m: ClassVar[tuple[float, ...]] = (0.1, 10.0)
+    """Averaged over 128 samples, 10 m come to 0.9 m: of a walk of some 15 m little is left."""
+    achieved: ClassVar[str] = "the mean logarithm of candidates over the rank of the mate"
+
+    about: str
+    probe: Release
+    gallery: Release
+    mate: Ints  # (P,) gallery track of the same person, or -1. No attack is given it.
+    mechanism: Fixed
+    train: LinkageTrainingSet
+    everything: frozenset[Knowledge]
+    """All that there is to grant; SCENE where the true frame and clock are shown."""
+
+    def wrong_type(self, result: object) -> str:
+        """Return what is wrong with a result that can be read all the same; empty if nothing."""
+        if isinstance(result, np.ndarray) and result.dtype.kind == "f":
+            return ""
+        of = f" of {result.dtype}" if isinstance(result, np.ndarray) else ""
+        return f"expected a numpy array of floats, got {type(result).__name__}{of}"
+
+    def read(self, result: Any) -> Floats:  # noqa: ANN401 - a stranger's
+        """Return a result as an array, or raise ValueError if it is not one of scores.
+
+        That is a finite real number for each probe and gallery track; the type is another check's.
+        """
+        scores, expected = np.asarray(result), (len(self.probe), len(self.gallery))
+        if scores.dtype.kind not in "fiub":
+            got = f"{type(result).__name__} of {scores.dtype}"
+            raise ValueError(f"expected real numbers of shape (P, G) = {expected}, got {got}")
+        if scores.shape != expected:
+            turned = " (turned round?)" if scores.shape == expected[::-1] else ""
+            raise ValueError(
+                f"scores of shape {scores.shape}, expected (P, G) = {expected}: "
+                f"a row for every probe, a column for every gallery track{turned}"
+            )
+        if lost := np.count_nonzero(~np.isfinite(scores)):
+            raise ValueError(
+                f"{lost} of {scores.size} scores are not finite; who cannot tell gives all "
+                "candidates the same score"
+            )
+        return scores.astype(np.float64)
+
+    def gaps(self, one: Floats, other: Floats, plain: Floats) -> Floats:
+        """Return how far apart scores are, (1, P G): they have no unit, but a spread."""
+        # Where all scores are alike there is none; their size will do.
+        spread = float(np.ptp(plain)) or float(np.abs(plain).max()) or 1.0
+        return (np.abs(one - other) / spread).reshape(1, -1)
+
+    def hits(self, scores: Floats) -> Floats:
+        """Return how often each probe's mate comes first, (P,), over a random order of ties."""
+        # One by one, since two may have drawn one mate.
+        rows = range(len(self.mate))
+        return np.concatenate([rank1(scores=scores[[row]], mate=self.mate[[row]]) for row in rows])
+
+    def success(self, scores: Floats) -> Floats:
+        """Return the logarithm of candidates over the mate's rank, (P,)."""
+        return log_rank(scores=scores, mate=self.mate)
+
+    def out_of_bounds(self, _scores: Floats) -> str:
+        """Return nothing: scores that are finite are within all bounds."""
+        return ""
+
+    def reordered(self) -> tuple[LinkageCase, Callable[[Floats], Floats]]:
+        """Return the ordinary case with its tracks in another order, and how scores follow."""
+        rows, columns = (5, 2, 0, 3, 6, 1, 4), (4, 8, 0, 6, 2, 7, 1, 5, 3)
+        changed = replace(self, probe=self.probe.tracks(rows), gallery=self.gallery.tracks(columns))
+        return changed, lambda scores: scores[np.ix_(rows, columns)]
+
+    def in_other_frames(self) -> tuple[LinkageCase, Callable[[Floats], Floats]]:
+        """Return the case with every walk of all four releases in yet another frame and clock."""
+        rng = draws("linkage", "other frames")
+        changed = made.of_each(self, lambda release: _moved(release, rng, together=False))
+        return changed, lambda scores: scores
+
+    @staticmethod
+    def ordinary_and_another(granted: frozenset[Knowledge]) -> tuple[LinkageCase, LinkageCase]:
+        """Return a small case as most are, with P < G, and one of others under its pseudonyms."""
+        sizes = PEOPLE[:7], PEOPLE[:9], OTHERS
+        about, scene = "P = 7, G = 9, noise of 0.3 m", Knowledge.SCENE in granted
+        case = made_up("ordinary", about=about, sizes=sizes, scene=scene)
+        other = made_up("another", about=f"{about}, of others", sizes=sizes, scene=scene)
+        return case, replace(
+            other,
+            probe=replace(other.probe, pseudonym=case.probe.pseudonym),
+            gallery=replace(other.gallery, pseudonym=case.gallery.pseudonym),
+            train=case.train,
+        )
+
+    @staticmethod
+    def noisy(sigma_m: float, law: ErrorLaw, *, scene: bool) -> LinkageCase:
+        """Return the same 24 people against each other, with the same errors times `sigma_m`."""
+        about = f"{N_PEOPLE} people, {law} noise of {sigma_m:g} m"
+        return made_up("noisy", about=about, sigma_m=sigma_m, law=law, scene=scene)
+
+    @classmethod
+    def null(cls, *, scene: bool) -> LinkageCase:
+        """Return probes of people who are not in the gallery, with mates drawn one by one."""
+        strangers = made_up("strangers", about="", sigma_m=RAW_SIGMA_M, scene=scene)
+        return replace(
+            cls.noisy(RAW_SIGMA_M, "radial", scene=scene),
+            about=f"{N_PEOPLE} probes of people who are not among the {N_PEOPLE} of the gallery",
+            gallery=strangers.gallery,
+            mate=draws("linkage", "strangers", "mate").integers(0, N_PEOPLE, N_PEOPLE),
+        )
+
+    @staticmethod
+    def odd(*, scene: bool) -> Iterator[LinkageCase]:
+        """Yield one probe or candidate, tracks of one to three samples, and odd steps."""
+        for sizes in ODD:
+            probes, candidates, _ = (", ".join(map(str, of_side)) for of_side in sizes)
+            about = f"probes of {probes} samples against {candidates}"
+            yield made_up("short", about=about, sizes=sizes, scene=scene)
+        about, sizes = "steps from 1 ms to 30 s", ((60,) * 6, (60,) * 8, (60,) * 12)
+        steps_s = made.IRREGULAR_S
+        yield made_up("irregular", about=about, sizes=sizes, scene=scene, steps_s=steps_s)
+
+
+@cache
+def made_up(
+    name: str,
+    *,
+    about: str,
+    sizes: tuple[tuple[int, ...], ...] = (PEOPLE, PEOPLE, OTHERS),
+    sigma_m: float = 0.3,
+    scene: bool,
+    law: ErrorLaw = "radial",
+    steps_s: tuple[float, float] = made.STEADY_S,
+) -> LinkageCase:
+    """Return people who differ in speed, in how evenly they walk and in how they turn.
+
+    People, sampling instants, frames and unit errors depend on `name` and sizes alone, so that two
+    noise levels, of `RAW_SIGMA_M` or more, differ in nothing else. `sizes` are the samples of each
+    track of probe and gallery, which are the same people, and of either release of the training
+    set, which is other people.
+    """
+    mechanism = Fixed(d_sigma=sigma_m - RAW_SIGMA_M, law=law)
+
+    def release(
+        name: tuple[str, ...], people: list[made.Person], sizes: tuple[int, ...]
+    ) -> Release:
+        walks = []
+        for row, size in enumerate(sizes):
+            elapsed = made.instants(draws(*name, row), size, steps_s)
+            t = GAP_S + elapsed if scene and name[-1] == "gallery" else elapsed - elapsed[-1]
+            walks.append((t, people[row](t)))
+        # One motion for all that is in one frame, or one for every walk.
+        frames = draws(*(name[:-1] if scene else name), "frames")
+        return _moved(made.shared(walks, name, mechanism=mechanism), frames, together=scene)
+
+    def pair(who: str, *sizes: tuple[int, ...]) -> LinkageTrainingSet:
+        name_of = ("linkage", name, who)
+        rng = draws(*name_of, "people")
+        speeds = rng.permutation(np.linspace(*made.SPEEDS_MPS, max(map(len, sizes))))
+        people = [made.person(float(speed_mps), rng) for speed_mps in speeds]
+        probe = release((*name_of, "probe"), people, sizes[0])
+        gallery = release((*name_of, "gallery"), people, sizes[1])
+        # In an order of its own, lest a place in the list tell who is who.
+        order = draws(*name_of, "order").permutation(len(gallery))
+        mate = np.concatenate([np.argsort(order), np.full(len(probe), -1)])[: len(probe)]
+        return LinkageTrainingSet(probe, gallery.tracks(order), mate)
+
+    victims = pair("victims", *sizes[:2])
+    hidden = OF_WALKS if scene else OF_WALKS | {Knowledge.SCENE}
+    return LinkageCase(
+        about=about + (", in one frame" if scene else ""),
+        probe=victims.probe,
+        gallery=victims.gallery,
+        mate=victims.mate,
+        mechanism=mechanism,
+        train=pair("others", sizes[2], sizes[2]),
+        everything=frozenset(Knowledge) - hidden,
+    )
+
+
+def _moved(release: Release, rng: np.random.Generator, *, together: bool) -> Release:
+    """Return a release with one motion for all its walks, or with one for each."""
+    low = 0.0, -_FARTHEST_M, -_FARTHEST_M, 0.0
+    high = 2.0 * np.pi, _FARTHEST_M, _FARTHEST_M, _LATEST_S
+    n_samples = [release.t.size] if together else np.diff(release.offsets)
+    drawn = np.repeat(rng.uniform(low, high, (len(n_samples), 4)), n_samples, axis=0)
+    return made.moved(release, (drawn[:, 0], drawn[:, 1:3], drawn[:, 3]))
