@@ -11,7 +11,7 @@ from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
 from isac_track.errors import IsacTrackError, SettingsError
@@ -184,8 +184,6 @@ def _reject_taken(name: str, *, class_name: str, folder: Path, noun: str) -> Non
     """Raise SettingsError for a name that would clash with something or cannot be imported."""
     from isac_track import plugins  # noqa: PLC0415 - `--help` stays quick
 
-    kinds: dict[str, plugins.Kind] = {"mechanism": "mechanisms", "predictor": "predictors"}
-
     wrong, way_out = "", "take another name"
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         wrong, way_out = "must be a lower-case Python identifier, as my_attack is", ""
@@ -198,7 +196,7 @@ def _reject_taken(name: str, *, class_name: str, folder: Path, noun: str) -> Non
         wrong = f"would call its class {class_name}, which is taken"
     elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise SettingsError(f"{folder} is there already; take another name, or --into DIR")
-    elif name in plugins.names(kinds.get(noun, "attacks")):
+    elif name in plugins.names(cast("plugins.Kind", f"{noun}s")):
         wrong = f"is the name of a{'n' * (noun == 'attack')} {noun} already"
     # A folder without a module, such as an empty one of that name, is in nobody's way.
     elif name in sys.stdlib_module_names or getattr(find_spec(name), "origin", None) is not None:

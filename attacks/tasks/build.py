@@ -17,14 +17,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.random import Generator
 
-from attacks.tasks.circumstances import circumstances
-from attacks.tasks.sessions import N_FOLDS, Sessions, Windows, halves, joined, roles
+from attacks.tasks.sessions import N_FOLDS, Sessions, Windows, circumstances, halves, joined, roles
 from attacks.tasks.task_list import TASKS, Task, task_named
 from isac_track.datasets import load, summarise
 from isac_track.errors import DataError, SettingsError
 from isac_track.resample import sampling_times, walk
 from isac_track.rng import stream
-from isac_track.types import Bools, Floats, Ints, Tracks
+from isac_track.types import Bools, Floats, Ints, Tracks, end_to_end, runs_of
 
 if TYPE_CHECKING:
     from isac_track.config import StageSettings
@@ -102,18 +101,18 @@ class Draft:
         """
         start_s = np.maximum(start_s, self.start_s[rows])
         end_s = np.minimum(end_s, self.end_s[rows])
-        t_parts, xy_parts = [], []
+        t, xy = [], []
         for row, start, end, key in zip(
             rows.tolist(), start_s, end_s.tolist(), keys or [""] * rows.size, strict=True
         ):
             rng = self.rng("sampling", side, self.tracks.source[row], key)
-            t = sampling_times(start_s=start, end_s=end, settings=self.settings.resample, rng=rng)
-            t_parts.append(t)
-            xy_parts.append(_walk(self.tracks, row)(t))
+            resample = self.settings.resample
+            t.append(sampling_times(start_s=start, end_s=end, settings=resample, rng=rng))
+            xy.append(_walk(self.tracks, row)(t[-1]))
         return Windows(
-            t=np.concatenate(t_parts),
-            xy=np.concatenate(xy_parts),
-            offsets=np.concatenate([[0], np.cumsum([part.size for part in t_parts])]),
+            t=np.concatenate(t),
+            xy=np.concatenate(xy),
+            offsets=np.cumsum([0, *map(len, t)]),
             person=person,
             search=search,
         )
@@ -178,11 +177,11 @@ def split(draft: Draft) -> Sessions:
 
 def new_traversal(draft: Draft) -> Sessions:
     """Return a window of each person's walk in either session of a crowd."""
+    return _closed(draft, draft.settings.linkage.window_s, _anywhere)
 
-    def starts_s(first_s: Floats, slack_s: Floats, rng: Generator) -> Floats:
-        return np.asarray(first_s + rng.uniform(0.0, slack_s))
 
-    return _closed(draft, draft.settings.linkage.window_s, starts_s)
+def _anywhere(first_s: Floats, slack_s: Floats, rng: Generator) -> Floats:
+    return np.asarray(first_s + rng.uniform(0.0, slack_s))
 
 
 def cross_session(draft: Draft) -> Sessions:
@@ -206,11 +205,7 @@ def cross_session(draft: Draft) -> Sessions:
     draft.need_people(len(names), f"people walk for {needed_s:g} s in two sessions")
     rows = [np.array([day[name] for name in names]) for day in days]
     first, second = (_named(tracks, of_day, names) for of_day in rows)
-
-    def starts_s(first_s: Floats, slack_s: Floats, rng: Generator) -> Floats:
-        return np.asarray(first_s + rng.uniform(0.0, slack_s))
-
-    found = _closed(replace(draft, tracks=first, later=second), needed_s, starts_s)
+    found = _closed(replace(draft, tracks=first, later=second), needed_s, _anywhere)
     place = np.array([names.index(name) for name in found.source])
     probe, gallery = (
         replace(side, about=circumstances(tracks, of_day[place[side.person]], side))
@@ -221,14 +216,10 @@ def cross_session(draft: Draft) -> Sessions:
 
 def _named(tracks: Tracks, rows: Ints, names: Sequence[str]) -> Tracks:
     """Return some tracks, called by other names."""
-    parts = [slice(*tracks.offsets[row : row + 2]) for row in rows.tolist()]
-    return Tracks(
-        t=np.concatenate([tracks.t[part] for part in parts]),
-        xy=np.concatenate([tracks.xy[part] for part in parts]),
-        offsets=np.concatenate([[0], np.cumsum([part.stop - part.start for part in parts])]),
-        source=tuple(names),
-        group=tuple(tracks.group[row] for row in rows),
-    )
+    runs, offsets = runs_of(tracks.offsets, rows)
+    t, xy = end_to_end(tracks.t, runs), end_to_end(tracks.xy, runs)
+    group = tuple(tracks.group[row] for row in rows)
+    return Tracks(t, xy, offsets, source=tuple(names), group=group)
 
 
 def _closed(

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 import numpy as np
 from numpy.random import Generator
 
-from attacks.tasks.circumstances import COLUMNS
+from attacks.tasks.sessions import COLUMNS
 from isac_track.sensing import intervals_before
 from isac_track.types import Floats, Ints, Release
 

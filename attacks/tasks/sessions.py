@@ -6,14 +6,14 @@ the adversary or calibrates it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.random import Generator
 
-from isac_track.types import Bools, Floats, Ints, read_only
+from isac_track.types import Bools, Floats, Ints, Tracks, read_only
 
 if TYPE_CHECKING:
     from attacks.tasks.task_list import Task
@@ -21,6 +21,14 @@ if TYPE_CHECKING:
 N_FOLDS = 2
 CALIBRATING_SHARE = 1 / 3
 """Of the people to learn from, who are kept apart for the calibration of scores."""
+COLUMNS: Final[Mapping[str, tuple[int, ...]]] = {
+    "queue_place": (0, 1),
+    "walking_direction": (2,),
+    "run_density": (3,),
+    "run_time": (4,),
+    "walk_length": (5,),
+}
+"""What is not the person, but the run: columns of `circumstances`, by control."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -124,3 +132,34 @@ def roles(group: tuple[str, ...], *, may_teach: Bools, rng: Generator) -> tuple[
         few = min(max(round(CALIBRATING_SHARE * clusters.size), 1), clusters.size - 1)
         calibrates[fold] = teachers & np.isin(cluster, clusters[: max(few, 0)])
     return may_teach & ~calibrates, calibrates
+
+
+def circumstances(tracks: Tracks, rows: Ints, windows: Windows) -> Floats:
+    """Return what goes with each window beside its person, (N, 6).
+
+    Of the tracks that they are cut from, `rows`, (N,): the place in the queue when the session
+    begins, on a circle (cosine and sine of the rank by bearing from its middle); which way round
+    that middle one walks, -1 to 1; how many people are there; when it is, s from the session's
+    start; and how long the whole track lasts, s.
+    """
+    assert tracks.session is not None
+    session = np.array(tracks.session)
+    first, last = tracks.offsets[:-1], tracks.offsets[1:] - 1
+    found = np.empty((rows.size, 6))
+    for n, row in enumerate(rows.tolist()):
+        of_run = np.flatnonzero(session == session[row])
+        middle_m = tracks.xy[first[of_run[0]] : last[of_run[-1]] + 1].mean(axis=0)
+        bearing = np.arctan2(*(tracks.xy[first[of_run]] - middle_m).T)
+        turn = 2.0 * np.pi * float((bearing < bearing[of_run == row]).mean())
+        t, walk = windows.t[slice(*windows.offsets[n : n + 2])], slice(first[row], last[row] + 1)
+        x, y = (np.interp(t, tracks.t[walk], tracks.xy[walk, axis]) for axis in (0, 1))
+        out, step = (x + 1j * y - complex(*middle_m))[:-1], np.diff(x + 1j * y)
+        there = (tracks.t[first[of_run]] <= t.mean()) & (tracks.t[last[of_run]] >= t.mean())
+        found[n] = (
+            *(np.cos(turn), np.sin(turn)),
+            (out.conj() * step).imag.sum() / max(float(np.abs(out * step).sum()), 1e-9),
+            there.sum(),
+            t.mean() - tracks.t[first[of_run]].min(),
+            tracks.t[last[row]] - tracks.t[first[row]],
+        )
+    return found

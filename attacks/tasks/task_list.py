@@ -9,13 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from isac_track.errors import SettingsError, did_you_mean
 from isac_track.protocols import OF_WALKS
-
-if TYPE_CHECKING:
-    from isac_track.types import Knowledge
+from isac_track.types import Knowledge
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,15 +42,11 @@ class Task:
     @property
     def everyone(self) -> frozenset[Knowledge]:
         """What every adversary is granted."""
-        from isac_track.types import Knowledge  # noqa: PLC0415 - a list of names needs no numpy
-
         return frozenset({Knowledge.SCENE} if self.shows_scene else ())
 
     @property
     def nobody(self) -> frozenset[Knowledge]:
         """What no adversary is granted: it would turn the task into another one."""
-        from isac_track.types import Knowledge  # noqa: PLC0415 - as above
-
         return (OF_WALKS | {Knowledge.SCENE}) - self.everyone
 
 

@@ -21,9 +21,10 @@ a check never flickers.
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, cast
 from unittest import SkipTest
 
+from attacks.tasks.task_list import TASKS
 from attacks.testing import _checks, _plugin_checks
 from attacks.testing._checks import Attack, Row
 from attacks.testing._linkage_cases import LinkageCase
@@ -31,7 +32,7 @@ from attacks.testing._reconstruction_cases import ReconstructionCase
 from attacks.testing._releases import copied
 from isac_track import plugins
 from isac_track.errors import PluginError, SettingsError
-from isac_track.protocols import ADVERSARIES, OF_WALKS, Mechanism, Predictor, grants, kind_of
+from isac_track.protocols import ADVERSARIES, Mechanism, Predictor, grants, kind_of
 from isac_track.testing import engine
 from isac_track.testing.engine import Check
 from isac_track.testing.engine import Outcome as CheckResult
@@ -90,14 +91,16 @@ def _granted(attack: Attack) -> dict[frozenset[Knowledge], str]:
     What a linkage attack is granted depends on the task: some show the scene to everyone, the
     others to nobody, and none gives REPEATS. It makes the rows of both sorts, each once.
     """
-    tasks = [grants(attack)]
-    if kind_of(attack) == "linkage":
-        scene, repeats = frozenset({Knowledge.SCENE}), OF_WALKS
-        shown = grants(attack, everyone=scene, nobody=repeats)
-        tasks = [grants(attack, nobody=repeats | scene), shown]
+    is_linkage = kind_of(attack) == "linkage"
+    tasks = (
+        [(task.everyone, task.nobody) for task in TASKS.values()]
+        if is_linkage
+        else [(frozenset(), frozenset())]
+    )
     made: dict[frozenset[Knowledge], str] = {}
-    for rows in tasks:
-        made |= {granted: who for who, granted in rows.items() if granted not in made}
+    for everyone, nobody in tasks:
+        for adversary, granted in grants(attack, everyone=everyone, nobody=nobody).items():
+            made.setdefault(granted, adversary)
     if not made:
         name, why = type(attack).__name__, "the repeats of a walk would be linked already"
         raise PluginError(
@@ -121,16 +124,12 @@ MECHANISM_CHECKS = _kit(engine.by_name(*_plugin_checks.MECHANISM))
 PREDICTOR_CHECKS = _kit(engine.by_name(*_plugin_checks.PREDICTOR))
 
 
-_METHODS: dict[str, tuple[Noun, plugins.Kind]] = {
-    "fit": ("attack", "attacks"),
-    "share": ("mechanism", "mechanisms"),
-    "predict": ("predictor", "predictors"),
-}
+_NOUNS: dict[str, Noun] = {"fit": "attack", "share": "mechanism", "predict": "predictor"}
 
 
 def noun_of(subject: object) -> Noun:
     """Return what somebody's object is, by its method; an attack if nothing says otherwise."""
-    return next((noun for name, (noun, _) in _METHODS.items() if hasattr(subject, name)), "attack")
+    return next((noun for method, noun in _NOUNS.items() if hasattr(subject, method)), "attack")
 
 
 def checks_for(subject: Any) -> dict[str, Check]:  # noqa: ANN401 - a stranger's
@@ -141,7 +140,7 @@ def checks_for(subject: Any) -> dict[str, Check]:  # noqa: ANN401 - a stranger's
     noun = noun_of(subject)
     if isinstance(subject, type):
         raise PluginError(f"expected an object, got its class: write {subject.__name__}()")
-    kind, name = dict(_METHODS.values())[noun], f"{noun} {type(subject).__name__}"
+    kind, name = cast("plugins.Kind", f"{noun}s"), f"{noun} {type(subject).__name__}"
     plugins.check_class(kind, type(subject), name)
     plugins.check_declared(kind, subject, name)
     if noun != "attack":

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from helpers.walks import flat_release, release_of
 
-from attacks.tasks.circumstances import COLUMNS
 from attacks.tasks.controls import CONTROLS
+from attacks.tasks.sessions import COLUMNS
 from attacks.tasks.task_list import TASKS
 from isac_track.linkability import Search, permutation_p
 

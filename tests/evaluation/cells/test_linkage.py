@@ -18,8 +18,8 @@ from helpers.walkers import runs, walkers, write_walkers
 from scipy.stats import binomtest
 
 import evaluation
-from attacks.tasks.circumstances import COLUMNS
 from attacks.tasks.controls import CONTROLS
+from attacks.tasks.sessions import COLUMNS
 from attacks.tasks.task_list import TASKS
 from evaluation import matrix
 from evaluation.analysis import linkability
