@@ -19,20 +19,28 @@ a check never flickers.
 """
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, Literal, TypeAlias, cast
 from unittest import SkipTest
 
 from attacks.tasks.task_list import TASKS
 from attacks.testing import _checks, _plugin_checks
-from attacks.testing._checks import Attack, Row
+from attacks.testing._checks import Row
 from attacks.testing._linkage_cases import LinkageCase
 from attacks.testing._reconstruction_cases import ReconstructionCase
 from attacks.testing._releases import copied
 from isac_track import plugins
 from isac_track.errors import PluginError, SettingsError
-from isac_track.protocols import ADVERSARIES, Mechanism, Predictor, grants, kind_of
+from isac_track.protocols import (
+    ADVERSARIES,
+    LinkageAttack,
+    Mechanism,
+    Predictor,
+    ReconstructionAttack,
+    grants,
+    kind_of,
+)
 from isac_track.testing import engine
 from isac_track.testing.engine import Check
 from isac_track.testing.engine import Outcome as CheckResult
@@ -53,13 +61,14 @@ __all__ = [
 ]
 
 Noun: TypeAlias = Literal["attack", "mechanism", "predictor"]
+Attack: TypeAlias = "ReconstructionAttack | LinkageAttack"
 Subject: TypeAlias = "Attack | Mechanism | Predictor"
 
 
-def _in_every_row(body: Callable[[Row], None], attack: Attack) -> None:
-    """Hold the body of a check against every row of an attack, or those that it applies to."""
+def _in_every_row(body: engine.Body, subject: Subject) -> None:
+    """Hold the body of a check against every row of a plug-in, or those that it applies to."""
     exempt, applied = SkipTest("no row"), False
-    for row in _rows(attack):
+    for row in _rows(subject):
         try:
             body(row)
             applied = True
@@ -69,15 +78,15 @@ def _in_every_row(body: Callable[[Row], None], attack: Attack) -> None:
         raise exempt
 
 
-def _rows(attack: Attack) -> Iterator[Row]:
-    """Yield the rows of an attack, weakest adversary first, as all checks but one run them.
+def _rows(subject: Any) -> Iterator[Row]:  # noqa: ANN401 - a stranger's
+    """Yield the rows of a plug-in, weakest adversary first, as all checks but one run them.
 
-    An attack that touches what it was not granted fails the check about that. In all others it
-    is given everything, or that one mistake would fail them all and hide the next one.
+    One that touches what it was not granted fails the check about that. In all others it is given
+    everything, or that one mistake would fail them all and hide the next one.
     """
-    world = LinkageCase if kind_of(attack) == "linkage" else ReconstructionCase
-    for granted, adversary in _granted(attack).items():
-        row = Row(attack, adversary, granted, granted, *world.ordinary_and_another(granted))
+    world, _ = _KITS[_kind(subject)]
+    for granted, adversary in _granted(subject).items():
+        row = Row(subject, adversary, granted, granted, *world.ordinary_and_another(granted))
         try:
             row.raw(copied(row.ordinary))
         except AssertionError:
@@ -85,51 +94,61 @@ def _rows(attack: Attack) -> Iterator[Row]:
         yield row
 
 
-def _granted(attack: Attack) -> dict[frozenset[Knowledge], str]:
-    """Return the adversary of every row that an attack makes here, by what it is granted.
+def _granted(subject: Any) -> dict[frozenset[Knowledge], str]:  # noqa: ANN401 - a stranger's
+    """Return the adversary of every row that a plug-in makes here, by what it is granted.
 
     What a linkage attack is granted depends on the task: some show the scene to everyone, the
-    others to nobody, and none gives REPEATS. It makes the rows of both sorts, each once.
+    others to nobody, and none gives REPEATS. It makes the rows of both sorts, each once. Another
+    plug-in makes one row, of no adversary.
     """
-    is_linkage = kind_of(attack) == "linkage"
-    tasks = (
-        [(task.everyone, task.nobody) for task in TASKS.values()]
-        if is_linkage
-        else [(frozenset(), frozenset())]
-    )
+    kind, everyday = _kind(subject), (frozenset[Knowledge](), frozenset[Knowledge]())
+    if noun_of(subject) != "attack":
+        return {getattr(subject, "requires", everyday[0]): ""}
+    tasks = [(task.everyone, task.nobody) for task in TASKS.values()]
     made: dict[frozenset[Knowledge], str] = {}
-    for everyone, nobody in tasks:
-        for adversary, granted in grants(attack, everyone=everyone, nobody=nobody).items():
+    for everyone, nobody in tasks if kind == "linkage" else [everyday]:
+        for adversary, granted in grants(subject, everyone=everyone, nobody=nobody).items():
             made.setdefault(granted, adversary)
     if not made:
-        name, why = type(attack).__name__, "the repeats of a walk would be linked already"
+        name, why = type(subject).__name__, "the repeats of a walk would be linked already"
         raise PluginError(
             f"attack {name} requires REPEATS, which nobody who links is granted: {why}"
         )
     return made
 
 
-def _kit(bodies: Mapping[str, Callable[[Any], None]], *, by_row: bool = False) -> dict[str, Check]:
+def _kit(bodies: Mapping[str, engine.Body]) -> dict[str, Check]:
     return {
-        name: Check(name, engine.statement_of(one), partial(_in_every_row, one) if by_row else one)
+        name: Check(name, engine.statement_of(one), partial(_in_every_row, one))
         for name, one in bodies.items()
     }
 
 
 # All checks of each kind by name, in the order in which they run
 
-CHECKS = _kit(_checks.RECONSTRUCTION, by_row=True)
-LINKAGE_CHECKS = _kit(_checks.LINKAGE, by_row=True)
-MECHANISM_CHECKS = _kit(engine.by_name(*_plugin_checks.MECHANISM))
-PREDICTOR_CHECKS = _kit(engine.by_name(*_plugin_checks.PREDICTOR))
+CHECKS = _kit(_checks.RECONSTRUCTION)
+LINKAGE_CHECKS = _kit(_checks.LINKAGE)
+MECHANISM_CHECKS = _kit(_plugin_checks.MECHANISM)
+PREDICTOR_CHECKS = _kit(_plugin_checks.PREDICTOR)
 
-
+_KITS: dict[str, tuple[Any, dict[str, Check]]] = {
+    "reconstruction": (ReconstructionCase, CHECKS),
+    "linkage": (LinkageCase, LINKAGE_CHECKS),
+    "mechanism": (_plugin_checks.MechanismCase, MECHANISM_CHECKS),
+    "predictor": (_plugin_checks.PredictorCase, PREDICTOR_CHECKS),
+}
+"""What makes up the cases of each kind of plug-in, and what holds for it."""
 _NOUNS: dict[str, Noun] = {"fit": "attack", "share": "mechanism", "predict": "predictor"}
 
 
 def noun_of(subject: object) -> Noun:
     """Return what somebody's object is, by its method; an attack if nothing says otherwise."""
     return next((noun for method, noun in _NOUNS.items() if hasattr(subject, method)), "attack")
+
+
+def _kind(subject: object) -> str:
+    noun = noun_of(subject)
+    return kind_of(subject) if noun == "attack" else noun
 
 
 def checks_for(subject: Any) -> dict[str, Check]:  # noqa: ANN401 - a stranger's
@@ -143,10 +162,8 @@ def checks_for(subject: Any) -> dict[str, Check]:  # noqa: ANN401 - a stranger's
     kind, name = cast("plugins.Kind", f"{noun}s"), f"{noun} {type(subject).__name__}"
     plugins.check_class(kind, type(subject), name)
     plugins.check_declared(kind, subject, name)
-    if noun != "attack":
-        return MECHANISM_CHECKS if noun == "mechanism" else PREDICTOR_CHECKS
     _granted(subject)
-    return LINKAGE_CHECKS if kind_of(subject) == "linkage" else CHECKS
+    return _KITS[_kind(subject)][1]
 
 
 def adversaries_of(attack: Attack) -> tuple[str, ...]:
@@ -164,8 +181,8 @@ def run_checks(subject: Subject, *, names: Sequence[str] | None = None) -> tuple
 
     Raises as `checks_for`, and SettingsError for a check that does not exist.
     """
-    checks, noun = checks_for(subject), noun_of(subject)
-    kit = f" of a {kind_of(subject)} attack" if noun == "attack" else f" of a {noun}"
+    checks, attack = checks_for(subject), " attack" * (noun_of(subject) == "attack")
+    kit = f" of a {_kind(subject)}{attack}"
     known = f"known: {', '.join(checks)}"
     return tuple(engine.outcomes(engine.select(checks, names, kit=kit, known=known), subject))
 

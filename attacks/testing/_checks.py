@@ -1,12 +1,11 @@
-"""An attack as each adversary runs it, and what holds for every attack: each property once.
+"""What holds for plug-ins of several kinds, each property once, and an attack as it is run.
 
-What the two kinds differ in is in the classes of their cases: how an answer is read, compared and
-scored, and what is made up to ask for one.
+What the kinds differ in is in the classes of their cases: how a plug-in is called, how an answer is
+read, compared and scored, and what is made up to ask for one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, NoReturn, TypeAlias
@@ -15,20 +14,14 @@ from unittest import SkipTest
 import numpy as np
 from scipy.special import bdtrc
 
-from attacks.testing._releases import EPSILON_M, RAW_SIGMA_M, changed_by, copied, of_each, renamed
-from isac_track.protocols import (
-    AttackContext,
-    LinkageAttack,
-    LinkageTrainingSet,
-    ReconstructionAttack,
-)
+from attacks.testing._releases import RAW_SIGMA_M, changed_by, copied, of_each, renamed
+from isac_track.protocols import LinkageTrainingSet
 from isac_track.rng import stream
-from isac_track.testing.engine import by_name, call
+from isac_track.testing.engine import Body, by_name, call
 from isac_track.types import Floats, Ints, Knowledge, Release
 
-Attack: TypeAlias = "ReconstructionAttack | LinkageAttack"
 Case: TypeAlias = Any
-"""`_reconstruction_cases.ReconstructionCase` or `_linkage_cases.LinkageCase`."""
+"""One of those of `_reconstruction_cases`, `_linkage_cases` or `_plugin_checks`."""
 
 SAME = 1e-6  # Room for rounding: m, or a share of the spread of the scores.
 SAME_FRAME = 1e-5  # The same after a motion by some hundred metres and seconds.
@@ -41,19 +34,20 @@ STANDARD_ERRORS = 2.5  # One-sided 99 % for 24 people (Student's t).
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Row:
-    """An attack as one adversary runs it."""
+    """An attack as one adversary runs it, or another plug-in as it runs."""
 
-    attack: Attack
-    adversary: str
-    granted: frozenset[Knowledge]  # What the adversary grants it.
+    subject: Any
+    adversary: str  # Empty: a mechanism or a predictor.
+    granted: frozenset[Knowledge]  # What the adversary grants it, or a predictor requires.
     given: frozenset[Knowledge]
     """What it is given here: all there is, if it cannot keep to what it was granted."""
     ordinary: Case  # For checks that compare two runs.
-    another: Case  # What the function from `fit` may be asked after the ordinary case.
+    another: Case  # What it may be asked after the ordinary case.
 
     def __str__(self) -> str:
         knows = ", ".join(sorted(one.name for one in self.granted)) or "nothing"
-        return f"{type(self.attack).__name__} as {self.adversary} (granted {knows})"
+        row = f" as {self.adversary} (granted {knows})" if self.adversary else ""
+        return f"{type(self.subject).__name__}{row}"
 
     @property
     def scene(self) -> bool:
@@ -69,13 +63,19 @@ class Row:
         raise AssertionError(f"{self}, {case.about}: {what}")
 
     def answer(self, case: Case, *, seed: int = 0) -> Floats:
-        """Return what the attack makes of a case, given copies of all arrays."""
+        """Return as an array what the plug-in makes of a case, given copies of all arrays."""
         return self.answers(case, seed=seed)[0]
 
     def answers(self, *cases: Case, seed: int = 0) -> list[Floats]:
-        """Return what one call of `fit`, which is for the first case, makes of several in turn."""
+        """Return the answers to several cases in turn, after preparation for the first."""
         results = self.raw(*map(copied, cases), seed=seed)
         return [self.read(case, result) for case, result in zip(cases, results, strict=True)]
+
+    def result(self, case: Case, *, seed: int = 0) -> Any:  # noqa: ANN401 - as the contract says
+        """Return what the plug-in makes of a case, if it can be read."""
+        (result,) = self.raw(copied(case), seed=seed)
+        self.read(case, result)
+        return result
 
     def read(self, case: Case, result: object) -> Floats:
         """Return a result as an array, or fail the check."""
@@ -86,28 +86,18 @@ class Row:
         return answer
 
     def raw(self, *cases: Case, seed: int = 0) -> list[object]:
-        """Return whatever the attack returns for each case, given what it is and no more.
+        """Return whatever the plug-in returns for each case, given what it is and no more.
 
-        The context is that of the first case. Whatever the attack raises becomes an
-        AssertionError with the line that did.
+        It is prepared for the first case. Whatever it raises becomes an AssertionError with the
+        line that did.
         """
         if Knowledge.SIGMA not in self.given:
             cases = tuple(of_each(case, Release.without_sigma) for case in cases)
-        first = cases[0]
-        context = AttackContext(
-            rng=stream(seed, "attacks", "testing", "attack"),
-            epsilon_m=EPSILON_M,
-            granted=self.given,
-            mechanism=first.mechanism,
-            train=first.train,
-            repeats=first.repeats,
-            anchor=first.anchor,
-            companions=first.companions,
-        )
-        who, asked = f"{self}, {first.about}:", " and ".join(first.asked)
-        fitted = call(self.attack.fit, context, who=f"{who} fit(context)")
-        who = f"{who} the function from fit, asked for {asked},"
-        return [call(fitted, *(getattr(one, name) for name in one.asked), who=who) for one in cases]
+        who, asked = f"{self}, {cases[0].about}:", cases[0].asked
+        rng = stream(seed, "attacks", "testing", "attack")
+        run = cases[0].prepared(self.subject, self.given, rng, who)
+        who = f"{who} asked for {' and '.join(asked)}, it"
+        return [call(run, *(getattr(one, name) for name in asked), who=who) for one in cases]
 
     def expect_same(
         self, got: Floats, expected: Floats, *, what: str, hint: str, tolerance: float = SAME
@@ -121,19 +111,19 @@ class Row:
         plain = self.answer(case)
         chance = _rms(case.gaps(plain, self.answer(case, seed=1), plain))
         gaps = case.gaps(got, expected, plain)
-        gap = _rms(gaps) if chance > 0 else float(gaps.max())
-        if gap > tolerance + SPREADS * chance:
-            drawn = f" (two seeds differ by {chance:.3g}{case.unit})" if chance > 0 else ""
+        gap = np.where(chance > 0, _rms(gaps), gaps.max(axis=-1))
+        if (gap > tolerance + SPREADS * chance).any():
+            drawn = f" (two seeds differ by {chance.max():.3g}{case.unit})" * bool(chance.any())
             self.fail(
                 case,
-                f"{what}: {case.compared} differ by {gap:.3g}{case.unit}, expected at most "
+                f"{what}: {case.compared} differ by {gap.max():.3g}{case.unit}, expected at most "
                 f"{tolerance:g}{case.unit}{drawn}; {hint}",
             )
 
 
-def _rms(gaps: Floats) -> float:
-    """Return the root of the mean square of the gaps of one sort, the largest of all sorts."""
-    return float(np.sqrt(np.mean(gaps**2, axis=-1)).max())
+def _rms(gaps: Floats) -> Floats:
+    """Return the root of the mean square of the gaps of each sort."""
+    return np.asarray(np.sqrt(np.mean(gaps**2, axis=-1)))
 
 
 # The checks; each is held against every row that an attack makes
@@ -141,14 +131,13 @@ def _rms(gaps: Floats) -> float:
 
 def result_is_right(row: Row) -> None:
     """What comes back is of the type and shape that the contract says, and finite."""
-    (result,) = row.raw(copied(row.ordinary))
-    row.read(row.ordinary, result)
-    if wrong := row.ordinary.wrong_type(result):
-        row.fail(row.ordinary, wrong)
+    for case in (row.ordinary, row.another):
+        if wrong := case.fault(row.result(case)):
+            row.fail(case, wrong)
 
 
 def same_seed_same_result(row: Row) -> None:
-    """Two runs with the same context.rng agree to the last bit."""
+    """Two runs with the same random stream agree to the last bit."""
     case = row.ordinary
     first, second = row.answer(case), row.answer(case)
     if first.tobytes() != second.tobytes():
@@ -156,13 +145,13 @@ def same_seed_same_result(row: Row) -> None:
         row.fail(
             case,
             f"two runs with one seed differ in {np.count_nonzero(changed)} of {changed.size} "
-            f"{case.compared}; draw from context.rng alone, and keep nothing between two calls of "
-            "fit",
+            f"{case.compared}; draw from the rng that is given and from nothing else, and keep "
+            "nothing from run to run",
         )
 
 
 def inputs_are_not_mutated(row: Row) -> None:
-    """What an attack is given, context and releases, is left as it came."""
+    """What a plug-in is given, an attack's context too, is left as it came."""
     case = row.ordinary
     changed = [
         f"context{path}" if path.startswith((".train", ".repeats")) else path.removeprefix(".")
@@ -177,7 +166,7 @@ def inputs_are_not_mutated(row: Row) -> None:
 
 
 def only_granted_knowledge_is_touched(row: Row) -> None:
-    """Given what its adversary knows and it declares, and no more, the attack runs."""
+    """Given what it declares and its adversary knows, and no more, the plug-in runs."""
     case = row.ordinary
     try:
         replace(row, given=row.granted).raw(copied(case))
@@ -192,7 +181,7 @@ def only_granted_knowledge_is_touched(row: Row) -> None:
 
 
 def order_of_tracks_does_not_matter(row: Row) -> None:
-    """Tracks in another order are answered in that order, and otherwise the same."""
+    """Tracks in another order are answered in that order, and otherwise alike."""
     changed, follow = row.ordinary.reordered()
     row.expect_same(
         row.answer(changed),
@@ -232,7 +221,7 @@ def pseudonyms_do_not_matter(row: Row) -> None:
 
 def odd_tracks_are_handled(row: Row) -> None:
     """With tracks of one to three samples and steps from 1 ms to 30 s answers stay in bounds."""
-    for case in row.ordinary.odd(scene=row.scene):
+    for case in row.ordinary.odd():
         if wrong := case.out_of_bounds(row.answer(case)):
             hint = (
                 "does a window or a fit get too few samples, or is anything divided by a time step?"
@@ -292,7 +281,7 @@ def null_stays_at_chance(row: Row) -> None:
     The truth is drawn apart from them, each part of it by itself: whatever the attack says, it is
     hit with the probability `chance` at most, independently of all others.
     """
-    case = row.ordinary.null(scene=row.scene)
+    case = row.ordinary.null()
     hits = case.hits(row.answer(case))
     found, chance = float(hits.sum()), case.chance
     # The survival function counts what exceeds its argument.
@@ -306,7 +295,7 @@ def null_stays_at_chance(row: Row) -> None:
 
 def easy_case_beats_chance(row: Row) -> None:
     """With errors of 5 cm a share of the truth is hit that chance alone would not bring."""
-    case = row.ordinary.noisy(RAW_SIGMA_M, "radial", scene=row.scene)
+    case = row.ordinary.noisy(RAW_SIGMA_M, "radial")
     hits = case.hits(row.answer(case))
     found, needed = hits.sum(), case.easy_share * hits.size
     if found < needed:
@@ -324,14 +313,14 @@ def success_falls_with_noise(row: Row) -> None:
     fall must exceed 2.5 of its standard errors over the people.
     """
     world = row.ordinary
-    levels = [world.noisy(sigma_m, "isotropic", scene=row.scene) for sigma_m in world.levels_m]
+    levels = [world.noisy(sigma_m, "isotropic") for sigma_m in world.levels_m]
     success = [case.success(row.answer(case)) for case in levels]
     for (low, high), (less, more) in zip(pairwise(success), pairwise(world.levels_m), strict=True):
         fall = low - high
         needed = STANDARD_ERRORS * float(fall.std(ddof=1) / np.sqrt(fall.size))
         if not fall.mean() > needed:
             row.fail(
-                world.noisy(more, "isotropic", scene=row.scene),
+                world.noisy(more, "isotropic"),
                 f"{world.achieved} is {low.mean():.3f} at {less:g} m of noise and "
                 f"{high.mean():.3f} at {more:g} m, expected a fall of more than {needed:.3f}; what "
                 "does the attack take the noise for?",
@@ -352,16 +341,13 @@ _REST = (
 )
 
 
-def _kit(
-    result: str, frames: str, *more: Callable[[Row], None]
-) -> dict[str, Callable[[Row], None]]:
+def _kit(result: str, frames: str, *more: Body) -> dict[str, Body]:
     """Return the checks of a kind by name, as they run; two have other names for each kind."""
-    then = (pseudonyms_do_not_matter, odd_tracks_are_handled, *more, *_REST)
     return {
         result: result_is_right,
         **by_name(*_FIRST),
         frames: frames_do_not_matter,
-        **by_name(*then),
+        **by_name(pseudonyms_do_not_matter, odd_tracks_are_handled, *more, *_REST),
     }
 
 

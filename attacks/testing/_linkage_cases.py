@@ -32,7 +32,7 @@ ODD = (
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class LinkageCase:
+class LinkageCase(made.Case):
     """P probes, G gallery tracks, and everything that an adversary may know besides.
 
     Where the scene is hidden, every walk of all four releases comes in a frame and on a clock of
@@ -41,10 +41,6 @@ class LinkageCase:
     """
 
     asked: ClassVar[tuple[str, ...]] = ("probe", "gallery")
-    repeats: ClassVar[None] = None
-    anchor: ClassVar[None] = None
-    companions: ClassVar[None] = None
-    """Nobody who links is granted any: the repeats of a walk would be linked already."""
     compared: ClassVar[str] = "scores"
     unit: ClassVar[str] = " of their spread"
     framed: ClassVar[str] = "every walk of either release and of the training set"
@@ -56,16 +52,19 @@ class LinkageCase:
     """Averaged over 128 samples, 10 m come to 0.9 m: of a walk of some 15 m little is left."""
     achieved: ClassVar[str] = "the mean logarithm of candidates over the rank of the mate"
 
-    about: str
     probe: Release
     gallery: Release
     mate: Ints  # (P,) gallery track of the same person, or -1. No attack is given it.
     mechanism: Fixed
     train: LinkageTrainingSet
-    everything: frozenset[Knowledge]
-    """All that there is to grant; SCENE where the true frame and clock are shown."""
+    scene: bool  # Whether the true frame and clock are shown.
 
-    def wrong_type(self, result: object) -> str:
+    @property
+    def everything(self) -> frozenset[Knowledge]:  # type: ignore[override]  # a class variable elsewhere
+        """All that there is to grant: the repeats of a walk would be linked already."""
+        return frozenset(Knowledge) - OF_WALKS - ({Knowledge.SCENE} if not self.scene else set())
+
+    def fault(self, result: object) -> str:
         """Return what is wrong with a result that can be read all the same; empty if nothing."""
         if isinstance(result, np.ndarray) and result.dtype.kind == "f":
             return ""
@@ -110,10 +109,6 @@ class LinkageCase:
         """Return the logarithm of candidates over the mate's rank, (P,)."""
         return log_rank(scores=scores, mate=self.mate)
 
-    def out_of_bounds(self, _scores: Floats) -> str:
-        """Return nothing: scores that are finite are within all bounds."""
-        return ""
-
     def reordered(self) -> tuple[LinkageCase, Callable[[Floats], Floats]]:
         """Return the ordinary case with its tracks in another order, and how scores follow."""
         rows, columns = (5, 2, 0, 3, 6, 1, 4), (4, 8, 0, 6, 2, 7, 1, 5, 3)
@@ -140,33 +135,30 @@ class LinkageCase:
             train=case.train,
         )
 
-    @staticmethod
-    def noisy(sigma_m: float, law: ErrorLaw, *, scene: bool) -> LinkageCase:
+    def noisy(self, sigma_m: float, law: ErrorLaw) -> LinkageCase:
         """Return the same 24 people against each other, with the same errors times `sigma_m`."""
         about = f"{N_PEOPLE} people, {law} noise of {sigma_m:g} m"
-        return made_up("noisy", about=about, sigma_m=sigma_m, law=law, scene=scene)
+        return made_up("noisy", about=about, sigma_m=sigma_m, law=law, scene=self.scene)
 
-    @classmethod
-    def null(cls, *, scene: bool) -> LinkageCase:
+    def null(self) -> LinkageCase:
         """Return probes of people who are not in the gallery, with mates drawn one by one."""
-        strangers = made_up("strangers", about="", sigma_m=RAW_SIGMA_M, scene=scene)
+        strangers = made_up("strangers", about="", sigma_m=RAW_SIGMA_M, scene=self.scene)
         return replace(
-            cls.noisy(RAW_SIGMA_M, "radial", scene=scene),
+            self.noisy(RAW_SIGMA_M, "radial"),
             about=f"{N_PEOPLE} probes of people who are not among the {N_PEOPLE} of the gallery",
             gallery=strangers.gallery,
             mate=draws("linkage", "strangers", "mate").integers(0, N_PEOPLE, N_PEOPLE),
         )
 
-    @staticmethod
-    def odd(*, scene: bool) -> Iterator[LinkageCase]:
+    def odd(self) -> Iterator[LinkageCase]:
         """Yield one probe or candidate, tracks of one to three samples, and odd steps."""
         for sizes in ODD:
             probes, candidates, _ = (", ".join(map(str, of_side)) for of_side in sizes)
             about = f"probes of {probes} samples against {candidates}"
-            yield made_up("short", about=about, sizes=sizes, scene=scene)
+            yield made_up("short", about=about, sizes=sizes, scene=self.scene)
         about, sizes = "steps from 1 ms to 30 s", ((60,) * 6, (60,) * 8, (60,) * 12)
-        steps_s = made.IRREGULAR_S
-        yield made_up("irregular", about=about, sizes=sizes, scene=scene, steps_s=steps_s)
+        more = {"scene": self.scene, "steps_s": made.IRREGULAR_S}
+        yield made_up("irregular", about=about, sizes=sizes, **more)
 
 
 @cache
@@ -214,7 +206,6 @@ def made_up(
         return LinkageTrainingSet(probe, gallery.tracks(order), mate)
 
     victims = pair("victims", *sizes[:2])
-    hidden = OF_WALKS if scene else OF_WALKS | {Knowledge.SCENE}
     return LinkageCase(
         about=about + (", in one frame" if scene else ""),
         probe=victims.probe,
@@ -222,7 +213,7 @@ def made_up(
         mate=victims.mate,
         mechanism=mechanism,
         train=pair("others", sizes[2], sizes[2]),
-        everything=frozenset(Knowledge) - hidden,
+        scene=scene,
     )
 
 

@@ -1,21 +1,21 @@
-"""What holds for every mechanism and for every predictor, on made-up walks."""
+"""Made-up walks as mechanisms and predictors get them, and what holds for these alone."""
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, ClassVar
 from unittest import SkipTest
 
 import numpy as np
+from numpy.random import Generator
 
+from attacks.testing import _checks as common
 from attacks.testing import _releases as made
-from attacks.testing._checks import SAME, SPREADS
-from attacks.testing._releases import changed_by
 from isac_track.protocols import knowing
-from isac_track.rng import stream
 from isac_track.sharing import Fixed
-from isac_track.testing.engine import call
+from isac_track.testing.engine import Body, by_name, call
 from isac_track.types import (
     SHARED_LIMIT_M,
     Floats,
@@ -28,10 +28,6 @@ from isac_track.types import (
     within,
 )
 
-if TYPE_CHECKING:
-    from isac_track.protocols import Mechanism, Predictor
-
-N_TRACKS = 24
 SHORT = (1, 2, 3, 40)  # Samples of the tracks of the odd cases.
 HORIZON_S, N_STEPS = 3.0, 16
 SIGMA_ERRORS, SIGMA_ROOM = 4.0, 0.02
@@ -39,98 +35,114 @@ SIGMA_ERRORS, SIGMA_ROOM = 4.0, 0.02
 this share."""
 
 
-@cache
-def _sensed(
-    sizes: tuple[int, ...] = tuple(60 + 6 * row for row in range(N_TRACKS)),
-    steps_s: tuple[float, float] = made.STEADY_S,
-) -> Sensed:
-    """Return what a mechanism is asked to share: as most are, if nothing else is said."""
-    walks = made.walks("plugin", "sensed", sizes=sizes, steps_s=steps_s)
-    return made.sensed(walks, ("plugin", *sizes))
+@dataclass(frozen=True, eq=False, slots=True)
+class MechanismCase(made.Case):
+    """What a mechanism is asked to share."""
 
+    asked: ClassVar[tuple[str, ...]] = ("sensed",)
+    everything: ClassVar[frozenset[Knowledge]] = frozenset()
+    compared: ClassVar[str] = "t, xy or sigma"
+    unit: ClassVar[str] = " s or m"
 
-def _fail(plugin: object, what: str) -> NoReturn:
-    raise AssertionError(f"{type(plugin).__name__}: {what}")
+    sensed: Sensed
 
+    def prepared(
+        self, mechanism: made.Plugin, _given: frozenset[Knowledge], rng: Generator, _who: str
+    ) -> Callable[..., object]:
+        """Return what shares, with its random stream."""
+        return lambda sensed: mechanism.share(sensed, rng)
 
-def _called(plugin: Any, method: str, expected: type, *given: object) -> Any:  # noqa: ANN401 - a stranger's
-    """Return what a method returns; what it raises, or another type, fails the check."""
-    result = call(getattr(plugin, method), *given, who=f"{type(plugin).__name__}: {method}")
-    if not isinstance(result, expected):
-        _fail(plugin, f"{method} must return a {expected.__name__}, got {type(result).__name__}")
-    return result
+    def read(self, result: object) -> Floats:
+        """Return track, t, xy and sigma, if declared, of all samples; ValueError if it cannot."""
+        if not isinstance(result, Release):
+            raise ValueError(f"share must return a Release, got {type(result).__name__}")  # noqa: TRY004 - a stranger's
+        if len(result) != len(self.sensed):
+            raise ValueError(f"of {len(self.sensed)} tracks it returned {len(result)}")
+        track = np.repeat(np.arange(len(result)), np.diff(result.offsets))
+        sigma = [] if result.sigma is None else [result.sigma]
+        return np.column_stack([track, result.t, result.xy, *sigma])
 
+    def fault(self, release: Release) -> str:
+        """Return what is wrong with a release that can be read all the same; empty if nothing."""
+        if not within(release.xy, -SHARED_LIMIT_M, SHARED_LIMIT_M):
+            return f"a position is not within {SHARED_LIMIT_M:g} m of the origin"
+        return self.samples_of(release)[1]
 
-def _expect_unchanged(
-    plugin: object, method: str, before: tuple[object, ...], *more: object
-) -> None:
-    for path in changed_by(lambda given: _called(plugin, method, object, *given, *more), before):
-        _fail(plugin, f"changed its input {path}; others read the same arrays: work on a copy")
-
-
-def _bits(result: object) -> list[bytes]:
-    return [array.tobytes() for array in made.arrays_of(result).values()]
-
-
-# A mechanism
-
-
-def _share(mechanism: Mechanism, sensed: Sensed, *, seed: int = 0) -> Release:
-    rng = stream(seed, "attacks", "testing", "mechanism")
-    release: Release = _called(mechanism, "share", Release, made.copied(sensed), rng)
-    if len(release) != len(sensed):
-        _fail(mechanism, f"of {len(sensed)} tracks it returned {len(release)}")
-    return release
-
-
-def _rows_shared(mechanism: Mechanism, release: Release, sensed: Sensed) -> Ints:
-    """Return which of the sensed samples are shared; one that was not sensed fails the check."""
-    # Number of the track and time: numpy orders complex numbers by the real part first.
-    shared, known = (
-        np.repeat(np.arange(len(one)), np.diff(one.offsets)) + 1j * one.t
-        for one in (release, sensed)
-    )
-    rows = np.minimum(np.searchsorted(known, shared), known.size - 1)
-    for strange in shared[known[rows] != shared]:
-        _fail(
-            mechanism,
-            f"in track {strange.real:g} nothing was sensed at {strange.imag:.12g} s; samples may "
-            "be left out, not moved in time or added",
+    def samples_of(self, release: Release) -> tuple[Ints, str]:
+        """Return which of the sensed samples are shared, and what is wrong if one was not."""
+        # Number of the track and time: numpy orders complex numbers by the real part first.
+        shared, known = (
+            np.repeat(np.arange(len(one)), np.diff(one.offsets)) + 1j * one.t
+            for one in (release, self.sensed)
         )
-    return rows
+        rows = np.minimum(np.searchsorted(known, shared), known.size - 1)
+        strange = shared[known[rows] != shared]
+        return rows, "" if strange.size == 0 else (
+            f"in track {strange[0].real:g} nothing was sensed at {strange[0].imag:.12g} s; samples "
+            "may be left out, not moved in time or added"
+        )
+
+    def reordered(self) -> tuple[MechanismCase, Callable[[Floats], Floats]]:
+        """Return the case with its tracks in another order, and how an answer follows."""
+        sensed, rows = self.sensed, made.draws("plugin", "order").permutation(len(self.sensed))
+        samples, offsets = stretches(sensed.offsets[rows], np.diff(sensed.offsets)[rows])
+        turned: dict[str, Any] = {
+            item.name: getattr(sensed, item.name)[samples if per == "sample" else rows]
+            for item in fields(sensed)
+            if (per := item.metadata.get("per"))
+        }
+        changed = replace(self, sensed=replace(sensed, offsets=offsets, **turned))
+
+        def follow(answer: Floats) -> Floats:
+            place = np.argsort(rows)[answer[:, 0].astype(np.int64)]
+            return np.column_stack([place, answer[:, 1:]])[np.argsort(place, kind="stable")]
+
+        return changed, follow
+
+    @staticmethod
+    def ordinary_and_another(_granted: object) -> tuple[MechanismCase, MechanismCase]:
+        """Return 24 walks as most are, and the one of these that is the longest."""
+        sizes = tuple(60 + 6 * row for row in range(24))
+        return _sensed(sizes, made.STEADY_S), _sensed(sizes[-1:], made.STEADY_S)
+
+    def odd(self) -> Iterator[MechanismCase]:
+        """Yield tracks that are alone, have few samples, or steps of 1 ms to 30 s."""
+        for steps_s in (made.STEADY_S, made.IRREGULAR_S):
+            for sizes in (SHORT, *((size,) for size in SHORT)):
+                yield _sensed(sizes, steps_s)
 
 
-def result_is_a_release(mechanism: Mechanism) -> None:
-    """`share` returns a Release of the same tracks, at instants of which each was sensed."""
-    release = _share(mechanism, _sensed())
-    _rows_shared(mechanism, release, _sensed())
-    if not within(release.xy, -SHARED_LIMIT_M, SHARED_LIMIT_M):
-        _fail(mechanism, f"a position is not within {SHARED_LIMIT_M:g} m of the origin")
+@cache
+def _sensed(sizes: tuple[int, ...], steps_s: tuple[float, float]) -> MechanismCase:
+    walks = made.walks("plugin", "sensed", sizes=sizes, steps_s=steps_s)
+    return MechanismCase(_about(sizes, steps_s), made.sensed(walks, ("plugin", *sizes)))
 
 
-def sigma_is_declared(mechanism: Mechanism) -> None:
+def _about(sizes: tuple[int, ...], steps_s: tuple[float, float]) -> str:
+    samples = f"{len(sizes)} tracks of {min(sizes)} to {max(sizes)} samples"
+    return f"{samples}, {steps_s[0]:.3g} to {steps_s[1]:.3g} s apart"
+
+
+def sigma_is_declared(row: common.Row) -> None:
     """Every sample has a declared standard deviation, finite and not negative."""
-    sigma = _share(mechanism, _sensed()).sigma
+    sigma = row.result(row.ordinary).sigma
     if sigma is None or not within(sigma, 0.0, SHARED_LIMIT_M):
         wrong = "is None" if sigma is None else "is negative, or no number within the limit"
-        _fail(mechanism, f"sigma {wrong}; declare the whole error of every sample, m")
+        row.fail(row.ordinary, f"sigma {wrong}; declare the whole error of every sample, m")
 
 
-def sigma_is_that_of_the_error(mechanism: Mechanism) -> None:
+def sigma_is_that_of_the_error(row: common.Row) -> None:
     """What is shared lies as far from the truth as its declared standard deviation says."""
-    if not getattr(mechanism, "adds_error", True):
+    if not getattr(row.subject, "adds_error", True):
         raise SkipTest("adds_error = False: it adds no error of a standard deviation")
-    sensed = _sensed()
-    if getattr(mechanism, "law", None) not in (None, sensed.law):
+    sensed = row.ordinary.sensed
+    if getattr(row.subject, "law", None) not in (None, sensed.law):
         raise SkipTest("its error has a law of its own")
-    release = _share(mechanism, sensed)
-    if release.sigma is None:
-        raise SkipTest("it declares no sigma")
-    try:
-        rows = _rows_shared(mechanism, release, sensed)
-    except AssertionError as error:
-        raise SkipTest(str(error)) from None
-    truth = (sensed.xy - sensed.sigma_raw[:, None] * sensed.unit_error)[rows]
+    release = row.result(row.ordinary)
+    samples, wrong = row.ordinary.samples_of(release)
+    if wrong or release.sigma is None:
+        raise SkipTest(wrong or "it declares no sigma")
+    truth = (sensed.xy - sensed.sigma_raw[:, None] * sensed.unit_error)[samples]
     squared = np.sum((release.xy - truth) ** 2, axis=1)
     ratio = np.divide(
         squared, release.sigma**2, out=np.full_like(squared, np.inf), where=release.sigma > 0
@@ -138,210 +150,132 @@ def sigma_is_that_of_the_error(mechanism: Mechanism) -> None:
     per_track = np.add.reduceat(ratio, release.offsets[:-1]) / np.diff(release.offsets)
     mean, std_error = per_track.mean(), per_track.std(ddof=1) / np.sqrt(per_track.size)
     if not abs(mean - 1.0) <= SIGMA_ROOM + SIGMA_ERRORS * std_error:
-        _fail(
-            mechanism,
+        row.fail(
+            row.ordinary,
             f"the error's variance is {mean:.3g} times what is declared ({std_error:.2g} standard "
             "error); sigma is that of the whole error, raw and added. If it adds no error of a "
             "standard deviation, say adds_error = False",
         )
 
 
-def sensed_is_not_mutated(mechanism: Mechanism) -> None:
-    """What was sensed is left as it came."""
-    _expect_unchanged(mechanism, "share", (_sensed(),), made.draws("plugin", "share"))
-
-
-def same_rng_same_release(mechanism: Mechanism) -> None:
-    """Two calls with one random stream share the same, to the last bit."""
-    first, second = (_bits(_share(mechanism, _sensed())) for _ in range(2))
-    if first != second:
-        _fail(mechanism, "two calls with one rng differ; draw from it alone, and keep nothing")
-
-
-def another_rng_another_release(mechanism: Mechanism) -> None:
+def another_rng_another_release(row: common.Row) -> None:
     """Under another `rng` independent errors are others, and so is every pseudonym."""
-    first, second = (_share(mechanism, _sensed(), seed=seed) for seed in range(2))
+    mechanism, case = row.subject, row.ordinary
+    first, second = (row.result(case, seed=seed) for seed in range(2))
     names, again = first.pseudonym, set(first.pseudonym) & set(second.pseudonym)
     if again or len(set(names)) < len(names):
         wrong = f"{min(again)!r} comes again under another rng" if again else "two tracks share one"
-        _fail(mechanism, f"pseudonyms: {wrong}; `perturb` draws them afresh")
+        row.fail(case, f"pseudonyms: {wrong}; `perturb` draws them afresh")
     is_independent = getattr(mechanism, "adding", "") == "independent"
     is_independent &= getattr(mechanism, "reuse", "release") != "session"  # drawn from the walk
-    adds = getattr(mechanism, "adds_error", True) and not np.array_equal(first.xy, _sensed().xy)
+    adds = getattr(mechanism, "adds_error", True) and not np.array_equal(first.xy, case.sensed.xy)
     if is_independent and adds and np.array_equal(first.xy, second.xy):
-        _fail(mechanism, 'adding is "independent", but two rng give one error; draw it from rng')
+        row.fail(case, 'adding is "independent", but two rng give one error; draw it from rng')
 
 
-def odd_tracks_are_shared(mechanism: Mechanism) -> None:
-    """A track may be alone, have one sample, or steps of 1 ms to 30 s."""
-    for steps_s in (made.STEADY_S, made.IRREGULAR_S):
-        for sizes in (SHORT, *((size,) for size in SHORT)):
-            _share(mechanism, _sensed(sizes, steps_s))
+MECHANISM: dict[str, Body] = {
+    "result_is_a_release": common.result_is_right,
+    **by_name(sigma_is_declared, sigma_is_that_of_the_error),
+    "sensed_is_not_mutated": common.inputs_are_not_mutated,
+    "same_rng_same_release": common.same_seed_same_result,
+    **by_name(another_rng_another_release),
+    "odd_tracks_are_shared": common.odd_tracks_are_handled,
+    "order_of_sensed_tracks_does_not_matter": common.order_of_tracks_does_not_matter,
+}
 
 
-def order_of_sensed_tracks_does_not_matter(mechanism: Mechanism) -> None:
-    """Tracks in another order are shared in that order, and otherwise alike."""
-    sensed = _sensed()
-    rows = made.draws("plugin", "order").permutation(len(sensed))
-    samples, offsets = stretches(sensed.offsets[rows], np.diff(sensed.offsets)[rows])
-    moved: dict[str, Any] = {
-        item.name: getattr(sensed, item.name)[samples if per == "sample" else rows]
-        for item in fields(sensed)
-        if (per := item.metadata.get("per"))
-    }
-    turned = _share(mechanism, replace(sensed, offsets=offsets, **moved))
-    plain, redrawn = (_share(mechanism, sensed, seed=seed).tracks(rows) for seed in range(2))
-    if plain.t.shape != redrawn.t.shape:
-        raise SkipTest("how many samples it shares is drawn")
-    for name in ("t", "xy", "sigma"):
-        expected, got, other = (getattr(one, name) for one in (plain, turned, redrawn))
-        if expected is None or got is None or other is None:
-            continue
-        # Errors that are drawn are others then; they can only be expected to be as large.
-        room = SAME + SPREADS * float(np.sqrt(np.mean((other - expected) ** 2)))
-        alike = got.shape == expected.shape and np.sqrt(np.mean((got - expected) ** 2)) <= room
-        if not alike:
-            hint = "does anything run from one track into the next, or depend on its number?"
-            _fail(mechanism, f"with the tracks in another order {name} differs; {hint}")
+@dataclass(frozen=True, eq=False, slots=True)
+class PredictorCase(made.Case):
+    """A release, and the times for which a predictor is asked."""
 
+    asked: ClassVar[tuple[str, ...]] = ("release", "t_future")
+    everything: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.SIGMA})
+    compared: ClassVar[str] = "mean or cov"
+    unit: ClassVar[str] = " m or m^2"
+    mechanism: ClassVar[Fixed] = Fixed(0.25)  # One that is aware is told of it.
 
-MECHANISM = (
-    result_is_a_release,
-    sigma_is_declared,
-    sigma_is_that_of_the_error,
-    sensed_is_not_mutated,
-    same_rng_same_release,
-    another_rng_another_release,
-    odd_tracks_are_shared,
-    order_of_sensed_tracks_does_not_matter,
-)
-"""In the order in which they run."""
+    release: Release
+    t_future: Floats  # (N, H) s
 
+    def prepared(
+        self, predictor: made.Plugin, _given: frozenset[Knowledge], _rng: Generator, who: str
+    ) -> Callable[..., object]:
+        """Return what predicts; it knows the mechanism if it is aware."""
+        predict: Callable[..., object] = call(
+            knowing, predictor, self.mechanism, who=f"{who} knowing"
+        ).predict
+        return predict
 
-# A predictor
+    def read(self, result: object) -> Floats:
+        """Return means and covariances, if any, of each track in a row; ValueError if it cannot."""
+        if not isinstance(result, Prediction):
+            raise ValueError(f"predict must return a Prediction, got {type(result).__name__}")  # noqa: TRY004 - a stranger's
+        expected = (*self.t_future.shape, 2)
+        if result.mean.shape != expected:
+            raise ValueError(f"mean has shape {result.mean.shape}, expected (N, H, 2) = {expected}")
+        found = [one for one in (result.mean, result.cov) if one is not None]
+        return np.column_stack([one.reshape(len(self.release), -1) for one in found])
 
+    @staticmethod
+    def ordinary_and_another(_granted: object) -> tuple[PredictorCase, PredictorCase]:
+        """Return 8 walks and 16 times as most are, and one time alone."""
+        case = _asked(tuple(20 + 4 * row for row in range(8)), made.STEADY_S)
+        return case, replace(case, t_future=case.t_future[:, -1:])
 
-_ADDED = Fixed(0.25)  # What shares; one that is aware is told of it.
+    def odd(self) -> Iterator[PredictorCase]:
+        """Yield tracks of few samples, and steps of 1 ms to 30 s."""
+        return (_asked(SHORT, steps_s) for steps_s in (made.STEADY_S, made.IRREGULAR_S))
 
 
 @cache
-def _asked(
-    sizes: tuple[int, ...] = tuple(20 + 4 * row for row in range(8)),
-    steps_s: tuple[float, float] = made.STEADY_S,
-) -> tuple[Release, Floats]:
-    """Return a release and the times for which a predictor is asked: as most are."""
+def _asked(sizes: tuple[int, ...], steps_s: tuple[float, float]) -> PredictorCase:
     walks = made.walks("plugin", "asked", sizes=sizes, steps_s=steps_s)
-    release = made.shared(walks, ("plugin", *sizes), mechanism=_ADDED)
+    release = made.shared(walks, ("plugin", *sizes), mechanism=PredictorCase.mechanism)
     last = release.t[release.offsets[1:] - 1]
-    return release, last[:, None] + np.linspace(0.0, HORIZON_S, N_STEPS)
+    t_future = last[:, None] + np.linspace(0.0, HORIZON_S, N_STEPS)
+    return PredictorCase(_about(sizes, steps_s), release, t_future)
 
 
-def _granted(predictor: Predictor, release: Release) -> tuple[Any, Release]:
-    """Return a predictor as it is where the mechanism shares, and what it receives there."""
-    who = f"{type(predictor).__name__}: knowing"
-    has_sigma = Knowledge.SIGMA in predictor.requires
-    return call(knowing, predictor, _ADDED, who=who), (
-        release if has_sigma else release.without_sigma()
-    )
-
-
-def _predict(
-    predictor: Predictor, release: Release, t_future: Floats, *, strictly: bool = False
-) -> Prediction:
-    """Return a prediction from what is granted; who touches more fails `strictly` alone."""
-    ready, granted = _granted(predictor, release)
-
-    def predicted(given: Release) -> Prediction:
-        asked = made.copied(given), t_future.copy()
-        prediction: Prediction = _called(ready, "predict", Prediction, *asked)
-        return prediction
-
-    try:
-        found = predicted(granted)
-    except AssertionError:
-        if strictly:
-            raise
-        found = predicted(release)
-    if found.mean.shape != (*t_future.shape, 2):
-        expected = f"(N, H, 2) = {(*t_future.shape, 2)}"
-        _fail(predictor, f"mean has shape {found.mean.shape}, expected {expected}")
-    return found
-
-
-def result_is_a_prediction(predictor: Predictor) -> None:
-    """`predict` returns a Prediction for every track and time, for one time as well."""
-    release, t_future = _asked()
-    for times in (t_future, t_future[:, -1:]):
-        _predict(predictor, release, times)
-
-
-def only_required_knowledge_is_touched(predictor: Predictor) -> None:
-    """Without the declared standard deviations it runs, or `requires` SIGMA."""
-    _predict(predictor, *_asked())  # any other fault is not blamed on knowledge
-    try:
-        _predict(predictor, *_asked(), strictly=True)
-    except AssertionError as error:
-        hint = "release.sigma is None unless `requires` has Knowledge.SIGMA"
-        raise AssertionError(f"{error}; {hint}") from error
-
-
-def release_is_not_mutated(predictor: Predictor) -> None:
-    """The release and the times asked for are left as they came."""
-    _expect_unchanged(predictor, "predict", _asked())
-
-
-def same_release_same_prediction(predictor: Predictor) -> None:
-    """Asked twice it answers alike, to the last bit."""
-    first, second = (_bits(_predict(predictor, *_asked())) for _ in range(2))
-    if first != second:
-        _fail(predictor, "two calls differ; draw nothing, and keep nothing from call to call")
-
-
-def one_track_is_predicted_as_among_others(predictor: Predictor) -> None:
+def one_track_is_predicted_as_among_others(row: common.Row) -> None:
     """A track alone is predicted as in the batch."""
-    release, t_future = _asked()
-    together = _predict(predictor, release, t_future)
-    for row, track in enumerate(release):
-        alone = _predict(predictor, track, t_future[row : row + 1])
-        for name in ("mean", "cov"):
-            one, among = getattr(alone, name), getattr(together, name)
-            if (one is None) != (among is None):
-                _fail(predictor, f"track {row} alone has a covariance, or has none any more")
-            if one is not None and not np.allclose(one[0], among[row], rtol=SAME, atol=SAME):
-                gap = float(np.abs(one[0] - among[row]).max())
-                _fail(predictor, f"track {row} alone is predicted otherwise: {name} by {gap:.3g}")
+    case = row.ordinary
+    together = row.answer(case)
+    for number, track in enumerate(case.release):
+        alone = row.answer(replace(case, release=track, t_future=case.t_future[[number]]))[0]
+        if alone.shape != together[number].shape:
+            row.fail(case, f"track {number} alone has a covariance, or has none any more")
+        if not np.allclose(alone, together[number], rtol=common.SAME, atol=common.SAME):
+            gap = float(np.abs(alone - together[number]).max())
+            row.fail(case, f"track {number} alone is predicted otherwise: mean or cov by {gap:.3g}")
 
 
-def odd_tracks_are_predicted(predictor: Predictor) -> None:
-    """A track may have one sample, or steps of 1 ms to 30 s."""
-    for steps_s in (made.STEADY_S, made.IRREGULAR_S):
-        _predict(predictor, *_asked(SHORT, steps_s))
-
-
-def track_is_causal(predictor: Predictor) -> None:
+def track_is_causal(row: common.Row) -> None:
     """What `track` returns, if there is one, is a place for every sample, from no later sample."""
-    if getattr(predictor, "track", None) is None:
+    if getattr(row.subject, "track", None) is None:
         raise SkipTest("it has no track")
-    for shared in (_asked(SHORT, made.IRREGULAR_S)[0], _asked()[0]):
-        ready, release = _granted(predictor, shared)
+    for case in (*row.ordinary.odd(), row.ordinary):
+        release = case.release
+        if Knowledge.SIGMA not in row.given:
+            release = release.without_sigma()
+        who = f"{row}, {case.about}: track"
+        track = call(knowing, row.subject, case.mechanism, who=who).track
         first = np.repeat(release.offsets[:-1], np.diff(release.offsets))
         late = np.arange(release.t.size) - first > np.diff(release.offsets).min() // 2
         moved = replace(release, xy=release.xy + np.where(late, 7.0, 0.0)[:, None])
-        places = [_called(ready, "track", np.ndarray, one) for one in (release, moved)]
-        if places[0].shape != release.xy.shape or not np.isfinite(places[0]).all():
-            _fail(predictor, f"track must return finite places, (M, 2) = {release.xy.shape}")
-        gap = np.abs(places[1] - places[0])[~late].max()
-        if not gap <= SAME:
-            _fail(predictor, f"track: later samples move what was known before by {gap:.3g} m")
+        places, others = (call(track, one, who=who) for one in (release, moved))
+        if np.shape(places) != release.xy.shape or not np.isfinite(places).all():
+            row.fail(case, f"track must return finite places, (M, 2) = {release.xy.shape}")
+        gap = np.abs(others - places)[~late].max()
+        if not gap <= common.SAME:
+            row.fail(case, f"track: later samples move what was known before by {gap:.3g} m")
 
 
-PREDICTOR = (
-    result_is_a_prediction,
-    only_required_knowledge_is_touched,
-    release_is_not_mutated,
-    same_release_same_prediction,
-    one_track_is_predicted_as_among_others,
-    odd_tracks_are_predicted,
-    track_is_causal,
-)
-"""In the order in which they run."""
+PREDICTOR: dict[str, Body] = {
+    "result_is_a_prediction": common.result_is_right,
+    "only_required_knowledge_is_touched": common.only_granted_knowledge_is_touched,
+    "release_is_not_mutated": common.inputs_are_not_mutated,
+    "same_release_same_prediction": common.same_seed_same_result,
+    **by_name(one_track_is_predicted_as_among_others),
+    "odd_tracks_are_predicted": common.odd_tracks_are_handled,
+    **by_name(track_is_causal),
+}

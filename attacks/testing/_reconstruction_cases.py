@@ -29,11 +29,10 @@ EXTENTS, EXTRA_M = 3.0, 10.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class ReconstructionCase:
+class ReconstructionCase(made.Case):
     """One release with M samples, and everything that an adversary may know besides."""
 
     asked: ClassVar[tuple[str, ...]] = ("release",)  # What the function from `fit` is called with.
-    everything: ClassVar[frozenset[Knowledge]] = frozenset(Knowledge)  # All that there is to grant.
     compared: ClassVar[str] = "positions or std"
     unit: ClassVar[str] = " m"
     framed: ClassVar[str] = "the release, the training set and each repeat"
@@ -46,7 +45,6 @@ class ReconstructionCase:
     levels_m: ClassVar[tuple[float, ...]] = (0.3, 1.0, 3.0)
     achieved: ClassVar[str] = "PLR"
 
-    about: str  # For messages.
     release: Release
     truth: Floats  # (M, 2) m. No attack is given it.
     mechanism: Fixed
@@ -55,7 +53,7 @@ class ReconstructionCase:
     anchor: Release
     companions: tuple[Release, ...]
 
-    def wrong_type(self, result: object) -> str:
+    def fault(self, result: object) -> str:
         """Return what is wrong with a result that can be read all the same; empty if nothing."""
         if isinstance(result, Reconstruction):
             return ""
@@ -75,12 +73,6 @@ class ReconstructionCase:
                 "every sample of the release, in its order"
             )
         return found.xy if found.std is None else np.column_stack([found.xy, found.std])
-
-    def gaps(self, one: Floats, other: Floats, _plain: Floats) -> Floats:
-        """Return how far apart two answers are, (1 or 2, M) m: positions, and std if claimed."""
-        if one.shape != other.shape:  # a std that comes and goes
-            return np.array([[np.inf]])
-        return np.stack([np.hypot(*(one - other)[:, :2].T), *np.abs(one - other)[:, 2:].T])
 
     def hits(self, answer: Floats) -> Bools:
         """Return which samples leak, (M,)."""
@@ -134,26 +126,21 @@ class ReconstructionCase:
         other = replace(case.repeats[0], pseudonym=case.release.pseudonym)
         return case, replace(case, release=other)
 
-    @staticmethod
-    def noisy(sigma_m: float, law: ErrorLaw, *, scene: bool = False) -> ReconstructionCase:
+    def noisy(self, sigma_m: float, law: ErrorLaw) -> ReconstructionCase:
         """Return the same 24 walks of 60 to 200 samples, with the same errors times `sigma_m`."""
-        del scene
         sizes = tuple(60 + 6 * row for row in range(N_TRACKS))
         about = f"{N_TRACKS} walks, {law} noise of {sigma_m:g} m"
         return made_up("noisy", about=about, sizes=sizes, sigma_m=sigma_m, law=law)
 
-    @classmethod
-    def null(cls, *, scene: bool) -> ReconstructionCase:
+    def null(self) -> ReconstructionCase:
         """Return walks with a truth that has nothing to do with them."""
-        case = cls.noisy(BOX_M, "isotropic", scene=scene)
+        case = self.noisy(BOX_M, "isotropic")
         truth = draws("unrelated", "truth").uniform(-BOX_M / 2, BOX_M / 2, case.truth.shape)
         about = f"{N_TRACKS} tracks of positions that have nothing to do with the truth"
         return replace(case, about=about, truth=truth)
 
-    @staticmethod
-    def odd(*, scene: bool) -> Iterator[ReconstructionCase]:
+    def odd(self) -> Iterator[ReconstructionCase]:
         """Yield walks of one to three samples, and such with odd steps."""
-        del scene
         for sizes in ((1,), (1, 2, 30, 1, 2, 3), (2,)):
             about = f"tracks of {', '.join(map(str, sizes))} samples"
             yield made_up("short", about=about, sizes=sizes)

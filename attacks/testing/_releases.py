@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from copy import deepcopy
-from dataclasses import fields, is_dataclass, replace
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
-from isac_track.protocols import LinkageTrainingSet, TrainingSet
+from isac_track.protocols import AttackContext, LinkageTrainingSet, TrainingSet
 from isac_track.rng import stream
 from isac_track.sensing import fisher_information_density, unit_errors
-from isac_track.types import ErrorLaw, Floats, Release, Sensed
+from isac_track.testing.engine import call
+from isac_track.types import ErrorLaw, Floats, Knowledge, Release, Sensed
 
 if TYPE_CHECKING:
     from isac_track.sharing import Fixed
@@ -25,6 +26,7 @@ Walk: TypeAlias = "tuple[Floats, Floats]"
 """Times of one walk, (n,) s, and where somebody truly was then, (n, 2) m."""
 Frame: TypeAlias = "tuple[float | Floats, tuple[float, float] | Floats, float | Floats]"
 """Turned by so many rad, then shifted, m, and by how much later, s: all samples, or each."""
+Plugin: TypeAlias = Any  # A stranger's.
 Holder = TypeVar("Holder", bound=Any)  # A case, or a training set.
 
 EPSILON_M = 0.3
@@ -121,6 +123,40 @@ def moved(release: Release, frame: Frame) -> Release:
     return replace(release, t=release.t + frame[2], xy=turned(release.xy, frame))
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Case:
+    """What a plug-in is asked, for checks that hold for several kinds: as an attack is, mostly."""
+
+    asked: ClassVar[tuple[str, ...]]  # Names of what it is called with.
+    everything: ClassVar[frozenset[Knowledge]] = frozenset(Knowledge)  # All that there is to grant.
+    compared: ClassVar[str]  # What an answer is made of.
+    unit: ClassVar[str]
+
+    about: str  # For messages.
+
+    def prepared(
+        self, plugin: Plugin, granted: frozenset[Knowledge], rng: np.random.Generator, who: str
+    ) -> Callable[..., object]:
+        """Return what is called: of an attack the function from `fit`, given what is granted."""
+        names = ("mechanism", "train", "repeats", "anchor", "companions")
+        held = {name: getattr(self, name, None) for name in names}
+        context = AttackContext(rng=rng, epsilon_m=EPSILON_M, granted=granted, **held)
+        function: Callable[..., object] = call(plugin.fit, context, who=f"{who} fit(context)")
+        return function
+
+    def fault(self, _result: Any) -> str:  # noqa: ANN401 - as the contract says
+        """Return what is wrong with a result that can be read all the same; empty if nothing."""
+        return ""
+
+    def out_of_bounds(self, _answer: Floats) -> str:
+        """Return what is wrong with an answer that flies off; empty if nothing."""
+        return ""
+
+    def gaps(self, one: Floats, other: Floats, _plain: Floats) -> Floats:
+        """Return how far apart the numbers of two answers are, a row for each sort of number."""
+        return np.abs(one - other).T if one.shape == other.shape else np.array([[np.inf]])
+
+
 # The same case, seen otherwise; what is said of cases holds for the training sets in them
 
 
@@ -173,10 +209,10 @@ def arrays_of(held: object, name: str = "") -> dict[str, NDArray[Any]]:
     return {path: array for found in deeper for path, array in found.items()}
 
 
-def changed_by(call: Callable[[Holder], object], given: Holder) -> list[str]:
+def changed_by(run: Callable[[Holder], object], given: Holder) -> list[str]:
     """Return the paths of the arrays that a call changes in its copy of what it is given."""
     own = copied(given)
-    call(own)
+    run(own)
     after = arrays_of(own)
     paths = arrays_of(given).items()
     return [path for path, before in paths if before.tobytes() != after[path].tobytes()]

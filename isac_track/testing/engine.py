@@ -8,10 +8,13 @@ pytest.
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 from unittest import SkipTest
 
 from isac_track.errors import SettingsError, did_you_mean, raised_at, told
+
+Body: TypeAlias = Callable[..., None]
+"""Raises AssertionError where what it states does not hold, SkipTest where it says nothing."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -20,8 +23,7 @@ class Check:
 
     name: str
     statement: str  # What it shows, one line.
-    body: Callable[[Any], None]
-    """Raises AssertionError where the statement does not hold, SkipTest where it says nothing."""
+    body: Body
     needs: tuple[str, ...] = ()  # Names of the attributes of its subject that it cannot do without.
 
     def missing(self, subject: object) -> str:
@@ -65,12 +67,12 @@ def call(function: Callable[..., Any], *given: object, who: str, case: str = "")
         raise AssertionError(f"{who} raised {told(error)}{raised_at(error)}{case}") from error
 
 
-def statement_of(function: Callable[..., None]) -> str:
+def statement_of(function: Body) -> str:
     """Return the first line of a docstring: what a check shows."""
     return (function.__doc__ or "").strip().partition("\n")[0]
 
 
-def by_name(*bodies: Callable[..., None]) -> dict[str, Callable[..., None]]:
+def by_name(*bodies: Body) -> dict[str, Body]:
     """Return the bodies of checks by the names of their functions."""
     return {one.__name__: one for one in bodies}
 

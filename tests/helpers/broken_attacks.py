@@ -95,7 +95,7 @@ def barehanded(_context):
     return Base().positions
 
 
-@fails("same_seed_same_result", "draw from context.rng alone")
+@fails("same_seed_same_result", "draw from the rng that is given")
 def own_dice(track):
     return track.xy + np.random.default_rng().normal(0.0, 0.05, track.xy.shape)
 
