@@ -187,17 +187,12 @@ def run_checks(subject: Subject, *, names: Sequence[str] | None = None) -> tuple
     return tuple(engine.outcomes(engine.select(checks, names, kit=kit, known=known), subject))
 
 
-def _parametrized(noun: str, subjects: Iterable[Subject]) -> Any:  # noqa: ANN401 - a pytest mark; pytest is not imported here
-    if not isinstance(subjects, Iterable):
-        raise PluginError(
-            f"expected a list of {noun}s, got {subjects!r}: write parametrize_{noun}_checks([...])"
-        )
-    cases = []
-    for subject in subjects:
-        checks = checks_for(subject)
-        if noun_of(subject) != noun:
-            raise PluginError(f"{_label(subject)} is no {noun}, but a {noun_of(subject)}")
-        cases += [(f"{_label(subject)}-{name}", (subject, checks[name])) for name in checks]
+def _parametrized(noun: Noun, subjects: Iterable[Subject]) -> Any:  # noqa: ANN401 - a pytest mark; pytest is not imported here
+    cases = [
+        (f"{_label(subject)}-{name}", (subject, check))
+        for subject in subjects
+        for name, check in checks_for(subject).items()
+    ]
     if not cases:
         raise SettingsError(f"no {noun} to check: the list is empty")
     return engine.parametrize(f"{noun},check", cases)

@@ -19,8 +19,6 @@ from isac_track.types import ErrorLaw, Floats, Ints, Knowledge, Release
 GAP_S = 1.0  # Silence before the gallery goes on, where the scene is shown.
 N_PEOPLE = 24
 PEOPLE, OTHERS = (128,) * N_PEOPLE, (128,) * 20  # Samples of each: 12 s at 8 to 16 Hz.
-_FARTHEST_M = 100.0
-_LATEST_S = 1000.0
 
 ODD = (
     *(((128,) * probes, (128,) * gallery, OTHERS) for probes, gallery in ((1, 1), (4, 1), (1, 4))),
@@ -219,8 +217,6 @@ def made_up(
 
 def _moved(release: Release, rng: np.random.Generator, *, together: bool) -> Release:
     """Return a release with one motion for all its walks, or with one for each."""
-    low = 0.0, -_FARTHEST_M, -_FARTHEST_M, 0.0
-    high = 2.0 * np.pi, _FARTHEST_M, _FARTHEST_M, _LATEST_S
     n_samples = [release.t.size] if together else np.diff(release.offsets)
-    drawn = np.repeat(rng.uniform(low, high, (len(n_samples), 4)), n_samples, axis=0)
-    return made.moved(release, (drawn[:, 0], drawn[:, 1:3], drawn[:, 3]))
+    frames = made.frames(rng, len(n_samples))
+    return made.moved(release, np.repeat(frames, n_samples, axis=0))

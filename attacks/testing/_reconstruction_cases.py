@@ -17,13 +17,6 @@ from isac_track.sharing import Fixed
 from isac_track.types import Bools, ErrorLaw, Floats, Knowledge, Reconstruction, Release, stretches
 
 N_TRACKS = 24
-FRAMES: tuple[made.Frame, ...] = (
-    (2.1, (35.0, -80.0), 500.0),
-    (-0.7, (-60.0, 15.0), -20.0),
-    (1.2, (5.0, 140.0), 120.0),
-    (-2.8, (-90.0, -30.0), 1000.0),
-)
-"""Angle (rad), shift (m) and clock (s) of the release, the training set and the two repeats."""
 EXTENTS, EXTRA_M = 3.0, 10.0
 """How far an answer may lie from the middle of its track: 3 times its extent and 10 m."""
 
@@ -108,8 +101,9 @@ class ReconstructionCase(made.Case):
 
     def in_other_frames(self) -> tuple[ReconstructionCase, Callable[[Floats], Floats]]:
         """Return the case as without SCENE, every release in its own frame; how answers follow."""
-        mine, others, *_ = FRAMES
-        frames = [*FRAMES, mine, mine]  # the anchor and who walks along are seen as the release is
+        mine, others, *repeats = made.frames(draws("frames"), 4)
+        # The anchor and who walks along are seen as the release is.
+        frames = [mine, others, *repeats, mine, mine]
         changed = made.of_each(self, lambda release: made.moved(release, frames.pop(0)))
         train = replace(changed.train, truth=made.turned(self.train.truth, others))
         return replace(changed, train=train), lambda answer: np.hstack(

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 Walk: TypeAlias = "tuple[Floats, Floats]"
 """Times of one walk, (n,) s, and where somebody truly was then, (n, 2) m."""
-Frame: TypeAlias = "tuple[float | Floats, tuple[float, float] | Floats, float | Floats]"
-"""Turned by so many rad, then shifted, m, and by how much later, s: all samples, or each."""
 Plugin: TypeAlias = Any  # A stranger's.
 Holder = TypeVar("Holder", bound=Any)  # A case, or a training set.
 
@@ -36,6 +34,7 @@ STEADY_S, IRREGULAR_S = (1 / 16, 1 / 8), (1e-3, 30.0)
 """Shortest and longest step between two samples, of a recording and of an odd one."""
 SPEEDS_MPS = (0.6, 2.0)  # Slowest and fastest of the people.
 _GRID_S = 0.02
+_FARTHEST_M, _LATEST_S = 100.0, 1000.0
 
 
 def draws(*name: str | int) -> np.random.Generator:
@@ -87,15 +86,15 @@ def walks(*name: str, sizes: Iterable[int], steps_s: tuple[float, float]) -> lis
 
 def shared(walks: Sequence[Walk], name: tuple[str | int, ...], *, mechanism: Fixed) -> Release:
     """Return walks as the mechanism shares them, under new pseudonyms."""
-    return mechanism.share(sensed(walks, name, law=mechanism.law), draws("share", *name))
+    found = sensed(walks, name, law=mechanism.law or "radial")
+    return mechanism.share(found, draws("share", *name))
 
 
 def sensed(
-    walks: Sequence[Walk], name: tuple[str | int, ...], *, law: ErrorLaw | None = None
+    walks: Sequence[Walk], name: tuple[str | int, ...], *, law: ErrorLaw = "radial"
 ) -> Sensed:
     """Return walks as the network senses them, with errors of `RAW_SIGMA_M`."""
     t, xy = (np.concatenate(arrays) for arrays in zip(*walks, strict=True))
-    law = law or "radial"
     unit = unit_errors(n_samples=t.size, law=law, rng=draws("errors", *name))
     offsets = np.cumsum([0, *(times.size for times, _ in walks)])
     information = np.full(t.size, RAW_SIGMA_M**-2)
@@ -111,16 +110,22 @@ def sensed(
     )
 
 
-def turned(xy: Floats, frame: Frame) -> Floats:
-    """Return points, (M, 2) m, in another frame."""
-    angle_rad, shift_m, _ = frame
+def frames(rng: np.random.Generator, count: int) -> Floats:
+    """Return frames, (count, 4): turned by, rad, then shifted by x and y, m; how much later, s."""
+    low, high = (0.0, -_FARTHEST_M, -_FARTHEST_M, 0.0), (2 * np.pi, *[_FARTHEST_M] * 2, _LATEST_S)
+    return rng.uniform(low, high, (count, 4))
+
+
+def turned(xy: Floats, frame: Floats) -> Floats:
+    """Return points, (M, 2) m, in another frame, or each in one of its own, (4,) or (M, 4)."""
+    angle_rad, *shift_m, _ = frame.T
     cos, sin, (x, y) = np.cos(angle_rad), np.sin(angle_rad), xy.T
-    return np.column_stack([cos * x - sin * y, sin * x + cos * y]) + shift_m
+    return np.stack([cos * x - sin * y + shift_m[0], sin * x + cos * y + shift_m[1]], axis=1)
 
 
-def moved(release: Release, frame: Frame) -> Release:
-    """Return a release in another frame and on another clock."""
-    return replace(release, t=release.t + frame[2], xy=turned(release.xy, frame))
+def moved(release: Release, frame: Floats) -> Release:
+    """Return a release in another frame and on another clock, or each sample in its own."""
+    return replace(release, t=release.t + frame[..., 3], xy=turned(release.xy, frame))
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -3,8 +3,8 @@
 Exit code 0: all passed; 1: a check failed; 2: wrong usage.
 """
 
-import importlib
 import sys
+from pkgutil import resolve_name
 
 from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
 from isac_track.errors import PluginError, SettingsError, told
@@ -47,16 +47,14 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _load(target: str) -> Metrics:
-    module, _, attribute = target.partition(":")
-    if not module or not attribute.isidentifier():
-        raise SettingsError(f"{target!r}: expected package.module:OBJECT")
     try:
-        metrics = getattr(importlib.import_module(module), attribute, None)
+        metrics = resolve_name(target)
     except (Exception, SystemExit) as error:  # a stranger's import may raise anything at all
-        raise PluginError(f"cannot import {module!r}: {told(error)}") from error
+        expected = f"cannot import {target!r}, expected package.module:OBJECT"
+        raise PluginError(f"{expected}: {told(error)}") from error
     if not isinstance(metrics, Metrics):
-        found = f"got {type(metrics).__name__}" if metrics is not None else "there is none"
-        raise PluginError(f"{target} must be an isac_track.testing.Metrics, {found}")
+        got = type(metrics).__name__
+        raise PluginError(f"{target} must be an isac_track.testing.Metrics, got {got}")
     return metrics
 
 

@@ -107,11 +107,8 @@ def random_tracks(
     """
     for index in range(count):
         rng, size = stream(0, "testing", name, index), least + index // 6
-        stay, leaked = rng.uniform(0.1, 0.95), np.empty(size, dtype=bool)
-        sample = bool(rng.integers(2))
-        for place in range(size):
-            leaked[place] = sample
-            sample ^= bool(rng.random() >= stay)
+        runs = rng.geometric(rng.uniform(0.05, 0.9), size)
+        leaked = np.repeat(rng.integers(2) + np.arange(size), runs)[:size] % 2 == 1
         drawn_m = float(rng.uniform(0.05, 1.5))
         limit_m = epsilon_m or drawn_m
         t: Floats = rng.uniform(-50.0, 50.0) + np.cumsum(rng.uniform(0.03, 0.4, size))
@@ -163,15 +160,12 @@ def mean_run_expected(n: int, p: float) -> float:
     )
 
 
-def _check_each(**words: str) -> Callable[[Callable[[Function], None]], None]:
-    """Register a check of each descriptor; it receives the function.
-
-    Its docstring says what it shows, with `of` for the descriptor and `word` for what is given.
-    """
+def _check_each(*needs: str) -> Callable[[Callable[[Function], None]], None]:
+    """Register a check of each of these descriptors; `{of}` in its docstring is which."""
 
     def register_all(body: Callable[[Function], None]) -> None:
-        for need, word in words.items():
-            statement = statement_of(body).format(of=_NAMES[need], word=word)
+        for need in needs:
+            statement = statement_of(body).format(of=_NAMES[need])
             name = _NAMES[need].lower() + body.__name__
             register(body, name=name, statement=statement, needs=(need,))
 
@@ -185,13 +179,9 @@ def _by_hand(
         expect_of(function, plain_track(pattern, t=t), value)
 
 
-@_check_each(
-    plr="share of leaked samples",
-    ael_s="mean duration of the leaked segments; n samples last n intervals of 0.25 s",
-    mel_s="duration of the longest leaked segment; n samples last n intervals of 0.25 s",
-)
+@_check_each("plr", "ael_s", "mel_s")
 def _hand_examples(function: Function) -> None:
-    """{of} is the {word}."""
+    """{of} of patterns that can be counted; n samples last n intervals of 0.25 s."""
     examples = {
         "plr": {"1000": 0.25, "1101": 0.75, "01": 0.5, "00100": 0.2},
         "ael_s": {"0110": 0.5, "1011": 0.375, "10101": 0.25, "0001": 0.25},
@@ -200,13 +190,9 @@ def _hand_examples(function: Function) -> None:
     _by_hand(function, examples[function.__name__])
 
 
-@_check_each(
-    plr="A sample at exactly epsilon does not leak",
-    ael_s="AEL is 0 when every sample lies at exactly epsilon",
-    mel_s="MEL is 0 when every sample lies at exactly epsilon",
-)
+@_check_each("plr", "ael_s", "mel_s")
 def _boundary_is_strict(function: Function) -> None:
-    """{word}."""
+    """{of} is 0 when every sample lies at exactly epsilon: such a sample does not leak."""
     # Exact in binary, as are their squares: 0.75, 1 and 1.25 are a right-angled triangle.
     t, errors = np.array([0.0, 1.0, 2.0]), np.array([[0.75, 1.0], [1.25, 0.0], [0.0, -1.25]])
     above = 1.0 if function.__name__ == "plr" else 3.0
@@ -217,19 +203,15 @@ def _boundary_is_strict(function: Function) -> None:
         expect(found, value, what=what, case=case)
 
 
-@_check_each(
-    plr="1 when every sample leaks",
-    ael_s="n intervals when all n samples leak",
-    mel_s="n intervals when all n samples leak",
-)
+@_check_each("plr", "ael_s", "mel_s")
 def _all_and_none_leaked(function: Function) -> None:
-    """{of} is {word} and 0 when none does."""
+    """{of} is 1, or n intervals, when all n samples leak, and 0 when none does."""
     for size in (2, 5, 50):
         whole = 1.0 if function.__name__ == "plr" else 0.25 * size
         _by_hand(function, {"1" * size: whole, "0" * size: 0.0})
 
 
-@_check_each(ael_s="", mel_s="")
+@_check_each("ael_s", "mel_s")
 def _irregular_sampling(function: Function) -> None:
     """{of} gives a sample half of either interval beside it: its own, not the trajectory's mean."""
     last = {"ael_s": 6.75, "mel_s": 12.5}[function.__name__]
@@ -237,26 +219,22 @@ def _irregular_sampling(function: Function) -> None:
     _by_hand(function, examples, t=[0.0, 1.0, 2.0, 10.0])
 
 
-@_check_each(ael_s="", mel_s="")
+@_check_each("ael_s", "mel_s")
 def _segment_at_either_end(function: Function) -> None:
     """{of} counts segments that touch the first or the last sample."""
     both = {"ael_s": {"1000111": 0.5}, "mel_s": {"1001100111": 0.75}}[function.__name__]
     _by_hand(function, {"00111": 0.75, "11100": 0.75} | both)
 
 
-@_check_each(
-    plr="one sample is 1 or 0: no duration is needed",
-    ael_s="one leaked sample is NaN: there is no interval; of one that does not leak, 0",
-    mel_s="one leaked sample is NaN: there is no interval; of one that does not leak, 0",
-)
+@_check_each("plr", "ael_s", "mel_s")
 def _single_sample(function: Function) -> None:
-    """{of} of {word}."""
+    """{of} of one sample that leaks is 1 as a share, NaN as a time (no interval); else it is 0."""
     _by_hand(function, {"1": 1.0 if function.__name__ == "plr" else nan, "0": 0.0})
 
 
-@_check_each(plr="count", ael_s="definition", mel_s="definition")
+@_check_each("plr", "ael_s", "mel_s")
 def _matches_brute_force(function: Function) -> None:
-    """{of} equals the {word} on random walks with a known pattern."""
+    """{of} equals its definition on random walks with a known pattern."""
     for track in random_tracks(f"{_NAMES[function.__name__].lower()}_matches_brute_force"):
         expect_of(function, track, by_definition(track)[function.__name__])
 
@@ -269,7 +247,7 @@ def _after(function: Function, change: Callable[[Track], Track], factor: float =
         expect(of(function, changed), value, what=f"{name} after a change", case=changed)
 
 
-@_check_each(ael_s="", mel_s="")
+@_check_each("ael_s", "mel_s")
 def _rigid_motion_and_clock(function: Function) -> None:
     """{of} ignores rigid motion, time reversal and a clock's offset; it scales with the clock."""
     _after(function, moved)
@@ -290,7 +268,7 @@ def plr_time_reversal(plr: Function) -> None:
     _after(plr, backwards)
 
 
-@_check_each(plr="", mel_s="")
+@_check_each("plr", "mel_s")
 def _monotone_in_epsilon(function: Function) -> None:
     """{of} never falls when epsilon grows."""
     name = _NAMES[function.__name__]
@@ -314,9 +292,9 @@ def ael_may_fall_as_epsilon_grows(ael_s: Function) -> None:
         expect_of(ael_s, Track(pattern, walk.t, walk.true_xy, shared_xy, epsilon_m), value)
 
 
-@_check_each(ael_s="run length (run counts)", mel_s="longest run (recursion)")
+@_check_each("ael_s", "mel_s")
 def _of_independent_samples(function: Function) -> None:
-    """{of} of independent samples averages to the exact mean {word}."""
+    """{of} of independent samples averages to the exact mean of mean, or longest, runs."""
     name, size = _NAMES[function.__name__], 9
     exact = {"AEL": mean_run_expected, "MEL": longest_run_expected}[name]
     leaked = np.array(list(product((False, True), repeat=size)))

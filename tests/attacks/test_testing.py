@@ -179,16 +179,6 @@ class TestMistakesWithoutEnd:
             (linker(lambda _context: sys.exit("no")), NULL, "fit(context) raised SystemExit: no"),
             (linker(hopes), GRANTED, "REPEATS was not granted"),
             (attack(fails), GRANTED, "RuntimeError: of its own (broken_attacks.py, "),
-            (
-                type("Other", (broken_attacks.Base,), {"kind": "linkage"}),
-                NULL,
-                "asked for probe and gallery, it raised TypeError: ",
-            ),
-            (
-                type("Other", (broken_linkers.Base,), {"kind": "reconstruction"}),
-                NULL,
-                "asked for release, it raised TypeError: ",
-            ),
         ],
     )
     def test_in_words(self, made, name, message):
@@ -297,17 +287,13 @@ class TestWhatIsNoAttack:
         [
             (lambda: checks_for(Noise), r"got its class: write Noise\(\)"),
             (lambda: checks_for(type("Soft", (), {"share": print})()), "mechanism Soft must be a"),
-            (lambda: parametrize_mechanism_checks([Stand()]), "Stand is no mechanism, but a pred"),
-            (lambda: parametrize_predictor_checks(Stand()), r"parametrize_predictor_checks\(\["),
         ],
     )
     def test_nor_is_what_is_no_such_plugin(self, call, message):
         with pytest.raises(PluginError, match=message):
             call()
 
-    def test_nor_is_one_without_a_list_or_a_list_of_none(self):
-        with pytest.raises(PluginError, match="expected a list of attacks"):
-            parametrize_attack_checks(Jitters())
+    def test_nor_is_a_list_of_none(self):
         with pytest.raises(SettingsError, match="the list is empty"):
             parametrize_attack_checks([])
 
