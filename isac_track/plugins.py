@@ -45,6 +45,7 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
         "ou_rts": "attacks.reconstruction.ou_rts:OuRTS",
         "imm_rts": "attacks.reconstruction.kalman_rts:ImmRTS",
         "gaussian_process": "attacks.reconstruction.gaussian_process:GaussianProcess",
+        "corrector": "attacks.reconstruction.corrector:Corrector",
         "averaging": "attacks.reconstruction.averaging:Averaging",
         "shape": "attacks.linkage.alignment:Shape",
         "profile": "attacks.linkage.alignment:Profile",

@@ -1,0 +1,175 @@
+"""What is left to learn after the best smoother: boosted trees correct what it does to a walk."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from attacks.parameters import positive
+from attacks.reconstruction.kalman_rts import RadialRTS, information
+from attacks.reconstruction.learning import TOLD, exposure_loss
+from attacks.remembered import noise_m2
+from isac_track.types import Complexes, Floats, Ints, Knowledge, Reconstruction, Release
+
+if TYPE_CHECKING:
+    from isac_track.protocols import AttackContext, Reconstructor
+_EDGES_S = np.geomspace(0.05, 3.0, 6) * np.sqrt(1.01)
+"""Of the stretches whose means are looked at, to either side of a sample: short nearby. No clock of
+round steps has a sample just there, which rounding would let in or out."""
+_REACH_S = 0.503  # To either side: where a walk heads for, and how fast.
+_STILL_M = 1e-3
+"""Who moves no farther heads nowhere, and is corrected the less the less they move."""
+_LEAST_WALKS = 5
+_FOLDS = 3
+_MOST_TREES, _EVERY = 40, 10
+_SHARES = (0.5, 1.0)
+_LEAST_GAIN = 1e-3  # Of `exposure_loss`.
+
+
+@dataclass(frozen=True, slots=True)
+class Corrector:
+    """A learnt correction on top of `RadialRTS`.
+
+    Around every sample it looks at what the smoother left over, where the smoothed walk goes, how
+    much each sample tells, how noisy the track is (by its innovations, and as declared if that is
+    granted) and how sure the smoother is, all in the frame of the walk's direction. Boosted trees
+    were taught on other people's walks, shared by the same mechanism, what to add along and
+    across. How many trees, and what share of what they say, is decided by walks that they were not
+    grown on, whole ones; where these gain nothing, or fewer than five walks are known, this is the
+    smoother alone. The claimed standard deviation is always the smoother's.
+
+    References
+    ----------
+    Friedman, "Greedy function approximation: a gradient boosting machine", Annals of Statistics
+    29(5), 2001. Learning what a Kalman smoother leaves: Garcia Satorras, Akata, Welling, "Combining
+    generative and discriminative models for hybrid inference", NeurIPS 2019.
+    """
+
+    rate: float = 0.15  # How much of each tree is believed.
+
+    requires: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
+    uses: ClassVar[frozenset[Knowledge]] = TOLD
+
+    def __post_init__(self) -> None:
+        positive(rate=self.rate)
+
+    def fit(self, context: AttackContext) -> Reconstructor:
+        """Return what smooths and corrects releases like those in the training set."""
+        smooth = RadialRTS().fit(context)
+        release, truth = context.train.release, context.train.truth
+        if len(release) < _LEAST_WALKS:
+            return smooth
+        found = smooth(release)
+        about, ahead = _looked_at(release, found)
+        wanted = _turned(truth - found.xy, np.conj(ahead))
+        owner = np.repeat(np.arange(len(release)), np.diff(release.offsets))
+        seed = int(context.rng.integers(2**31))
+        said = np.empty((_MOST_TREES // _EVERY, *wanted.shape))
+        for fold in range(_FOLDS):
+            judges = owner % _FOLDS == fold
+            models = self._grown(about[~judges], wanted[~judges], _MOST_TREES, seed)
+            for axis, model in enumerate(models):
+                stages = list(model.staged_predict(about[judges]))
+                said[:, judges, axis] = stages[_EVERY - 1 :: _EVERY]
+
+        def loss(added: Floats) -> float:
+            xy = found.xy + _turned(added, ahead)
+            return exposure_loss(
+                xy=xy, truth=truth, offsets=release.offsets, epsilon_m=context.epsilon_m
+            )
+
+        tried = {
+            (_EVERY * (stage + 1), share): loss(share * added)
+            for stage, added in enumerate(said)
+            for share in _SHARES
+        }
+        trees, share = min(tried, key=tried.__getitem__)
+        if tried[trees, share] > loss(np.zeros_like(wanted)) - _LEAST_GAIN:
+            return smooth
+        models = self._grown(about, wanted, trees, seed)
+
+        def correct(release: Release) -> Reconstruction:
+            found = smooth(release)
+            about, ahead = _looked_at(release, found)
+            said = np.stack([model.predict(about) for model in models], axis=1)
+            return replace(found, xy=found.xy + share * _turned(said, ahead))
+
+        return correct
+
+    def _grown(self, about: Floats, wanted: Floats, trees: int, seed: int) -> list[Any]:
+        """Return the trees for what to add along and across."""
+        from sklearn.base import clone  # noqa: PLC0415 - heavy, seldom
+        from sklearn.ensemble import HistGradientBoostingRegressor  # noqa: PLC0415 - as said
+
+        model = HistGradientBoostingRegressor(
+            max_iter=trees,
+            learning_rate=self.rate,
+            max_leaf_nodes=8,
+            max_bins=31,
+            min_samples_leaf=min(200, len(about) // 10 + 1),
+            l2_regularization=1.0,
+            early_stopping=False,  # by walks, above: samples of one are no witnesses
+            random_state=seed,
+        )
+        return [clone(model).fit(about, one) for one in wanted.T]
+
+
+def _turned(xy: Floats, by: Complexes) -> Floats:
+    """Return vectors, (M, 2), times complex numbers, (M,)."""
+    z = (xy[:, 0] + 1j * xy[:, 1]) * by
+    return np.stack([z.real, z.imag], axis=1)
+
+
+def _looked_at(release: Release, found: Reconstruction) -> tuple[Floats, Complexes]:
+    """Return what is known about each sample, (M, F), and where its walk heads for, (M,).
+
+    In its frame, over each of the stretches about it, means of what the smoother left over and of
+    where it puts the walk, and the logarithm of the information there; speed, how far it is to
+    either end, and how noisy and how sure all that is. The heading has the length 1, or less where
+    nobody moves.
+    """
+    assert found.std is not None
+    offsets = release.offsets
+    row = np.repeat(np.arange(len(release)), np.diff(offsets))
+    first, last = offsets[row], offsets[row + 1]
+    # One clock for all: tracks follow each other with a gap that no stretch bridges.
+    lasting_s = release.t[offsets[1:] - 1] - release.t[offsets[:-1]] + 2.0 * _EDGES_S[-1]
+    since_s = release.t - release.t[first]
+    clock_s = since_s + np.concatenate([[0.0], np.cumsum(lasting_s)])[row]
+    weight = information(release, RadialRTS.USUAL_PASSES)
+    z = found.xy[:, 0] + 1j * found.xy[:, 1]
+    left = release.xy[:, 0] + 1j * release.xy[:, 1] - z
+    # The sums at sample M are of nobody: a stretch may begin there, and is empty then.
+    totals = [np.append(one, 0.0) for one in (weight, weight * left, z)]
+
+    def place(after_s: float) -> Ints:
+        return np.asarray(np.searchsorted(clock_s, clock_s + after_s))
+
+    ends = [np.minimum(place(at), last - 1) for at in (-_REACH_S, _REACH_S)]
+    chord, took_s = z[ends[1]] - z[ends[0]], clock_s[ends[1]] - clock_s[ends[0]]
+    ahead = chord / np.hypot(np.abs(chord), _STILL_M)
+    about = []
+    edges = [place(at) for at in np.concatenate([-_EDGES_S[::-1], _EDGES_S]).tolist()]
+    with np.errstate(invalid="ignore", divide="ignore"):  # nobody is there: NaN, which trees take
+        for start, end in pairwise(edges):
+            told, pulled, walked = (_summed(one, start, end) for one in totals)
+            for one in (pulled / told, walked / (end - start) - z):
+                turned = one * np.conj(ahead)
+                about += [turned.real, turned.imag]
+            about.append(np.log(np.where(told > 0.0, told, np.nan)))
+        about.append(np.abs(chord) / took_s)
+    about += [np.log(found.std), 0.5 * np.log(noise_m2(release))[row]]
+    about += [since_s, since_s[last - 1] - since_s, np.abs(left)]
+    if release.sigma is not None:
+        about.append(release.sigma)
+    return np.stack(about, axis=1), ahead
+
+
+def _summed(values: NDArray[Any], start: Ints, end: Ints) -> NDArray[Any]:
+    """Return sums over stretches, (K,), of values, (M,); 0 over none."""
+    sums = np.add.reduceat(values, np.column_stack([start, end]).ravel())[::2]
+    return np.where(start < end, sums, 0.0)
