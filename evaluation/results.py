@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from evaluation.analysis import linkability, paper, summary
 from evaluation.analysis import weak_attacks as flags
+from evaluation.analysis.bounds import linked_gaps
 from evaluation.analysis.decisions import decisions
 from evaluation.analysis.families import families_in
 from evaluation.analysis.frontier import frontier
@@ -157,7 +158,11 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
     manifest = read_manifest(out)
     dataset = manifest["dataset"]["name"]
     found, scored, attacked = summary.estimates(out, manifest)
-    worlds = {one: summary.estimates(out, manifest, world=one)[0] for one in WORLDS}
+    worlds = {}
+    for world in WORLDS:
+        card = linkability.cards(out, manifest, drawn=(*ACHIEVED, SUCCESS_OF_100), world=world)
+        worlds[world] = summary.estimates(out, manifest, world=world)[0]
+        worlds[world] |= linked_gaps(summary.linkage_estimates(card))
     predictors = manifest["settings"]["predictors"]
     curves, decided, at_raw_alarms = decisions(scored, manifest, found)
     once = flags.on_first_releases(out, manifest)

@@ -124,7 +124,7 @@ def errors_of(
         return Errors(np.full(raw.shape, _LEAST_VARIANCE_M2), is_gaussian=True)
     if not isinstance(mechanism, (Raw, Fixed, Fid, Thin, Laplace, Ou, OuFid)):
         return None
-    scale = _scale_m2(raw, np.hypot(*sensed.unit_error.T), law=sensed.law, rng=rng)
+    scale = scale_m2(raw, np.hypot(*sensed.unit_error.T), law=sensed.law, rng=rng)
     if getattr(mechanism, "adding", "linear") == "linear":
         scale *= np.square(np.divide(shared, raw, out=np.ones_like(raw), where=raw > 0.0))
         return Errors(np.maximum(scale, _LEAST_VARIANCE_M2), is_gaussian=sensed.law == "isotropic")
@@ -136,12 +136,12 @@ def errors_of(
         length_m = np.hypot(*(release.xy - sensed.xy).T)
         unit = np.divide(length_m, std_m, out=np.ones_like(std_m), where=std_m > 0.0)
         law = "laplace" if isinstance(mechanism, Laplace) else added
-        scale += _scale_m2(std_m, unit, law=law, rng=rng)
+        scale += scale_m2(std_m, unit, law=law, rng=rng)
     gaussian = sensed.law == added == "isotropic" and not isinstance(mechanism, Laplace)
     return Errors(np.maximum(scale, _LEAST_VARIANCE_M2), slow, is_gaussian=gaussian)
 
 
-def _scale_m2(std_m: Floats, length: Floats, *, law: str, rng: Generator) -> Floats:
+def scale_m2(std_m: Floats, length: Floats, *, law: str, rng: Generator) -> Floats:
     """Return the variance per axis, (M,) m^2, that errors were drawn with, given how long they are.
 
     `length` is in units of `std_m`. A radial error is Gaussian of variance s std^2 per axis, s of

@@ -15,10 +15,10 @@ import numpy as np
 from scipy.special import bdtrc
 
 from attacks.testing._releases import RAW_SIGMA_M, changed_by, copied, of_each, renamed
-from isac_track.protocols import LinkageTrainingSet
+from isac_track.protocols import OF_WALKS, LinkageTrainingSet
 from isac_track.rng import stream
 from isac_track.testing.engine import Body, by_name, call
-from isac_track.types import Floats, Ints, Knowledge, Release
+from isac_track.types import ErrorLaw, Floats, Ints, Knowledge, Release
 
 Case: TypeAlias = Any
 """One of those of `_reconstruction_cases`, `_linkage_cases` or `_plugin_checks`."""
@@ -29,6 +29,7 @@ SAME_LEARNT = 0.01  # Room for what a learner makes of the same examples in anot
 SPREADS = 3.0
 """Two runs of an attack that draws may differ by so many times what two seeds differ by."""
 SURPRISE = 1e-6  # Probability with which chance alone would fail an attack.
+LEAK_ERRORS = 4.5
 STANDARD_ERRORS = 2.5  # One-sided 99 % for 24 people (Student's t).
 
 
@@ -327,6 +328,27 @@ def success_falls_with_noise(row: Row) -> None:
             )
 
 
+def nothing_beats_the_optimum(row: Row) -> None:
+    """Of walks that follow a model no more leaks than the exact posterior of a genie tells.
+
+    Of isotropic errors and of radial ones, whose scales the genie is told. A row with more than one
+    release is exempt. Both means must stay within 4.5 standard errors over the tracks, which of
+    ten thousand sound attacks hardly one would exceed.
+    """
+    laws: tuple[ErrorLaw, ...] = ("isotropic", "radial")
+    for law in laws:
+        case, expected = row.ordinary.modelled(law)
+        gap = case.success(row.answer(case)) - expected
+        limit = LEAK_ERRORS * float(gap.std(ddof=1) / np.sqrt(gap.size))
+        if gap.mean() > limit and not row.given & OF_WALKS:
+            row.fail(
+                case,
+                f"PLR {(gap + expected).mean():.3f}, where the exact posterior comes to "
+                f"{expected.mean():.3f}, expected no more than {limit:.3f} above ("
+                "does the truth reach the attack by a way other than its context?)",
+            )
+
+
 _FIRST = by_name(
     same_seed_same_result,
     inputs_are_not_mutated,
@@ -343,6 +365,7 @@ RECONSTRUCTION: dict[str, Body] = {
     "frame_and_clock_do_not_matter": frames_do_not_matter,
     **_THEN,
     **_LAST,
+    **by_name(nothing_beats_the_optimum),
 }
 LINKAGE: dict[str, Body] = {
     "result_is_a_score_matrix": result_is_right,

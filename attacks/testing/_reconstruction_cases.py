@@ -5,18 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
 
 from attacks.testing import _releases as made
 from attacks.testing._releases import BOX_M, EPSILON_M, RAW_SIGMA_M, draws
+from isac_track.kalman.steady import Q_M2_PER_S3
+from isac_track.model_world import Motion, errors_of, known_share, simulated
 from isac_track.privacy import exposure, leakage_indicator
 from isac_track.protocols import TrainingSet
 from isac_track.sharing import Fixed
 from isac_track.types import Bools, ErrorLaw, Floats, Knowledge, Reconstruction, Release, stretches
 
 N_TRACKS = 24
+_MODEL_SIGMA_M = 0.7
 EXTENTS, EXTRA_M = 3.0, 10.0
 """How far an answer may lie from the middle of its track: 3 times its extent and 10 m."""
 
@@ -126,6 +130,11 @@ class ReconstructionCase(made.Case):
         about = f"{N_TRACKS} walks, {law} noise of {sigma_m:g} m"
         return made_up("noisy", about=about, sizes=sizes, sigma_m=sigma_m, law=law)
 
+    @staticmethod
+    def modelled(law: ErrorLaw) -> tuple[ReconstructionCase, Floats]:
+        """Return walks of a model behind 0.7 m of noise, and the PLR that a genie expects, (N,)."""
+        return _modelled(law)
+
     def null(self) -> ReconstructionCase:
         """Return walks with a truth that has nothing to do with them."""
         case = self.noisy(BOX_M, "isotropic")
@@ -140,6 +149,33 @@ class ReconstructionCase(made.Case):
             yield made_up("short", about=about, sizes=sizes)
         about = "8 walks with steps from 1 ms to 30 s"
         yield made_up("irregular", about=about, sizes=(60,) * 8, steps_s=made.IRREGULAR_S)
+
+
+@cache
+def _modelled(law: ErrorLaw) -> tuple[ReconstructionCase, Floats]:
+    about = f"{N_TRACKS} walks of a model, {law} noise"
+    like = made_up("model", about=about, sizes=(150,) * N_TRACKS, law=law)
+    t, offsets = like.release.t, like.release.offsets
+    motion, start = Motion(Q_M2_PER_S3, Q_M2_PER_S3, 1.0), np.zeros((N_TRACKS, 2))
+    rng = draws("model", "walks")
+    truth = simulated(t=t, offsets=offsets, start=start, motion=motion, rng=rng)
+    walked = [(t[lo:hi], truth[lo:hi]) for lo, hi in pairwise(offsets)]
+    mechanism = Fixed(d_sigma=_MODEL_SIGMA_M - RAW_SIGMA_M, law=law)
+    sensed = made.sensed(walked, ("model", "errors"), law=law)
+    release = mechanism.share(sensed, draws("share", "model"))
+    errors = errors_of(
+        release=release, sensed=sensed, mechanism=mechanism, rng=draws("model", "genie")
+    )
+    assert errors is not None
+    expected = known_share(
+        t=t,
+        offsets=offsets,
+        errors=errors,
+        q=motion.q,
+        speed_mps=motion.speed_mps,
+        epsilon_m=EPSILON_M,
+    )
+    return replace(like, release=release, truth=truth, mechanism=mechanism), expected
 
 
 @cache

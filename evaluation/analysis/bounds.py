@@ -6,19 +6,37 @@ what it lacks where they are not, since only a genie who is told the scale of ev
 the ceiling. On recorded walks a gap would mix that with how far people are from the motion.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple, cast
 
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.keys import Source, Where, worlds_of
-from evaluation.analysis.metrics import EXPOSURE, GAP, OPTIMUM
+from evaluation.analysis.keys import Key, Source, Where, worlds_of
+from evaluation.analysis.metrics import EXPOSURE, GAP, OPTIMUM, RANK_GAP, RANK_OPTIMUM, SUCCESS
 from evaluation.analysis.strongest import HEADLINE
 from evaluation.experiment.constants import BOUND, MODEL
-from isac_track.intervals import Estimate
+from isac_track.intervals import Estimate, difference
 
 _ENDS = ["value", "ci_low", "ci_high"]
+
+
+def linked_gaps(found: Mapping[Key, Estimate]) -> dict[Key, Estimate]:
+    """Return linkage of a model world with the optimum's name, and what attacks lack of it.
+
+    Differences are paired: the same people, drawn alike.
+    """
+    named = dict[Key, Estimate]()
+    for key, one in found.items():
+        task, _, who = key.consumer.partition("/")
+        if who == BOUND:
+            named |= {key._replace(metric=RANK_OPTIMUM): one} if key.metric == SUCCESS else {}
+            continue
+        named[key] = one
+        best = found.get(Key(*key.where, f"{task}/{BOUND}", SUCCESS))
+        if key.metric == SUCCESS and key.knowledge and best is not None:
+            named[key._replace(metric=RANK_GAP)] = difference(best, one)
+    return named
 
 
 class Gap(NamedTuple):
@@ -45,7 +63,7 @@ def gaps(summary: pd.DataFrame) -> Sequence[Gap]:
         bounds = of[of["consumer"] == BOUND].sort_values("metric", key=lambda one: one != OPTIMUM)
         if able.empty or bounds.empty:
             continue
-        best = able.nsmallest(1, "value").iloc[0]
+        best = able.nsmallest(1, "ci_high").iloc[0]  # of few tracks one may seem closer
         source = Source(best["consumer"], best["knowledge"])
         is_own = (of["consumer"] == source.consumer) & (of["knowledge"] == source.knowledge)
         attacked = of.loc[is_own & (of["metric"] == EXPOSURE)].iloc[0]

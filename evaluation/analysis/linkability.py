@@ -59,14 +59,24 @@ def dataset_of(consumer: str, *, dataset: str) -> str:
 Cards: TypeAlias = "Sequence[tuple[Mapping[str, Any], LinkageOutcome]]"
 
 
-def cards(out: Path, manifest: Mapping[str, Any], *, drawn: Collection[str] | None = None) -> Cards:
-    """Return the card of every linkage cell with its entry in the manifest.
+def cards(
+    out: Path,
+    manifest: Mapping[str, Any],
+    *,
+    drawn: Collection[str] | None = None,
+    world: str = "",
+) -> Cards:
+    """Return the card of every linkage cell with its entry in the manifest, of one of `WORLDS`.
 
     `drawn` are the metrics of attacks that need replicates; without it all have them, and controls.
 
     Raises DataError if a cell cannot be read.
     """
-    entries = [entry for entry in manifest["cells"] if entry["kind"] in ("linkage", "control")]
+    entries = [
+        entry
+        for entry in manifest["cells"]
+        if entry["kind"] in ("linkage", "control") and entry.get("world", "") == world
+    ]
     return list(zip(entries, read_outcomes(out, entries, drawn=drawn), strict=True))
 
 

@@ -104,6 +104,8 @@ _ROWS: Final = (
         column="plr_gap",
         is_difference=True,
     ),
+    Metric("rank1_optimum", "optimal rank 1", "bound", "fraction", "higher"),
+    Metric(*("rank1_gap", "below the optimum", "bound", "fraction", "lower"), is_difference=True),
     Metric(*("plr_optimum", "optimal PLR", "bound", "fraction", "higher"), column="plr_optimum"),
     Metric(*("plr_ceiling", "PLR ceiling", "bound", "fraction", "higher"), column="plr_ceiling"),
     Metric("rank1", "rank 1", "linkage", "fraction", "higher", is_headline=True),
@@ -138,6 +140,7 @@ RECONSTRUCTION: Final = measured("descriptor", "reconstruction")
 """Of what an attack makes of the positions."""
 GAP: Final = "plr_gap"  # In model worlds alone.
 OPTIMUM: Final = "plr_optimum"
+RANK_OPTIMUM, RANK_GAP = "rank1_optimum", "rank1_gap"  # The same of rank 1.
 CEILING: Final = "plr_ceiling"
 BOUNDS: Final = (OPTIMUM, CEILING)  # Of PLR after any attack.
 MISSED_RATE: Final = "missed_conflict_rate"  # What noise costs a robot.

@@ -9,16 +9,17 @@ from __future__ import annotations
 import hashlib
 import pickle
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from evaluation.cells.adversary import FAR_M, LONG_S, Frame
 from isac_track.intervals import cluster_weights
+from isac_track.model_world import Motion, simulated
 from isac_track.rng import stream
 from isac_track.sensing import draw_channel, sense, walk_numbers
-from isac_track.types import Bools, Floats, Ints, Sensed, read_only
+from isac_track.types import Bools, Floats, Ints, Sensed, derived, read_only
 
 if TYPE_CHECKING:
     from attacks.tasks.sessions import Sessions
@@ -72,16 +73,24 @@ another, and each in arrays of its own."""
 
 
 def sensed_sessions(
-    sessions: Sessions, *, groups: Sequence[str], stages: StageSettings, seed: int
+    sessions: Sessions,
+    *,
+    groups: Sequence[str],
+    motion: Motion | None = None,
+    stages: StageSettings,
+    seed: int,
 ) -> SensedSessions:
     """Sense both sessions of a task and prepare its folds.
 
-    `groups` are the clusters of the run's scenes: who is in both is drawn alike in both.
+    `groups` are the clusters of the run's scenes: who is in both is drawn alike in both. With a
+    `motion` people walk as that says, and all else is as it was recorded.
     """
-    key = hashlib.sha256(pickle.dumps((sessions, groups, stages, seed))).digest()
+    key = hashlib.sha256(pickle.dumps((sessions, groups, motion, stages, seed))).digest()
     found = _last.get(key)
     if found is None:
         found = _sense_sessions(sessions, groups=groups, stages=stages, seed=seed)
+        if motion is not None:
+            found = _modelled(found, motion)
         _last.clear()
         _last[key] = found
     return found
@@ -113,6 +122,27 @@ def _sense_sessions(
         seed=seed,
         candidates=candidates if candidates < largest else 0,
     )
+
+
+def _modelled(found: SensedSessions, motion: Motion) -> SensedSessions:
+    """Return sessions whose people walk as a motion says, one walk a person on both sides."""
+    sides = (found.sessions.probe, found.sessions.gallery)
+    places = [np.empty_like(one.xy) for one in sides]
+    for person, source in enumerate(found.sessions.source):
+        rng = stream(found.seed, "model walks", "linkage", source)
+        own = [np.isin(np.repeat(one.person, np.diff(one.offsets)), person) for one in sides]
+        t = np.concatenate([one.t[mine] for one, mine in zip(sides, own, strict=True)])
+        instants, which = np.unique(t, return_inverse=True)
+        offsets, start = np.array([0, instants.size]), np.zeros((1, 2))
+        walk = simulated(t=instants, offsets=offsets, start=start, motion=motion, rng=rng)[which]
+        places[0][own[0]], places[1][own[1]] = np.split(walk, [int(own[0].sum())])
+    probe, gallery = (replace(one, xy=xy) for one, xy in zip(sides, places, strict=True))
+    sensed = tuple(
+        derived(one, xy=xy + one.sigma_raw[:, None] * one.unit_error)
+        for one, xy in zip(found.sensed, places, strict=True)
+    )
+    sessions = replace(found.sessions, probe=probe, gallery=gallery)
+    return replace(found, sessions=sessions, sensed=sensed)
 
 
 def _whole(parts: Iterable[tuple[int, Pairing]]) -> dict[int, Pairing]:

@@ -39,8 +39,11 @@ from evaluation.cells.tables import (
     names_column,
     track_means,
 )
+from evaluation.experiment.constants import BOUND
 from isac_track import privacy
 from isac_track.errors import DataError, PluginError
+from isac_track.kalman import Batch
+from isac_track.model_world import START_STD_M, Motion, errors_of, log_ratios
 from isac_track.protocols import (
     AttackContext,
     LinkageAttack,
@@ -51,7 +54,7 @@ from isac_track.rng import stream
 from isac_track.types import Floats, Knowledge, Release, derived
 
 if TYPE_CHECKING:
-    from attacks.tasks.sessions import Windows
+    from attacks.tasks.sessions import Sessions, Windows
     from evaluation.experiment.axes import Consumer
     from isac_track.linkability import Calibration
     from isac_track.plugins import Plugin
@@ -63,6 +66,11 @@ WINDOW_COLUMNS = (
     *ON_TRIAL,
 )
 """Of the rows of a cell of windows."""
+
+
+_LAG_STEP_S = 0.2
+_LAG_WIDTH = 3  # Steps over which a lag counts.
+_LEAST_WEIGHT = 0.1
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -169,6 +177,55 @@ def link(consumer: Consumer, level: LinkedLevel) -> Linked:
         drawn_from=(known.seed, "linkage", "scorecard", consumer.spec, consumer.knowledge),
         control=None,
     )
+
+
+def bound(level: LinkedLevel, motion: Motion | None) -> Linked:
+    """Return what the likelihood ratio of pairs links where people walk as a motion says.
+
+    It is told the motion, the variance of every sample and how lags are distributed: nobody who
+    looks at one probe at a time links more of them, in expectation, where errors are Gaussian.
+
+    Raises PluginError for a mechanism whose errors are not white and of known laws.
+    """
+    known, batches = level.known, []
+    assert motion is not None
+    lags_s, weight = _lags(known.sessions)
+    for side, release, sensed in zip(SIDES, level.shared, known.sensed, strict=True):
+        rng = stream(known.seed, "genie", "linkage", level.mechanism.spec, side)
+        of = {"release": release, "sensed": sensed, "mechanism": level.mechanism.instance}
+        errors = errors_of(**of, rng=rng)
+        if errors is None or errors.slow is not None:
+            raise PluginError(f"the optimum behind {level.mechanism.spec} is not known")
+        prior = (START_STD_M, motion.speed_mps)
+        batches.append((release, errors.variance, prior))
+    scores = {}
+    for number, pairing in known.searches.items():
+        walks = []
+        for (release, variance, prior), rows in zip(
+            batches, (pairing.probe, pairing.gallery), strict=True
+        ):
+            samples = sharing.samples_of(release.offsets, rows)
+            t, xy, var = (one[samples.rows] for one in (release.t, release.xy, variance))
+            walks.append(Batch(t, xy, var, samples.offsets, prior))
+        scores[number] = log_ratios(*walks, motion=motion, lags_s=lags_s, weight=weight)
+    drawn_from = (known.seed, "linkage", "scorecard", BOUND)
+    return read_off(
+        scores, known=known, calibration={}, no_match={}, drawn_from=drawn_from, control=None
+    )
+
+
+def _lags(sessions: Sessions) -> tuple[Floats, Floats]:
+    """Return lags of the gallery's window after the probe's, (L,) s, and how often they are so."""
+    starts = [one.t[one.offsets[:-1]] for one in (sessions.probe, sessions.gallery)]
+    mated = np.flatnonzero(sessions.mate >= 0)
+    lag_s = starts[1][sessions.mate[mated]] - starts[0][mated]
+    most = int(np.ceil(np.abs(lag_s).max(initial=0.0) / _LAG_STEP_S)) + _LAG_WIDTH
+    lags_s = np.arange(-most, most + 1, dtype=np.float64) * _LAG_STEP_S
+    near = 1.0 - np.abs(lags_s[:, None] - np.concatenate([lag_s, -lag_s])) / (
+        _LAG_WIDTH * _LAG_STEP_S
+    )
+    weight = np.maximum(near, 0.0).sum(axis=1) + _LEAST_WEIGHT
+    return lags_s, weight / weight.sum()
 
 
 def _approximated(consumer: Consumer, level: LinkedLevel) -> Linked:

@@ -17,6 +17,7 @@ from evaluation.cells.forecasts import sharing_rows
 from evaluation.cells.link_scores import linkage_tables
 from evaluation.cells.link_setup import sensed_sessions
 from evaluation.cells.linkage import (
+    bound,
     link,
     linked_level,
     sees_times_alone,
@@ -74,6 +75,7 @@ class LinkWork:
     groups: tuple[str, ...]  # Clusters of the run's scenes.
     levels: Levels
     keep_scores: bool = False
+    world: str = ""
 
 
 def attempt(
@@ -115,13 +117,18 @@ def cells(
     an attack learns and there is nobody to learn from.
     """
     if isinstance(work, LinkWork):
-        yield from _linked(work, stages=stages, seed=seed)
+        yield from _linked(work, tracks=tracks, stages=stages, seed=seed)
     else:
         yield from _of_scenes(work, tracks=tracks, stages=stages, seed=seed)
 
 
-def _linked(work: LinkWork, *, stages: StageSettings, seed: int) -> Iterator[Item]:
-    whole = sensed_sessions(work.sessions, groups=work.groups, stages=stages, seed=seed)
+def _linked(work: LinkWork, *, tracks: Cut, stages: StageSettings, seed: int) -> Iterator[Item]:
+    if OTHER_LAW_WORLD in work.world:
+        stages = stages.changed({"sensing.law": OTHER_LAW})
+    motion = motion_of(tracks) if MODEL in work.world else None
+    whole = sensed_sessions(
+        work.sessions, groups=work.groups, motion=motion, stages=stages, seed=seed
+    )
     alike: dict[tuple[Digest, str], Tables] = {}
     for mechanism, consumers in work.levels:
         note(mechanism.spec, "")
@@ -138,7 +145,8 @@ def _linked(work: LinkWork, *, stages: StageSettings, seed: int) -> Iterator[Ite
             if tables is None and consumer.kind == "windows":
                 tables = window_tables(consumer, level)
             elif tables is None:
-                found = link(consumer, level)
+                is_bound = consumer.kind == "linkage" and not consumer.plugins
+                found = bound(level, motion) if is_bound else link(consumer, level)
                 tables = linkage_tables(found, whole, keep_scores=work.keep_scores)
             if is_same or sees_release_alone(consumer):
                 alike[key] = tables

@@ -60,8 +60,10 @@ class Consumer:
         name = "@".join(one.spec for one in self.plugins)
         if self.kind == "control":
             name = f"control-{self.control}"
-        elif self.kind in {"windows", "bound"}:
-            name = WINDOWS if self.kind == "windows" else BOUND
+        elif self.kind == "windows":
+            name = WINDOWS
+        elif self.kind == "bound" or (self.kind == "linkage" and self.plugin is None):
+            name = BOUND
         return f"{self.task}/{name}" if self.task else name or SHARED
 
     @property
@@ -114,6 +116,8 @@ class Axes:
     worlds: Mapping[str, tuple[Plugin, ...]] = field(default_factory=dict)
     """Mechanisms of the scenes that are attacked in another of `WORLDS`, too."""
     slow_in_worlds: bool = False
+    linked_in: Mapping[str, tuple[Plugin, ...]] = field(default_factory=dict)
+    """Of the worlds those where people are linked, and behind which mechanisms."""
     adversaries: tuple[str, ...] = ()  # Asked for beside the usual ones.
 
     @property
@@ -138,6 +142,12 @@ class Axes:
             if (self.slow_in_worlds or not one.is_slow)
             and (world == OTHER_LAW_WORLD or one.kind in {"attack", "bound"})
         )
+
+    def readers_in(self, world: str, task: Task) -> tuple[Consumer, ...]:
+        """Return who links in another world, and the optimum: who is told motion and errors."""
+        linkers = (one for one in self.readers(task) if one.kind == "linkage")
+        every = (*linkers, Consumer("linkage", task=task.name))
+        return tuple(replace(one, world=world) for one in every)
 
     @property
     def linked_mechanisms(self) -> tuple[Plugin, ...]:
@@ -204,13 +214,14 @@ def axes(settings: Settings) -> Axes:
     named = {plugin.spec for plugin in predictors}
     utility = named if settings.predictors is not None else named.intersection(UTILITY_PREDICTORS)
     # Who names mechanisms, or a law, has asked for these alone.
+    law = settings.stages.sensing.law
     other = {OTHER_LAW_WORLD: preset.other_law, **dict.fromkeys(WORLDS[1:], preset.model)}
     worlds = {
         world: tuple(one for one in mechanisms if one.spec in specs)
         for world, specs in other.items()
         if settings.mechanisms is None
-        and (attacks or world == OTHER_LAW_WORLD)
-        and (settings.stages.sensing.law != OTHER_LAW or world == MODEL)
+        and (attacks or pairs or world == OTHER_LAW_WORLD)
+        and (law != OTHER_LAW or world == MODEL)
     }
     return Axes(
         *(mechanisms, predictors, attacks, pairs, ceiling),
@@ -218,6 +229,12 @@ def axes(settings: Settings) -> Axes:
         adversaries=settings.adversaries,
         worlds=worlds,
         slow_in_worlds=settings.preset == "audit",
+        # One walk, and Gaussian errors: else the best that can be done is not known.
+        linked_in={
+            world: tuple(one for one in some if one.spec in preset.model_linked)
+            for world, some in worlds.items()
+            if MODEL in world and (OTHER_LAW_WORLD in world or law == OTHER_LAW)
+        },
     )
 
 

@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from isac_track.plugins import Plugin
 
 
+MOST_MODELLED = 300
+"""People who are linked in a model world: all pairs under all lags, one filter each."""
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Unit:
     """A unit of work: one level, one block, one stage. It leaves a file of all its consumers."""
@@ -63,6 +67,7 @@ class Plan:
     units: tuple[Unit, ...]
     code_of: Mapping[str, str]  # Digest by module, of the code of every plug-in.
     sessions: tuple[Sessions, ...]  # What is linked, by task.
+    model_sessions: tuple[Sessions, ...] = ()  # The same of walks of a model.
 
     @property
     def n_cells(self) -> int:
@@ -139,6 +144,8 @@ def plan(settings: Settings) -> Plan:
         or settings.scheduler is not None
     ):
         _check_sendable(units)
+    most = min(MOST_MODELLED, settings.stages.linkage.most_people)
+    few = settings.stages.changed({"linkage.most_people": most})
     out = Path("runs") / f"{dataset.name}-{settings.preset}-{settings.seed}"
     return Plan(
         settings=settings,
@@ -152,6 +159,11 @@ def plan(settings: Settings) -> Plan:
         units=units,
         code_of=code_of,
         sessions=tuple(sessions),
+        model_sessions=tuple(
+            sessions_of(one.task, tracks=dataset.tracks, stages=few, seed=settings.seed)
+            for one in sessions
+            if one.task.is_one_stretch and any(crossed.linked_in.values())
+        ),
     )
 
 
@@ -179,6 +191,12 @@ def _units(
         (crossed.mechanisms, utility, rest),
         *((crossed.linked_mechanisms, crossed.readers(task), (0,)) for task in crossed.tasks),
         *((some, crossed.consumers_in(world), attacked) for world, some in crossed.worlds.items()),
+        *(
+            (some, crossed.readers_in(world, task), (0,))
+            for world, some in crossed.linked_in.items()
+            for task in crossed.tasks
+            if task.is_one_stretch
+        ),
     ):
         by_stage: dict[str, dict[str, Consumer]] = {}
         for consumer in consumers:

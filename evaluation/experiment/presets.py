@@ -27,6 +27,8 @@ class Preset:
     """Mechanisms that are shared, foreseen and reconstructed under `OTHER_LAW`, too."""
     model: tuple[str, ...] = ()
     """Mechanisms that are reconstructed on walks of the fitted motion, too, under both laws."""
+    model_linked: tuple[str, ...] = ()
+    """Those of `model` behind which they are linked, too, where errors are Gaussian."""
 
 
 SMOKE_LEVELS = ("raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1")
@@ -139,10 +141,12 @@ PRESETS = {
         predictors=("kalman_cv",),
         attacks=(
             *("identity", "kalman_rts", "radial_rts", "ou_rts", "imm_rts", "gaussian_process"),
+            *("corrector", "posterior"),
             *("shape", "shape@radial_rts", "dtw", "likelihood_ratio"),
         ),
         tasks=("rerelease",),
         model=_AUDITED,
+        model_linked=_AUDITED[:9],
         summary="750 scenes, 11 levels, slow attacks too: how far they are from the optimum in "
         "worlds of walks that follow the model",
     ),

@@ -1,12 +1,14 @@
 """The best attacks beside the optimum of model worlds, and the ceiling of the recorded walks."""
 
 from collections.abc import Sequence
+from typing import cast
 
 import pandas as pd
 
 from evaluation.analysis.bounds import Gap, gaps
-from evaluation.analysis.keys import Where
-from evaluation.analysis.metrics import CEILING, EXPOSURE, GAP
+from evaluation.analysis.keys import Source, Where, worlds_of
+from evaluation.analysis.metrics import CEILING, EXPOSURE, GAP, RANK_GAP, RANK_OPTIMUM, SUCCESS
+from evaluation.analysis.strongest import HEADLINE
 from evaluation.experiment.constants import MODEL, OTHER_LAW, OTHER_LAW_WORLD
 from evaluation.reporting import table as make
 from evaluation.reporting.rows import Results, mechanism_columns
@@ -20,6 +22,13 @@ _GENIE = (
     "ceiling: a genie who is told the scale of every error; the gap is at most that. On recorded "
     "walks, under the motion of who is easiest to smooth, it is no bound."
 )
+
+
+_RATIO = (
+    "Of linkers: the exact likelihood ratio of each pair, of Gaussian errors of known variance. "
+    "Nobody who looks at one probe at a time finds more people, in expectation."
+)
+_ENDS = ("value", "ci_low", "ci_high")
 
 
 def law_of(world: str, run: Results) -> str:
@@ -60,6 +69,42 @@ def bound_table(run: Results) -> Table:
     )
 
 
+def linked_bound_table(run: Results) -> Table:
+    """Return what the linker that comes closest lacks of the optimal likelihood ratio, by level."""
+    rows = run.summary[run.summary["metric"].isin([SUCCESS, RANK_GAP, RANK_OPTIMUM])]
+    rows = rows[worlds_of(rows).str.startswith(MODEL)]
+    records = []
+    for place, of in rows.groupby(["dataset", "mechanism", "level"], sort=False, dropna=False):
+        _, mechanism, level = cast("tuple[str, str, float]", place)
+        told = of[(of["metric"] == RANK_GAP) & of["knowledge"].isin(HEADLINE)]
+        if told.empty:
+            continue
+        gap = told.nsmallest(1, "ci_high").iloc[0]
+        source = Source(gap["consumer"], gap["knowledge"])
+        own = of[(of["consumer"] == source.consumer) & (of["knowledge"] == source.knowledge)]
+        numbers = {
+            "found": own[own["metric"] == SUCCESS].iloc[0],
+            "optimum": of[of["metric"] == RANK_OPTIMUM].iloc[0],
+            "gap": gap,
+        }
+        records.append(
+            {"mechanism": mechanism, "level": level, "task": source.task}
+            | {"closest linker": source.attack.label}
+            | {name: make.amount(SUCCESS, *one[list(_ENDS)]) for name, one in numbers.items()}
+        )
+    columns = [
+        *mechanism_columns(run.families),
+        *map(make.said, ("task", "closest linker")),
+        make.held("rank 1 there", "found", unit="%"),
+        make.held("optimum", unit="%"),
+        make.held("gap", unit="points"),
+    ]
+    title = "How far the linkers are from the optimum of a model world; 95 % intervals"
+    return make.built(
+        "bounds-linked", title, records, columns, notes=[_MODEL, _RATIO], n_headings=2, n_keys=3
+    )
+
+
 def gap_text(known: Sequence[Gap], where: Where) -> str:
     """Return in words how far the attacks are from the optimum at a level; empty if unknown."""
     own, *others = [
@@ -73,7 +118,7 @@ def gap_text(known: Sequence[Gap], where: Where) -> str:
 
 def _ceilings(rows: pd.DataFrame) -> dict[Where, Cell]:
     of = rows[rows["metric"] == CEILING]
-    numbers = of[["value", "ci_low", "ci_high"]].itertuples(index=False)
+    numbers = of[list(_ENDS)].itertuples(index=False)
     wheres = zip(of["mechanism"], of["level"], strict=True)
     return {
         (name, None if pd.isna(level) else level): make.amount(EXPOSURE, *one)

@@ -32,7 +32,7 @@ from evaluation.reporting import result_tables as measured
 from evaluation.reporting import terminal
 from evaluation.reporting.announcements import data_notices, notices
 from evaluation.reporting.answers import headline_of
-from evaluation.reporting.bounds import bound_table
+from evaluation.reporting.bounds import bound_table, linked_bound_table
 from evaluation.reporting.first_screen import TABLES, data_line, first_screen
 from evaluation.reporting.headline import headline, headline_table
 from evaluation.reporting.markup import latex, markdown
@@ -77,7 +77,7 @@ def _everything(run: Results) -> Iterator[Part]:
     yield from measured.sweep_tables(run.ours)
     yield measured.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest))
     yield measured.attack_table(run.ours)
-    yield bound_table(run)
+    yield from (bound_table(run), linked_bound_table(run))
     yield from (measured.rank_table(run, task) for task in run.tasks)
     yield answers.paper_table(run)
     yield answers.claims_table(run)
@@ -109,6 +109,7 @@ def page_tables(run: Results) -> dict[str, Table]:
         answers.frontier_table(run),
         measured.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest)),
         bound_table(run),
+        linked_bound_table(run),
         *(measured.rank_table(run, task) for task in run.tasks),
         answers.flag_table(run),
         measured.doubt_table(run),

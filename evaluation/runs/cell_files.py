@@ -214,7 +214,7 @@ def read_outcomes(
                 (
                     one["consumer"].partition("/")[0],
                     _held(path, index, one),
-                    drawn is None or bool(drawn and one["knowledge"]),
+                    drawn is None or bool(drawn and (one["knowledge"] or one.get("world"))),
                 )
                 for one in mine
             ]

@@ -126,7 +126,8 @@ def others(
 def with_ceiling(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the index without what is linked without a ceiling.
 
-    What an attack says when it finds nothing depends on it.
+    What an attack says when it finds nothing depends on it; in other worlds it is held against the
+    optimum instead.
     """
     ceilings = {
         (entry["consumer"], entry["knowledge"]) for entry in entries if entry["spec"] == "clean"
@@ -134,7 +135,9 @@ def with_ceiling(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [
         entry
         for entry in entries
-        if entry["kind"] != "linkage" or (entry["consumer"], entry["knowledge"]) in ceilings
+        if entry["kind"] != "linkage"
+        or entry.get("world")
+        or (entry["consumer"], entry["knowledge"]) in ceilings
     ]
 
 

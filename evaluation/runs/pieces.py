@@ -97,12 +97,15 @@ def pieces_of(missing: Sequence[Unit], ready: Plan) -> list[Work]:
         )
     ]
     links: list[LinkWork] = []
-    for sessions in ready.sessions:
-        levels = _levels(one for one in missing if one.stage == sessions.task.name)
+    walked = [(one, "") for one in ready.sessions]
+    walked += [(one, world) for world in ready.axes.linked_in for one in ready.model_sessions]
+    for sessions, world in walked:
+        name = sessions.task.name
+        levels = _levels(one for one in missing if one.stage == name and one.world == world)
         # Each piece senses the sessions again, which takes less than one level.
         for first in range(0, len(levels), _LEVELS_PER_TASK):
             piece = levels[first : first + _LEVELS_PER_TASK]
-            links.append(LinkWork(sessions, groups, piece, settings.keep_scores))
+            links.append(LinkWork(sessions, groups, piece, settings.keep_scores, world))
     # The longest first: at the end no worker waits for long.
     links.sort(key=_n_pairs, reverse=True)
     # A block takes the most memory, and the longer the more consumers it has: with workers, most of

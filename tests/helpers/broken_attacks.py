@@ -234,11 +234,11 @@ def keeps_by_name(_context):
     return lambda release: known.setdefault(release.pseudonym, Reconstruction(release.xy))
 
 
-def truth_called(name):
-    """Yield what the case of the null check holds under that name, if it is that which called."""
+def truth_called(name, check="null_stays_at_chance"):
+    """Yield what the case of a check holds under that name, if it is that which called."""
     frame = sys._getframe(1)
     while frame is not None:
-        if frame.f_code.co_name == "null_stays_at_chance":
+        if frame.f_code.co_name == check:
             yield getattr(frame.f_locals["case"], name)
         frame = frame.f_back
 
@@ -249,6 +249,15 @@ def peeks(release):
     xy = release.xy.copy()
     for truth in truth_called("truth"):
         xy[::10] = truth[::10]
+    return xy
+
+
+@fails("nothing_beats_the_optimum", "where the exact posterior comes to")
+def peeks_where_it_is_near(release):
+    """Nine tenths of what it is off by it mends, where walks of a model are asked for."""
+    xy = release.xy.copy()
+    for truth in truth_called("truth", "nothing_beats_the_optimum"):
+        xy += 0.9 * (truth - xy)
     return xy
 
 

@@ -3,9 +3,19 @@
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.special import logsumexp
 
 from isac_track.kalman import Batch, smooth_positions
-from isac_track.model_world import Errors, Motion, errors_of, fitted_motion, known_share, simulated
+from isac_track.model_world import (
+    START_STD_M,
+    Errors,
+    Motion,
+    errors_of,
+    fitted_motion,
+    known_share,
+    log_ratios,
+    simulated,
+)
 from isac_track.protection import Forecast, Laplace, Ou
 from isac_track.rng import stream
 from isac_track.sensing import unit_errors
@@ -146,9 +156,59 @@ def test_clean_walks_are_known(walks):
 
 
 @pytest.mark.parametrize(
-    "mechanism", [Correlated(0.5), Offset(0.3), Forecast(0.3), object()], ids=str
+    "mechanism", [Correlated(0.5), Offset(0.3), Forecast(0.3), "mine"], ids=str
 )
 def test_of_other_errors_nothing_is_said(walks, mechanism):
     of = sensed(walks, "radial")
     release = Raw().share(of, rng("share"))
     assert errors_of(release=release, sensed=of, mechanism=mechanism, rng=rng("genie")) is None
+
+
+def _dense(positions, covariance):
+    root = np.linalg.cholesky(covariance)
+    white = np.linalg.solve(root, positions)
+    normal = 2.0 * np.log(np.diag(root)).sum() + positions.size * np.log(2.0 * np.pi)
+    return -0.5 * np.square(np.abs(white)).sum() - normal
+
+
+def _covariance(t, variance, *, second):
+    early, late = np.minimum.outer(t, t), np.maximum.outer(t, t)
+    walk = early**3 / 3.0 + early**2 * (late - early) / 2.0
+    shift = np.outer(second, second) * START_STD_M**2
+    free = START_STD_M**2 + MOTION.speed_mps**2 * np.outer(t, t)
+    return free + MOTION.q * walk + shift + np.diag(variance)
+
+
+def test_ratios_of_pairs_are_those_of_dense_densities_averaged_over_rotations():
+    lags_s, weight = np.array([-1.0, 0.0, 0.7]), np.array([0.2, 0.5, 0.3])
+    sides = []
+    for name, n, size in (("probe", 2, 8), ("gallery", 3, 6)):
+        draw, offsets = rng("pairs", name), np.arange(n + 1) * size
+        t = np.cumsum(draw.uniform(0.2, 0.6, (n, size)), axis=1).ravel()
+        walk = {"t": t, "offsets": offsets, "start": np.zeros((n, 2)), "motion": MOTION}
+        variance = draw.uniform(0.01, 0.1, t.size)
+        noise = np.sqrt(variance)[:, None] * draw.standard_normal((t.size, 2))
+        prior = START_STD_M, MOTION.speed_mps
+        sides.append(Batch(t, simulated(**walk, rng=draw) + noise, variance, offsets, prior))
+    found = log_ratios(*sides, motion=MOTION, lags_s=lags_s, weight=weight)
+    angles = np.exp(2j * np.pi * np.arange(360) / 360)
+
+    def seen(batch, row):
+        own = slice(*batch.offsets[row : row + 2])
+        t, z = batch.t[own], (batch.xy[own] - batch.xy[own][0]) @ [1.0, 1j]
+        return t - t[0], z, batch.variance[own]
+
+    for i, j in np.ndindex(found.shape):
+        (t1, z1, r1), (t2, z2, r2) = seen(sides[0], i), seen(sides[1], j)
+        alone = sum(
+            _dense(z, _covariance(t, r, second=np.zeros(t.size)))
+            for t, z, r in ((t1, z1, r1), (t2, z2, r2))
+        )
+        second = np.repeat([0.0, 1.0], [t1.size, t2.size])
+        of_lags = []
+        for lag_s, share in zip(lags_s, weight, strict=True):
+            t = np.concatenate([t1, t2 + lag_s])
+            both = _covariance(t - t.min(), np.concatenate([r1, r2]), second=second)
+            turned = [_dense(np.concatenate([z1, turn * z2]), both) for turn in angles]
+            of_lags.append(logsumexp(turned) - np.log(angles.size) + np.log(share))
+        assert found[i, j] == pytest.approx(logsumexp(of_lags) - alone, abs=1e-6)

@@ -8,7 +8,8 @@ import pytest
 from evaluation import Settings, run
 from evaluation.analysis.bounds import gaps
 from evaluation.experiment.presets import PRESETS
-from evaluation.reporting.bounds import bound_table, gap_text
+from evaluation.reporting.bounds import bound_table, gap_text, linked_bound_table
+from isac_track.config import StageSettings
 
 
 def test_in_worlds_of_the_fitted_motion_attacks_stand_beside_the_optimum(
@@ -45,3 +46,31 @@ def test_in_worlds_of_the_fitted_motion_attacks_stand_beside_the_optimum(
     assert len(bound_table(found).rows) == 2
     assert [one.where for one in gaps(found.summary)] == [("fixed", 0.5)] * 2
     assert gap_text(gaps(found.summary), ("fixed", 0.5)).startswith("in the model world at most ")
+
+
+def test_linkers_stand_beside_the_optimal_ratio_where_errors_are_gaussian(tmp_path, monkeypatch):
+    axes = {"mechanisms": ("raw", "fixed:0.5"), "tasks": ("rerelease",), "predictors": ()}
+    axes |= {"attacks": ("shape",), "protections": (), "other_law": ()}
+    both = {"model": ("fixed:0.5",), "model_linked": ("fixed:0.5",)}
+    monkeypatch.setitem(PRESETS, "paper", replace(PRESETS["paper"], scenes=4, **axes, **both))
+    stages = StageSettings().changed({"linkage.most_people": 60})
+    found = run(Settings(dataset="plaza", jobs=1, out=tmp_path / "model", stages=stages))
+    rows = found.summary.fillna({"knowledge": ""})
+    of = rows[rows["dataset"] == "plaza:model,law=isotropic"]
+    of = of.set_index(["consumer", "knowledge", "metric"])[["value", "ci_low", "ci_high"]]
+    best, gap = (
+        of.loc[at]
+        for at in (
+            ("rerelease/bound", "", "rank1_optimum"),
+            ("rerelease/shape", "blind", "rank1_gap"),
+        )
+    )
+    reached = of.loc["rerelease/shape", "blind", "rank1"]["value"]
+    assert gap["value"] == pytest.approx(best["value"] - reached)
+    assert gap["ci_low"] < gap["value"] < gap["ci_high"]
+    assert gap["ci_high"] > 0.0  # nobody surely beats the optimum
+    assert not (rows["dataset"] == "plaza:model").any()  # nobody rebuilds, and these are radial
+    assert len(linked_bound_table(found).rows) == 1
+    # What a person sees of the recording has none of it.
+    assert set(found.linkability["consumer"]) >= {"rerelease/shape"}
+    assert not found.linkability["consumer"].str.contains("bound").any()

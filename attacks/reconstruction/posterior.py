@@ -1,0 +1,138 @@
+"""Where was somebody, if errors are Gaussian but for a scale that nobody tells? Draws from that."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, TypeAlias
+
+import numpy as np
+from numpy.random import Generator
+
+from attacks.parameters import positive
+from attacks.reconstruction.kalman_rts import PRIOR_STD, RadialRTS, looks_radial
+from attacks.reconstruction.learning import TOLD, learn_variance
+from isac_track.kalman import Batch, smooth_positions
+from isac_track.kalman.slow_errors import added_error
+from isac_track.kalman.steady import Q_M2_PER_S3
+from isac_track.model_world import Motion, scale_m2, simulated
+from isac_track.protection import Laplace
+from isac_track.types import Floats, Knowledge, Reconstruction, Release
+
+if TYPE_CHECKING:
+    from isac_track.protocols import AttackContext, Reconstructor
+
+_Part: TypeAlias = tuple[Floats, str]
+_LEAST_M2 = 1e-8
+_MOST_ADDED = 0.98  # Of the variance: something was sensed.
+_SHIFTS = 6  # Of an estimate, to where most draws are within epsilon.
+
+
+@dataclass(frozen=True, slots=True)
+class Posterior:
+    """The posterior of a walk behind radial or planar Laplace errors, by Gibbs sampling.
+
+    Both are Gaussian with a scale of its own for every sample. In turn the scales are drawn given
+    the walk, and the walk given the scales: the smoother of what was shared less a walk and errors
+    from the prior, plus that walk. Who knows a mechanism that adds independently draws what part of
+    an error it added, too. The estimate is where most draws lie within epsilon: PLR asks for no
+    more. Exact in the long run for walks of its motion and errors as large as it takes them to be;
+    where the release shows neither law it is `RadialRTS`. Slow: a reference for what smoothers
+    leave, which is half a point behind radial errors and four behind Laplace ones.
+
+    References
+    ----------
+    Gibbs sampling of scale mixtures: Carter, Kohn, Biometrika 81(3), 1994, 541-553. Simulation
+    smoother: Durbin, Koopman, Biometrika 89(3), 2002, 603-616.
+    """
+
+    q: float = Q_M2_PER_S3
+    draws: int = 300
+    burn_in: int = 100
+
+    slow: ClassVar[bool] = True
+    seconds_per_sample: ClassVar[float] = 2e-4
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = TOLD
+
+    def __post_init__(self) -> None:
+        positive(q=self.q)
+        if self.draws < 1 or self.burn_in < 0:
+            raise ValueError(
+                f"draws must be at least 1 and burn_in at least 0, got {self.draws}, {self.burn_in}"
+            )
+
+    def fit(self, context: AttackContext) -> Reconstructor:
+        """Return what samples releases like those in the training set."""
+        variance, first = learn_variance(context), RadialRTS().fit(context)
+        seed = int(context.rng.integers(2**63))
+        mechanism = context.mechanism if Knowledge.MECHANISM in context.granted else None
+        is_slow = added_error(mechanism)[1] > 0.0
+
+        def reconstruct(release: Release) -> Reconstruction:
+            begun = first(release)
+            if is_slow or not (isinstance(mechanism, Laplace) or looks_radial(release)):
+                return begun
+            rng = np.random.default_rng(seed)
+            parts = _parts(variance(release), mechanism)
+            return _where_most_are(self._draws(release, begun.xy, parts, rng), context.epsilon_m)
+
+        return reconstruct
+
+    def _draws(
+        self, release: Release, xy: Floats, parts: Sequence[_Part], rng: Generator
+    ) -> Floats:
+        """Return draws of the walks, (K, M, 2) m."""
+        t, offsets = release.t, release.offsets
+        motion, start = Motion(self.q, self.q, PRIOR_STD[1]), np.zeros((len(release), 2))
+        found = np.empty((self.draws, *xy.shape))
+        total_m2 = sum(np.square(std_m) for std_m, _ in parts)
+        errors = [(release.xy - xy) * (std_m**2 / total_m2)[:, None] for std_m, _ in parts]
+        for turn in range(-self.burn_in, self.draws):
+            scales = [
+                scale_m2(std_m, np.hypot(*one.T) / std_m, law=law, rng=rng)
+                for one, (std_m, law) in zip(errors, parts, strict=True)
+            ]
+            variance = np.maximum(sum(scales), _LEAST_M2)
+            free = simulated(t=t, offsets=offsets, start=start, motion=motion, rng=rng)
+            noise = np.sqrt(variance)[:, None] * rng.standard_normal(xy.shape)
+            batch = Batch(t, release.xy - free - noise, variance, offsets, PRIOR_STD)
+            xy = free + smooth_positions(batch, q=self.q)[0]
+            errors = [release.xy - xy]
+            if len(parts) > 1:  # of a sum of two Gaussians the first, and the rest
+                share = (scales[0] / variance)[:, None]
+                spread = np.sqrt(scales[0] * scales[1] / variance)[:, None]
+                own = share * errors[0] + spread * rng.standard_normal(xy.shape)
+                errors = [own, errors[0] - own]
+            if turn >= 0:
+                found[turn] = xy
+        return found
+
+
+def _parts(variance: Floats, mechanism: object) -> Sequence[_Part]:
+    """Return standard deviation and law of the independent errors of every sample, one or two.
+
+    `variance`, (M,) m^2, is that of their sum per axis.
+    """
+    if getattr(mechanism, "adding", "linear") == "linear":
+        return [(np.sqrt(2.0 * variance), "radial")]
+    law = "laplace" if isinstance(mechanism, Laplace) else getattr(mechanism, "law", None)
+    added_m2 = np.minimum(np.square(added_error(mechanism)[0]), _MOST_ADDED * variance)
+    raw_m = np.sqrt(2.0 * (variance - added_m2))
+    return [(raw_m, "radial"), (np.sqrt(added_m2 * (1.0 if law else 2.0)), law or "radial")]
+
+
+def _where_most_are(draws: Floats, epsilon_m: float) -> Reconstruction:
+    """Return the point of each sample that most draws, (K, M, 2), are near, and how they spread."""
+    best = draws.mean(axis=0)
+    std = np.sqrt(np.square(draws - best).mean(axis=(0, 2)))
+    point, most = best, np.full(best.shape[0], -1)
+    for _ in range(_SHIFTS):
+        near = np.square(draws - point).sum(axis=2) < epsilon_m**2
+        count = near.sum(axis=0)
+        is_better = count > most
+        best = np.where(is_better[:, None], point, best)
+        most = np.maximum(count, most)
+        inside = (draws * near[:, :, None]).sum(axis=0)
+        point = np.where(count[:, None] > 0, inside / np.maximum(count, 1)[:, None], point)
+    return Reconstruction(best, std)
