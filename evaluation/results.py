@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from evaluation.analysis import linkability, paper, summary
 from evaluation.analysis import weak_attacks as flags
-from evaluation.analysis.bounds import linked_gaps
+from evaluation.analysis.bounds import gaps, linked_gaps
 from evaluation.analysis.decisions import decisions
 from evaluation.analysis.families import families_in
 from evaluation.analysis.frontier import frontier
@@ -181,10 +181,13 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
     every_sum |= {key: Summed(sums, weights) for key, sums in attacked.items()}
     judged = Sweeps({**sweeps.found, **crossed}, known) if crossed else sweeps
     said = verdict.verdict(judged, probes, strongest=best, scored=halves, manifest=manifest)
+    tidy = summary.to_frame({**found, **linked}, worlds=worlds, known=known, dataset=dataset)
+    far = flags.far_from_optimum(gaps(tidy))
+    flagged = pd.concat([flagged, far], ignore_index=True) if len(far) else flagged
     results = Results(
         out=out,
         manifest=manifest,
-        summary=summary.to_frame({**found, **linked}, worlds=worlds, known=known, dataset=dataset),
+        summary=tidy,
         paper_table=paper.paper_table(sweeps, dataset=dataset),
         claims=paper.claims(sweeps, at_equal, dataset=dataset, history=manifest["history"]),
         matched=at_equal,

@@ -13,12 +13,21 @@ import numpy as np
 import pandas as pd
 
 from evaluation.analysis.keys import Key, Source, Where, worlds_of
-from evaluation.analysis.metrics import EXPOSURE, GAP, OPTIMUM, RANK_GAP, RANK_OPTIMUM, SUCCESS
+from evaluation.analysis.metrics import (
+    CEILING,
+    EXPOSURE,
+    GAP,
+    OPTIMUM,
+    RANK_GAP,
+    RANK_OPTIMUM,
+    SUCCESS,
+)
 from evaluation.analysis.strongest import HEADLINE
 from evaluation.experiment.constants import BOUND, MODEL
 from isac_track.intervals import Estimate, difference
 
 _ENDS = ["value", "ci_low", "ci_high"]
+_PLACE = ["world", "mechanism", "level", "task"]
 
 
 def linked_gaps(found: Mapping[Key, Estimate]) -> dict[Key, Estimate]:
@@ -44,31 +53,40 @@ class Gap(NamedTuple):
 
     world: str
     where: Where
-    attack: Source
-    attacked: Estimate  # PLR that it reaches there.
+    attack: Source  # With the task, if it links.
+    reached: Estimate  # PLR or rank 1 that it comes to there.
     gap: Estimate
     bound: Estimate
     is_exact: bool  # Whether `bound` is the optimum; else it is the ceiling of a genie.
 
 
 def gaps(summary: pd.DataFrame) -> Sequence[Gap]:
-    """Return the closest attack, short of the oracle's, at every level of every model world."""
+    """Return the closest attack, short of the oracle's, at every level of every model world.
+
+    First those that rebuild, then those that link. Of few tracks an attack may seem closer than it
+    is: the closest is who is surely so.
+    """
     world = worlds_of(summary)
     rows = summary.assign(world=world)[world.str.startswith(MODEL)]
+    rows = rows.assign(task=[Source(one).task for one in rows["consumer"]])
     found = []
-    places = rows.groupby(["world", "mechanism", "level"], sort=False, dropna=False)
-    for place, of in places:
-        name, mechanism, level = cast("tuple[str, str, float]", place)
-        able = of[(of["metric"] == GAP) & of["knowledge"].isin(HEADLINE) & of["value"].notna()]
-        bounds = of[of["consumer"] == BOUND].sort_values("metric", key=lambda one: one != OPTIMUM)
-        if able.empty or bounds.empty:
-            continue
-        best = able.nsmallest(1, "ci_high").iloc[0]  # of few tracks one may seem closer
-        source = Source(best["consumer"], best["knowledge"])
-        is_own = (of["consumer"] == source.consumer) & (of["knowledge"] == source.knowledge)
-        attacked = of.loc[is_own & (of["metric"] == EXPOSURE)].iloc[0]
-        where = mechanism, None if np.isnan(level) else level
-        plr, gap, bound = (Estimate(*one[_ENDS]) for one in (attacked, best, bounds.iloc[0]))
-        is_exact = bool((bounds["metric"] == OPTIMUM).any())
-        found.append(Gap(name, where, source, plr, gap, bound, is_exact))
+    for gap, metric, optimum in ((GAP, EXPOSURE, OPTIMUM), (RANK_GAP, SUCCESS, RANK_OPTIMUM)):
+        is_bound = rows["metric"].isin([optimum, CEILING] if metric == EXPOSURE else [optimum])
+        able = (rows["metric"] == gap) & rows["knowledge"].isin(HEADLINE) & rows["value"].notna()
+        some = rows[able | is_bound | (rows["metric"] == metric)]
+        for place, of in some.groupby(_PLACE, sort=False, dropna=False):
+            name, mechanism, level, _ = cast("tuple[str, str, float, str]", place)
+            lacking = of[of["metric"] == gap].nsmallest(1, "ci_high")
+            bounds = of[of["metric"].isin([optimum, CEILING])]
+            if lacking.empty or bounds.empty:
+                continue
+            best = lacking.iloc[0]
+            source = Source(best["consumer"], best["knowledge"])
+            is_own = (of["consumer"] == source.consumer) & (of["knowledge"] == source.knowledge)
+            reached = of.loc[is_own & (of["metric"] == metric)].iloc[0]
+            is_exact = bool((bounds["metric"] == optimum).any())
+            bound = bounds[(bounds["metric"] == optimum) | (not is_exact)].iloc[0]
+            plr, lacks, most = (Estimate(*one[_ENDS]) for one in (reached, best, bound))
+            where = mechanism, None if np.isnan(level) else level
+            found.append(Gap(name, where, source, plr, lacks, most, is_exact))
     return found

@@ -10,6 +10,11 @@ A weak attack makes a mechanism look private. Two signs of one, both read off PL
 - *does_not_fall*: from the least noisy level of a mechanism to the noisiest, by the RMSE as shared
   and with raw as one of the levels, PLR after the attack does not fall beyond its paired interval.
 
+A third sign is of all attacks of a run at once, in worlds of walks that follow the fitted motion:
+
+- *far_from_optimum*: even the closest attack, or linker, is more than five points below the optimum
+  there, by the lower end of the interval. On recorded walks that could be the motion as well.
+
 What no attack could help is left out: a level where all that is shared leaks already, as with
 `clean`; ends whose RMSE differs by less than a tenth; and ends between which PLR as shared does
 not fall either. The control is never flagged. That an attack beats the shared positions is not
@@ -21,18 +26,20 @@ good one is flagged at about one level in forty. Fewer than 20 clusters decide n
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from evaluation.analysis.bounds import Gap
 from evaluation.analysis.families import CLEAN, RAW
 from evaluation.analysis.keys import AS_SHARED, Key, Source, Where, where_text
-from evaluation.analysis.metrics import EXPOSURE
+from evaluation.analysis.metrics import EXPOSURE, SUCCESS
 from evaluation.analysis.summary import clusters, estimate, key_of, weights_of
+from evaluation.experiment.constants import BOUND
 from evaluation.experiment.presets import IDENTITY
 from evaluation.runs.cell_files import read_rows
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate, difference
@@ -42,7 +49,7 @@ Found = Mapping[Key, Estimate]
 Levels = Mapping[Where, Mapping[Source, Estimate]]
 
 SIMPLER = (IDENTITY, "moving_average", "savgol", "kalman_rts")  # From the simplest on.
-BEATEN, DOES_NOT_FALL = "beaten", "does_not_fall"
+BEATEN, DOES_NOT_FALL, FAR = "beaten", "does_not_fall", "far_from_optimum"
 COLUMNS = [
     *("kind", "mechanism", "level", "attack", "knowledge", "by", "by_knowledge", "metric"),
     *("difference", "ci_low", "ci_high", "compared", "sentence"),
@@ -59,7 +66,10 @@ _ABOUT = {
     DOES_NOT_FALL: "PLR after the attack does not fall from the least noisy level (raw included) "
     "to the noisiest, the one named. `difference`: PLR at the noisiest minus PLR at the least "
     "noisy. `compared`: mechanisms for which this was asked.",
+    FAR: "In a world of the fitted motion the closest attack is more than five points below the "
+    "optimum. `difference`: what it lacks. `compared`: levels at which the optimum is known.",
 }
+_FAR: Final = 0.05
 _INTERVALS = (
     "95 %, of the paired difference over bootstrap draws of whole clusters; not adjusted for the "
     "number of comparisons: of two equally good attacks one is flagged at about one level in 40"
@@ -115,6 +125,21 @@ def flags(
     comparisons = {kind: looked[kind] for kind in _ABOUT}
     about_it = {"comparisons": comparisons, "left_out": dict(left_out)}
     return pd.DataFrame(rows, columns=COLUMNS), about_it
+
+
+def far_from_optimum(known: Sequence[Gap]) -> pd.DataFrame:
+    """Return the flags of levels at which even the closest attack is far below the optimum."""
+    exact = [one for one in known if one.is_exact]
+    rows = []
+    for one in exact:
+        numbers = one.gap.value, one.gap.ci_low, one.gap.ci_high
+        if one.gap.ci_low > _FAR:
+            said = f"is the closest to the optimum at {where_text(*one.where)} in the model world"
+            sentence = f"{one.attack.label} {said}, and {_points(*numbers)} points below"
+            about = FAR, one.where[0], np.nan if one.where[1] is None else one.where[1]
+            metric = SUCCESS if one.attack.task else EXPOSURE
+            rows.append((*about, *one.attack, BOUND, "", metric, *numbers, len(exact), sentence))
+    return pd.DataFrame(rows, columns=COLUMNS)
 
 
 def slow_attacks(manifest: Mapping[str, Any]) -> set[str]:
@@ -176,10 +201,14 @@ def lines(rows: pd.DataFrame) -> list[str]:
                 f"{n_levels} of {part['compared'].max()} levels, by up to {_points(*interval)}"
             )
         else:
+            where = f"{len(part)} of {worst['compared']}"
             said = (
-                f"does not fall with the noise in {len(part)} of {worst['compared']} mechanisms "
+                f"does not fall with the noise in {where} mechanisms "
                 f"({', '.join(part['mechanism'])}), by {_points(*interval, sign='+')}"
             )
+            if kind == FAR:
+                said = f"is closest to the optimum at {where} levels of model worlds, and below it"
+                said += f" by up to {_points(*interval)}"
         who = f"{worst['attack']} ({worst['knowledge']})"
         found.append(f"flag: {who} {said} points: flags.json")
     return found

@@ -1,14 +1,12 @@
 """The best attacks beside the optimum of model worlds, and the ceiling of the recorded walks."""
 
 from collections.abc import Sequence
-from typing import cast
 
 import pandas as pd
 
 from evaluation.analysis.bounds import Gap, gaps
-from evaluation.analysis.keys import Source, Where, worlds_of
-from evaluation.analysis.metrics import CEILING, EXPOSURE, GAP, RANK_GAP, RANK_OPTIMUM, SUCCESS
-from evaluation.analysis.strongest import HEADLINE
+from evaluation.analysis.keys import Where
+from evaluation.analysis.metrics import CEILING, EXPOSURE, GAP, RANK_GAP, SUCCESS
 from evaluation.experiment.constants import MODEL, OTHER_LAW, OTHER_LAW_WORLD
 from evaluation.reporting import table as make
 from evaluation.reporting.rows import Results, mechanism_columns
@@ -46,13 +44,14 @@ def bound_table(run: Results) -> Table:
             "level": one.where[1],
             "error law": law_of(one.world, run),
             "closest attack": one.attack.label,
-            "attacked": make.estimated(EXPOSURE, one.attacked),
+            "attacked": make.estimated(EXPOSURE, one.reached),
             "bound": make.estimated(EXPOSURE, one.bound),
             "is": "optimum" if one.is_exact else "ceiling",
             "gap": make.estimated(GAP, one.gap),
             "recorded": ceilings.get(one.where, Cell()) if one.world == MODEL else Cell(),
         }
         for one in gaps(run.summary)
+        if not one.attack.task
     ]
     columns = [
         *mechanism_columns(run.families),
@@ -71,27 +70,19 @@ def bound_table(run: Results) -> Table:
 
 def linked_bound_table(run: Results) -> Table:
     """Return what the linker that comes closest lacks of the optimal likelihood ratio, by level."""
-    rows = run.summary[run.summary["metric"].isin([SUCCESS, RANK_GAP, RANK_OPTIMUM])]
-    rows = rows[worlds_of(rows).str.startswith(MODEL)]
-    records = []
-    for place, of in rows.groupby(["dataset", "mechanism", "level"], sort=False, dropna=False):
-        _, mechanism, level = cast("tuple[str, str, float]", place)
-        told = of[(of["metric"] == RANK_GAP) & of["knowledge"].isin(HEADLINE)]
-        if told.empty:
-            continue
-        gap = told.nsmallest(1, "ci_high").iloc[0]
-        source = Source(gap["consumer"], gap["knowledge"])
-        own = of[(of["consumer"] == source.consumer) & (of["knowledge"] == source.knowledge)]
-        numbers = {
-            "found": own[own["metric"] == SUCCESS].iloc[0],
-            "optimum": of[of["metric"] == RANK_OPTIMUM].iloc[0],
-            "gap": gap,
+    records = [
+        {
+            "mechanism": one.where[0],
+            "level": one.where[1],
+            "task": one.attack.task,
+            "closest linker": one.attack.attack.label,
+            "found": make.estimated(SUCCESS, one.reached),
+            "optimum": make.estimated(SUCCESS, one.bound),
+            "gap": make.estimated(RANK_GAP, one.gap),
         }
-        records.append(
-            {"mechanism": mechanism, "level": level, "task": source.task}
-            | {"closest linker": source.attack.label}
-            | {name: make.amount(SUCCESS, *one[list(_ENDS)]) for name, one in numbers.items()}
-        )
+        for one in gaps(run.summary)
+        if one.attack.task
+    ]
     columns = [
         *mechanism_columns(run.families),
         *map(make.said, ("task", "closest linker")),
@@ -110,7 +101,7 @@ def gap_text(known: Sequence[Gap], where: Where) -> str:
     own, *others = [
         f"{'' if one.is_exact else 'at most '}{max(100 * one.gap.value, 0.0):.1f}"
         for one in known
-        if one.where == where
+        if one.where == where and not one.attack.task
     ] or [""]
     other = "".join(f" ({one} if errors are isotropic)" for one in others)
     return f"in the model world {own} points below the optimum{other}" * bool(own)

@@ -20,7 +20,8 @@ _CLOSEST, _OPTIMUM, _CEILING = Look(0), Look(2), Look(2, hollow=True)
 
 def figures(run: Results) -> Iterator[Figure]:
     """Yield a panel for each model world, its levels as rows."""
-    known, panels, key = gaps(run.summary), [], {"closest attack": _CLOSEST}
+    known = [one for one in gaps(run.summary) if not one.attack.task]
+    panels, key = [], {"closest attack": _CLOSEST}
     for world in dict.fromkeys(one.world for one in known):
         of = [one for one in known if one.world == world]
         names = []
@@ -28,7 +29,7 @@ def figures(run: Results) -> Iterator[Figure]:
             family = family_of(run.families, one.where[0])
             level = "" if one.where[1] is None else f":{one.where[1]:g}"
             names.append(f"{family.name}{level}{' ind.' * (family.adding == 'independent')}")
-        reached: list[Estimate | None] = [one.attacked for one in of]
+        reached: list[Estimate | None] = [one.reached for one in of]
         exact = [one.bound if one.is_exact else None for one in of]
         genie = [None if one.is_exact else one.bound for one in of]
         series = {"closest attack": (_CLOSEST, reached)}

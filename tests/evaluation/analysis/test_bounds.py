@@ -6,10 +6,16 @@ import pandas as pd
 import pytest
 
 from evaluation import Settings, run
-from evaluation.analysis.bounds import gaps
+from evaluation.analysis.bounds import Gap, gaps
+from evaluation.analysis.keys import Source
+from evaluation.analysis.weak_attacks import far_from_optimum, lines
+from evaluation.experiment.constants import MODEL
 from evaluation.experiment.presets import PRESETS
 from evaluation.reporting.bounds import bound_table, gap_text, linked_bound_table
 from isac_track.config import StageSettings
+from isac_track.intervals import Estimate
+
+ONE = Estimate(1.0, 1.0, 1.0)
 
 
 def test_in_worlds_of_the_fitted_motion_attacks_stand_beside_the_optimum(
@@ -74,3 +80,16 @@ def test_linkers_stand_beside_the_optimal_ratio_where_errors_are_gaussian(tmp_pa
     # What a person sees of the recording has none of it.
     assert set(found.linkability["consumer"]) >= {"rerelease/shape"}
     assert not found.linkability["consumer"].str.contains("bound").any()
+
+
+def test_who_is_far_from_the_optimum_even_where_he_is_closest_is_flagged():
+    near, far = (
+        Gap(MODEL, ("fid", 1.0), Source(name, "blind"), Estimate(0.6, 0.5, 0.7), gap, ONE, True)
+        for name, gap in (("a", Estimate(0.06, 0.04, 0.08)), ("b", Estimate(0.2, 0.1, 0.3)))
+    )
+    ceiling = far._replace(is_exact=False)  # of a genie: nobody need reach it
+    rows = far_from_optimum([near, far, ceiling])
+    assert rows["attack"].tolist() == ["b"]
+    assert rows["compared"].tolist() == [2]
+    (line,) = lines(rows)
+    assert "b (blind) is closest to the optimum at 1 of 2 levels of model worlds" in line

@@ -189,7 +189,11 @@ def test_a_predictor_of_the_same_name_is_no_attack():
 def test_the_file_explains_itself_and_has_a_list_even_if_it_is_empty():
     content = json.loads(flags.to_json(*flags.flags({})))
     assert content["flags"] == []
-    assert content["kinds"].keys() == content["comparisons"].keys() == {"beaten", "does_not_fall"}
+    assert (
+        content["kinds"].keys()
+        == content["comparisons"].keys()
+        == {"beaten", "does_not_fall", "far_from_optimum"}
+    )
     assert "not adjusted" in content["intervals"]
     content = json.loads(flags.to_json(*flags.flags(ends(0.7, 0.8, mechanism="mine"))))
     assert list(content["flags"][0]) == COLUMNS
