@@ -19,8 +19,8 @@ a check never flickers.
 """
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from functools import lru_cache, partial
 from typing import Any, Literal, TypeAlias, cast
 from unittest import SkipTest
 
@@ -65,7 +65,7 @@ Attack: TypeAlias = "ReconstructionAttack | LinkageAttack"
 Subject: TypeAlias = "Attack | Mechanism | Predictor"
 
 
-def _in_every_row(body: engine.Body, subject: Subject) -> None:
+def _in_every_row(body: engine.Body, subject: Hashable) -> None:
     """Hold the body of a check against every row of a plug-in, or those that it applies to."""
     exempt, applied = SkipTest("no row"), False
     for row in _rows(subject):
@@ -78,20 +78,23 @@ def _in_every_row(body: engine.Body, subject: Subject) -> None:
         raise exempt
 
 
-def _rows(subject: Any) -> Iterator[Row]:  # noqa: ANN401 - a stranger's
-    """Yield the rows of a plug-in, weakest adversary first, as all checks but one run them.
+@lru_cache(maxsize=16)
+def _rows(subject: Hashable) -> list[Row]:
+    """Return the rows of a plug-in, weakest adversary first, as all checks but one run them.
 
     One that touches what it was not granted fails the check about that. In all others it is given
     everything, or that one mistake would fail them all and hide the next one.
     """
     world, _ = _KITS[_kind(subject)]
+    rows = []
     for granted, adversary in _granted(subject).items():
         row = Row(subject, adversary, granted, granted, *world.ordinary_and_another(granted))
         try:
             row.raw(copied(row.ordinary))
         except AssertionError:
             row = row.with_everything()
-        yield row
+        rows.append(row)
+    return rows
 
 
 def _granted(subject: Any) -> dict[frozenset[Knowledge], str]:  # noqa: ANN401 - a stranger's

@@ -91,10 +91,10 @@ class LinkageCase(made.Case):
             )
         return scores.astype(np.float64)
 
-    def gaps(self, one: Floats, other: Floats, plain: Floats) -> Floats:
+    def gaps(self, one: Floats, other: Floats) -> Floats:
         """Return how far apart scores are, (1, P G): they have no unit, but a spread."""
         # Where all scores are alike there is none; their size will do.
-        spread = float(np.ptp(plain)) or float(np.abs(plain).max()) or 1.0
+        spread = float(np.ptp(other)) or float(np.abs(other).max()) or 1.0
         return (np.abs(one - other) / spread).reshape(1, -1)
 
     def hits(self, scores: Floats) -> Floats:

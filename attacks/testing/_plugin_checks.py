@@ -125,7 +125,8 @@ def _about(sizes: tuple[int, ...], steps_s: tuple[float, float]) -> str:
 
 def sigma_is_declared(row: common.Row) -> None:
     """Every sample has a declared standard deviation, finite and not negative."""
-    sigma = row.result(row.ordinary).sigma
+    (release,) = row.results(row.ordinary)
+    sigma = release.sigma
     if sigma is None or not within(sigma, 0.0, SHARED_LIMIT_M):
         wrong = "is None" if sigma is None else "is negative, or no number within the limit"
         row.fail(row.ordinary, f"sigma {wrong}; declare the whole error of every sample, m")
@@ -138,7 +139,7 @@ def sigma_is_that_of_the_error(row: common.Row) -> None:
     sensed = row.ordinary.sensed
     if getattr(row.subject, "law", None) not in (None, sensed.law):
         raise SkipTest("its error has a law of its own")
-    release = row.result(row.ordinary)
+    (release,) = row.results(row.ordinary)
     samples, wrong = row.ordinary.samples_of(release)
     if wrong or release.sigma is None:
         raise SkipTest(wrong or "it declares no sigma")
@@ -161,7 +162,7 @@ def sigma_is_that_of_the_error(row: common.Row) -> None:
 def another_rng_another_release(row: common.Row) -> None:
     """Under another `rng` independent errors are others, and so is every pseudonym."""
     mechanism, case = row.subject, row.ordinary
-    first, second = (row.result(case, seed=seed) for seed in range(2))
+    (first,), (second,) = (row.results(case, seed=seed) for seed in range(2))
     names, again = first.pseudonym, set(first.pseudonym) & set(second.pseudonym)
     if again or len(set(names)) < len(names):
         wrong = f"{min(again)!r} comes again under another rng" if again else "two tracks share one"

@@ -157,7 +157,7 @@ class Case:
         """Return what is wrong with an answer that flies off; empty if nothing."""
         return ""
 
-    def gaps(self, one: Floats, other: Floats, _plain: Floats) -> Floats:
+    def gaps(self, one: Floats, other: Floats) -> Floats:
         """Return how far apart the numbers of two answers are, a row for each sort of number."""
         return np.abs(one - other).T if one.shape == other.shape else np.array([[np.inf]])
 
