@@ -50,11 +50,6 @@ class Row:
         row = f" as {self.adversary} (granted {knows})" if self.adversary else ""
         return f"{type(self.subject).__name__}{row}"
 
-    @property
-    def scene(self) -> bool:
-        """Whether it sees the true frame and clock: the cases of linkage differ in that."""
-        return Knowledge.SCENE in self.granted
-
     def with_everything(self) -> Row:
         """Return the row given all that there is in its cases."""
         return replace(self, given=self.ordinary.everything)
@@ -200,7 +195,7 @@ def frames_do_not_matter(row: Row) -> None:
 
     Whoever is granted SCENE may well know where the walls are: such a row is exempt.
     """
-    if row.scene:
+    if Knowledge.SCENE in row.granted:
         raise SkipTest("granted SCENE in every row: it may depend on the true frame and clock")
     changed, follow = row.ordinary.in_other_frames()
     row.expect_same(

@@ -131,9 +131,32 @@ class ReconstructionCase(made.Case):
         return made_up("noisy", about=about, sizes=sizes, sigma_m=sigma_m, law=law)
 
     @staticmethod
+    @cache
     def modelled(law: ErrorLaw) -> tuple[ReconstructionCase, Floats]:
         """Return walks of a model behind 0.7 m of noise, and the PLR that a genie expects, (N,)."""
-        return _modelled(law)
+        about = f"{N_TRACKS} walks of a model, {law} noise"
+        like = made_up("model", about=about, sizes=(150,) * N_TRACKS, law=law)
+        t, offsets = like.release.t, like.release.offsets
+        motion, start = Motion(Q_M2_PER_S3, Q_M2_PER_S3, 1.0), np.zeros((N_TRACKS, 2))
+        rng = draws("model", "walks")
+        truth = simulated(t=t, offsets=offsets, start=start, motion=motion, rng=rng)
+        walked = [(t[lo:hi], truth[lo:hi]) for lo, hi in pairwise(offsets)]
+        mechanism = Fixed(d_sigma=_MODEL_SIGMA_M - RAW_SIGMA_M, law=law)
+        sensed = made.sensed(walked, ("model", "errors"), law=law)
+        release = mechanism.share(sensed, draws("share", "model"))
+        errors = errors_of(
+            release=release, sensed=sensed, mechanism=mechanism, rng=draws("model", "genie")
+        )
+        assert errors is not None
+        expected = known_share(
+            t=t,
+            offsets=offsets,
+            errors=errors,
+            q=motion.q,
+            speed_mps=motion.speed_mps,
+            epsilon_m=EPSILON_M,
+        )
+        return replace(like, release=release, truth=truth, mechanism=mechanism), expected
 
     def null(self) -> ReconstructionCase:
         """Return walks with a truth that has nothing to do with them."""
@@ -149,33 +172,6 @@ class ReconstructionCase(made.Case):
             yield made_up("short", about=about, sizes=sizes)
         about = "8 walks with steps from 1 ms to 30 s"
         yield made_up("irregular", about=about, sizes=(60,) * 8, steps_s=made.IRREGULAR_S)
-
-
-@cache
-def _modelled(law: ErrorLaw) -> tuple[ReconstructionCase, Floats]:
-    about = f"{N_TRACKS} walks of a model, {law} noise"
-    like = made_up("model", about=about, sizes=(150,) * N_TRACKS, law=law)
-    t, offsets = like.release.t, like.release.offsets
-    motion, start = Motion(Q_M2_PER_S3, Q_M2_PER_S3, 1.0), np.zeros((N_TRACKS, 2))
-    rng = draws("model", "walks")
-    truth = simulated(t=t, offsets=offsets, start=start, motion=motion, rng=rng)
-    walked = [(t[lo:hi], truth[lo:hi]) for lo, hi in pairwise(offsets)]
-    mechanism = Fixed(d_sigma=_MODEL_SIGMA_M - RAW_SIGMA_M, law=law)
-    sensed = made.sensed(walked, ("model", "errors"), law=law)
-    release = mechanism.share(sensed, draws("share", "model"))
-    errors = errors_of(
-        release=release, sensed=sensed, mechanism=mechanism, rng=draws("model", "genie")
-    )
-    assert errors is not None
-    expected = known_share(
-        t=t,
-        offsets=offsets,
-        errors=errors,
-        q=motion.q,
-        speed_mps=motion.speed_mps,
-        epsilon_m=EPSILON_M,
-    )
-    return replace(like, release=release, truth=truth, mechanism=mechanism), expected
 
 
 @cache

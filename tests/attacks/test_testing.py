@@ -212,7 +212,7 @@ class TestRows:
 
     def test_both_with_the_scene_shown_and_hidden(self):
         both = broken_linkers.ContinuesWhereShown()
-        assert [row.scene for row in _rows(both)] == [False, True]
+        assert [row.granted for row in _rows(both)] == [frozenset(), SCENE]
         assert adversaries_of(both) == ("blind",)
 
 
