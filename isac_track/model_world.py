@@ -193,6 +193,7 @@ def log_ratios(
         sides.append((one.t - one.t[first], one.xy - one.xy[first], one.variance, one.offsets))
         alone.append(kalman_last(one, q=motion.q).log_likelihood)
     prior = np.square([START_STD_M, motion.speed_mps, START_STD_M])
+    lags_s = np.ascontiguousarray(lags_s, dtype=np.float64)
     found, log_weight = np.empty((len(probe), len(gallery))), np.log(weight)
     one_probe = np.empty((len(gallery), lags_s.size, 2))
     for row in range(len(probe)):
