@@ -59,7 +59,7 @@ def forest_chart(rows: Sequence[tuple[str, float, float, float]]) -> Chart:
     """
     longest = max(len(name) for name, *_ in rows)
     left = min(150.0, 10.0 + CHARACTER * longest)
-    chart = Chart("points (%)", 12.0 + _STEP * len(rows) + 30.0, left)
+    chart = Chart("points", 12.0 + _STEP * len(rows) + 30.0, left)
     values = PERCENT * np.array([ends for _, *ends in rows], dtype=np.float64)
     low, high = float(np.nanmin(values, initial=0.0)), float(np.nanmax(values, initial=0.0))
     step = _tick(max(high - low, 1e-9))
