@@ -257,7 +257,8 @@ class TestTheSource:
         found = {
             place
             for place, name, node in calls()
-            if name.endswith("import_module") and not isinstance(node.args[0], ast.Constant)
+            if name.endswith(("import_module", "resolve_name"))
+            and not isinstance(node.args[0], ast.Constant)
         }
         # Classes and metrics that the user named, and fixed tables of our own modules.
         assert found == {

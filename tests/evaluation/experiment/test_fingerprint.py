@@ -102,8 +102,9 @@ MADE_OF = {
         *("isac_track.privacy", "isac_track.conflict"),
     ),
     (SHARING,): ("evaluation.cells.forecasts",),
-    (RECONSTRUCTION,): ("evaluation.experiment.constants",),
-    (RECONSTRUCTION, "rerelease"): ("isac_track.kalman._linear_loops",),
+    (RECONSTRUCTION, "rerelease"): (
+        *("isac_track.kalman._linear_loops", "evaluation.experiment.constants"),
+    ),
     ("rerelease",): (
         *("isac_track.linkability._loops", "attacks.tasks.build"),
         "evaluation.cells.link_scores",
