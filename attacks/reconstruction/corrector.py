@@ -25,7 +25,7 @@ _STILL_M = 1e-3
 """Who moves no farther heads nowhere, and is corrected the less the less they move."""
 _LEAST_WALKS = 5
 _FOLDS = 3
-_MOST_TREES, _EVERY = 40, 10
+_STAGES = 4  # At which the number of trees is tried.
 _SHARES = (0.5, 1.0)
 _LEAST_GAIN = 1e-3  # Of `exposure_loss`.
 
@@ -50,12 +50,15 @@ class Corrector:
     """
 
     rate: float = 0.15  # How much of each tree is believed.
+    trees: int = 40  # At most, along and across.
 
     requires: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
     uses: ClassVar[frozenset[Knowledge]] = TOLD
 
     def __post_init__(self) -> None:
         positive(rate=self.rate)
+        if self.trees < _STAGES:
+            raise ValueError(f"trees must be at least {_STAGES}, got {self.trees}")
 
     def fit(self, context: AttackContext) -> Reconstructor:
         """Return what smooths and corrects releases like those in the training set."""
@@ -68,13 +71,14 @@ class Corrector:
         wanted = _turned(truth - found.xy, np.conj(ahead))
         owner = np.repeat(np.arange(len(release)), np.diff(release.offsets))
         seed = int(context.rng.integers(2**31))
-        said = np.empty((_MOST_TREES // _EVERY, *wanted.shape))
+        every = self.trees // _STAGES
+        said = np.empty((_STAGES, *wanted.shape))
         for fold in range(_FOLDS):
             judges = owner % _FOLDS == fold
-            models = self._grown(about[~judges], wanted[~judges], _MOST_TREES, seed)
+            models = self._grown(about[~judges], wanted[~judges], every * _STAGES, seed)
             for axis, model in enumerate(models):
                 stages = list(model.staged_predict(about[judges]))
-                said[:, judges, axis] = stages[_EVERY - 1 :: _EVERY]
+                said[:, judges, axis] = stages[every - 1 :: every]
 
         def loss(added: Floats) -> float:
             xy = found.xy + _turned(added, ahead)
@@ -83,7 +87,7 @@ class Corrector:
             )
 
         tried = {
-            (_EVERY * (stage + 1), share): loss(share * added)
+            (every * (stage + 1), share): loss(share * added)
             for stage, added in enumerate(said)
             for share in _SHARES
         }
