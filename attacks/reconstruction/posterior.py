@@ -38,7 +38,7 @@ class Posterior:
     an error it added, too. The estimate is where most draws lie within epsilon: PLR asks for no
     more. Exact in the long run for walks of its motion and errors as large as it takes them to be;
     where the release shows neither law it is `RadialRTS`. Slow: a reference for what smoothers
-    leave, which is half a point behind radial errors and four behind Laplace ones.
+    leave, about a point (docs/attacks.md).
 
     References
     ----------
