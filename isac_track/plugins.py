@@ -55,6 +55,7 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
         "behaviour": "attacks.linkage.behaviour:Behaviour",
         "histogram": "attacks.linkage.histogram:Histogram",
         "kinematic": "attacks.linkage.kinematic:Kinematic",
+        "fusion": "attacks.linkage.fusion:Fusion",
     },
 }
 _MECHANISMS = ("isac_track.sharing", "isac_track.sharing_controls", "isac_track.protection")

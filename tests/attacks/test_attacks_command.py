@@ -50,6 +50,7 @@ def test_list_names_rows_and_what_they_do_and_skips_broken_ones(capsys, installe
         "(moving_average|savgol) +reconstruction +blind, informed +[A-Z]",
         "(kalman|radial|imm)_rts +reconstruction +blind, informed, oracle +[A-Z]",
         "corrector +reconstruction +informed, oracle +[A-Z]",
+        "fusion +linkage +informed +[A-Z]",
         "posterior +reconstruction +blind, informed, oracle +slow ",
         "gaussian_process +reconstruction +blind, informed, oracle +slow ",
         "(profile|dtw|shape|behaviour|histogram|kinematic|likelihood_ratio) +linkage +blind, info",

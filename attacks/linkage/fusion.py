@@ -1,0 +1,201 @@
+"""What do all linkers say together? A conditional logit of their scores, learnt from mates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import logsumexp
+
+from attacks.linkage.alignment import Profile, Shape
+from attacks.linkage.behaviour import FEATURES, Behaviour, features
+from attacks.linkage.dtw import DTW
+from attacks.linkage.histogram import Histogram
+from attacks.linkage.learning import LEAST_MATES, mated
+from attacks.linkage.likelihood_ratio import LikelihoodRatio
+from attacks.parameters import positive
+from attacks.reconstruction.kalman_rts import RadialRTS
+from attacks.remembered import noise_m2, part, remembered, whole
+from isac_track.protocols import AttackContext, LinkageTrainingSet
+from isac_track.types import Floats, Ints, Knowledge, Release, derived
+
+if TYPE_CHECKING:
+    from isac_track.protocols import Linker
+
+_MEMBERS = (LikelihoodRatio(), Behaviour(), Histogram())
+_SMOOTHED_MEMBERS = (Shape(), Profile(), DTW())  # Behind `radial_rts` they find far more.
+_LEAST_M2 = 1e-4  # Of an error variance, whose logarithm is compared.
+_WEAKEST = 0.01  # Quantile of strangers' scores below which a score says no more.
+
+
+class _Scale(NamedTuple):
+    """What scores of pairs are divided by, after what lies below `least` is cut off."""
+
+    least: Floats  # (K,)
+    spread: Floats  # (K,)
+
+
+@dataclass(frozen=True, slots=True)
+class Fusion:
+    """Conditional logit of the scores of all other linkers and of what a pair has in common.
+
+    Scores of `likelihood_ratio`, `behaviour` and `histogram`, of `shape`, `profile` and `dtw`
+    behind `radial_rts`, and minus the squared differences of mean speed, log duration and log
+    error variance. P(mate | probe) is taken as the softmax over the gallery of their weighted sum;
+    the weights maximise the probability of the mates, less ``ridge / 2`` times the squared
+    distance from what they are where only `likelihood_ratio` counts, as it stands. The scores
+    learnt from are those of people from whom the linkers have not learnt: of either half of the
+    mates, by linkers fitted on the other. All linkers are then fitted on everybody.
+
+    Before they are weighted scores are cut off at a low quantile of strangers' and, but for
+    `likelihood_ratio`'s, divided by their spread, both of the training set: a pair's score hangs
+    on nobody else.
+
+    References
+    ----------
+    McFadden, "Conditional logit analysis of qualitative choice behavior", in *Frontiers in
+    Econometrics*, 1974; Wolpert, "Stacked generalization", Neural Networks 5(2), 1992.
+    """
+
+    ridge: float = 1.0
+
+    kind: ClassVar[str] = "linkage"
+    one_stretch: ClassVar[bool] = True
+    requires: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
+    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.MECHANISM})
+
+    def __post_init__(self) -> None:
+        positive(ridge=self.ridge)
+
+    def fit(self, context: AttackContext) -> Linker:
+        """Return what scores walks like those in the training set.
+
+        With fewer than twice `LEAST_MATES` mates it is `likelihood_ratio` alone.
+        """
+        train = context.train
+        rows = mated(train)
+        if rows.size < 2 * LEAST_MATES:
+            return _MEMBERS[0].fit(context)
+        halves = [_among(train, rows[half::2]) for half in (0, 1)]
+        found = [
+            _stacked(_fitted(context, other), one.probe, one.gallery)
+            for one, other in (halves, halves[::-1])
+        ]
+        mates = [half.mate for half in halves]
+        scale = _scale(found, mates)
+        alone = np.zeros(found[0].shape[2])
+        alone[0] = 1.0
+        weights = conditional_logit(
+            [_scaled(one, scale) for one in found], mates, prior=alone, ridge=self.ridge
+        )
+        members = _fitted(context, train)
+
+        def fused(probe: Release, gallery: Release) -> Floats:
+            return np.asarray(_scaled(_stacked(members, probe, gallery), scale) @ weights)
+
+        return fused
+
+
+def _among(train: LinkageTrainingSet, rows: Ints) -> LinkageTrainingSet:
+    """Return some mated probes of a training set and their mates, nobody else."""
+    probe, gallery = part(train.probe, rows), part(train.gallery, train.mate[rows])
+    return LinkageTrainingSet(probe, gallery, np.arange(rows.size))
+
+
+_Members = Sequence[Callable[[Release, Release], Floats]]
+
+
+def _fitted(context: AttackContext, train: LinkageTrainingSet) -> _Members:
+    """Return all linkers, fitted on a training set; the last ones smooth before they score."""
+
+    def knowing(train: LinkageTrainingSet) -> AttackContext:
+        knows = Knowledge.MECHANISM in context.granted
+        return AttackContext(
+            rng=context.rng,
+            epsilon_m=context.epsilon_m,
+            granted=context.granted & {Knowledge.TRAIN, Knowledge.MECHANISM},
+            mechanism=context.mechanism if knows else None,
+            train=train,
+        )
+
+    smooth = LinkageTrainingSet(_smoothed(train.probe), _smoothed(train.gallery), train.mate)
+    behind = [one.fit(knowing(smooth)) for one in _SMOOTHED_MEMBERS]
+    return [
+        *(one.fit(knowing(train)) for one in _MEMBERS),
+        *(lambda p, g, one=one: one(_smoothed(p), _smoothed(g)) for one in behind),
+    ]
+
+
+def _smoothed(release: Release) -> Release:
+    """Return a release with the positions that `radial_rts` makes of it."""
+    origin, rows = whole(release)
+    return part(_smoothed_whole(origin), rows)
+
+
+@remembered
+def _smoothed_whole(release: Release) -> Release:
+    blind = AttackContext(rng=np.random.default_rng(0), epsilon_m=0.3, granted=frozenset())
+    return derived(release, xy=RadialRTS().fit(blind)(release).xy)
+
+
+def _stacked(members: _Members, probe: Release, gallery: Release) -> Floats:
+    """Return the scores of all members and what each pair has in common, (P, G, K)."""
+    sides = [_summary(one) for one in (probe, gallery)]
+    apart = -((sides[0][:, None] - sides[1]) ** 2)
+    scores = np.stack([one(probe, gallery) for one in members], axis=2)
+    return np.concatenate([scores, apart], axis=2)
+
+
+def _summary(release: Release) -> Floats:
+    """Return mean speed, log duration and log error variance of each walk, (N, 3)."""
+    starts, ends = release.offsets[:-1], release.offsets[1:] - 1
+    lasts_s = release.t[ends] - release.t[starts]
+    speed = features(release)[:, list(FEATURES).index("mean speed")]
+    return np.column_stack(
+        [speed, np.log(lasts_s + 1.0), np.log(np.maximum(noise_m2(release), _LEAST_M2))]
+    )
+
+
+def _scale(found: Sequence[Floats], mates: Sequence[Ints]) -> _Scale:
+    """Return the scale of what was found of strangers; the likelihood ratio keeps its own."""
+    strangers = np.concatenate(
+        [
+            one[mate[:, None] != np.arange(one.shape[1])]
+            for one, mate in zip(found, mates, strict=True)
+        ]
+    )
+    least = np.quantile(strangers, _WEAKEST, axis=0)
+    spread = np.maximum(strangers, least).std(axis=0)
+    spread[0] = 1.0
+    return _Scale(least, np.where(spread > 0.0, spread, 1.0))
+
+
+def _scaled(found: Floats, scale: _Scale) -> Floats:
+    return np.asarray(np.maximum(found, scale.least) / scale.spread)
+
+
+def conditional_logit(
+    found: Sequence[Floats], mates: Sequence[Ints], *, prior: Floats, ridge: float
+) -> Floats:
+    """Return the weights of K features that make the mates most probable, (K,).
+
+    `found` are features of several galleries, (P, G, K) each, and `mates` (P,) the column of each
+    probe's mate in it. The log probability of the mates, softmax over the gallery, is maximised
+    less ``ridge / 2`` times the squared distance of the weights from `prior`.
+    """
+
+    def loss(weights: Floats) -> tuple[float, Floats]:
+        lost = 0.5 * ridge * float(((weights - prior) ** 2).sum())
+        slope = ridge * (weights - prior)
+        for x, mate in zip(found, mates, strict=True):
+            rows = np.arange(mate.size)
+            value = x @ weights
+            log_p = value - logsumexp(value, axis=1, keepdims=True)
+            lost -= float(log_p[rows, mate].sum())
+            slope = slope - x[rows, mate].sum(axis=0) + np.einsum("ij,ijk->k", np.exp(log_p), x)
+        return lost, slope
+
+    return np.asarray(minimize(loss, prior, jac=True, method="L-BFGS-B").x)

@@ -1,0 +1,73 @@
+"""Fusion: its weights against a general solver, what it learns, and from whom."""
+
+import numpy as np
+import pytest
+from helpers.walks import context, hits, odd_release, two_releases
+from scipy.optimize import minimize
+from scipy.special import log_softmax
+
+from attacks.linkage.fusion import Fusion, conditional_logit
+from attacks.linkage.likelihood_ratio import LikelihoodRatio
+from isac_track.protocols import LinkageTrainingSet
+from isac_track.rng import stream
+
+TRAIN = LinkageTrainingSet(*two_releases(40, seed=1, noise_m=0.3))
+
+
+def test_the_weights_are_those_of_a_solver_without_gradients():
+    rng = stream(0, "choices")
+    found = [rng.standard_normal((30, n, 3)) for n in (8, 12)]
+    mates = [(x @ [1.5, -0.5, 0.0] + rng.gumbel(size=x.shape[:2])).argmax(axis=1) for x in found]
+    prior, ridge = np.array([1.0, 0.0, 0.0]), 2.0
+
+    def loss(weights):
+        log_p = [log_softmax(x @ weights, axis=1) for x in found]
+        own = sum(p[np.arange(m.size), m].sum() for p, m in zip(log_p, mates, strict=True))
+        return ridge / 2 * ((weights - prior) ** 2).sum() - own
+
+    exact = minimize(loss, prior, method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 1e-9}).x
+    weights = conditional_logit(found, mates, prior=prior, ridge=ridge)
+    np.testing.assert_allclose(weights, exact, atol=1e-3)
+    assert weights[0] > 1.0
+    assert weights[1] < 0.0
+
+
+def test_new_people_are_found_at_least_as_often_as_by_the_likelihood_ratio_alone():
+    probe, gallery, mate = two_releases(40, seed=2, noise_m=0.3)
+    known = context(TRAIN)
+    fused, alone = (one.fit(known)(probe, gallery) for one in (Fusion(), LikelihoodRatio()))
+    assert hits(fused, mate) >= max(hits(alone, mate), 0.5)
+    assert not np.allclose(fused, alone)
+
+
+def test_wrong_mates_teach_other_weights():
+    wrong = LinkageTrainingSet(TRAIN.probe, TRAIN.gallery, np.roll(TRAIN.mate, 1))
+    probe, gallery, mate = two_releases(40, seed=2, noise_m=0.3)
+    right, misled = (Fusion().fit(context(one))(probe, gallery) for one in (TRAIN, wrong))
+    assert hits(misled, mate) < hits(right, mate)
+
+
+def test_few_mates_leave_the_likelihood_ratio_as_it_is():
+    few = LinkageTrainingSet(
+        TRAIN.probe, TRAIN.gallery, np.where(np.arange(40) < 15, TRAIN.mate, -1)
+    )
+    probe, gallery, _ = two_releases(5, seed=3)
+    found, alone = (one.fit(context(few))(probe, gallery) for one in (Fusion(), LikelihoodRatio()))
+    np.testing.assert_array_equal(found, alone)
+
+
+def test_odd_tracks_are_scored_each_for_itself():
+    train = LinkageTrainingSet(odd_release(2, n=24), odd_release(3, n=24), np.arange(24))
+    probe, gallery = odd_release(0), odd_release(1, n=9)
+    score = Fusion().fit(context(train))
+    scores = score(probe, gallery)
+    assert scores.shape == (14, 9)
+    assert np.isfinite(scores).all()
+    for row, column in ((0, 0), (5, 8)):
+        alone = score(probe.tracks([row]), gallery.tracks([column]))
+        np.testing.assert_allclose(alone, scores[[row], [column]][None], rtol=1e-6, atol=1e-6)
+
+
+def test_a_ridge_must_be_positive():
+    with pytest.raises(ValueError, match="ridge must be positive"):
+        Fusion(ridge=0.0)
