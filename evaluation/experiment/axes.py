@@ -20,7 +20,7 @@ from evaluation.experiment.constants import (
     WORLDS,
 )
 from evaluation.experiment.presets import PRESETS, UTILITY_PREDICTORS
-from isac_track import plugin_objects, plugins
+from isac_track import plugins
 from isac_track.errors import SettingsError
 from isac_track.protocols import grants, kind_of
 from isac_track.types import Knowledge
@@ -204,8 +204,8 @@ def axes(settings: Settings) -> Axes:
     if settings.mechanisms is None:
         names["mechanisms"] += preset.protections
     attacks, links = _attacks(names["attacks"])
-    mechanisms = plugin_objects.all_of("mechanisms", names["mechanisms"])
-    predictors = plugin_objects.all_of("predictors", names["predictors"])
+    mechanisms = plugins.parse_all("mechanisms", names["mechanisms"])
+    predictors = plugins.parse_all("predictors", names["predictors"])
     tasks = tuple(task_named(name) for name in dict.fromkeys(names["tasks"]))
     pairs = _linked(settings, links=links, tasks=tasks)
     if not mechanisms:
@@ -259,7 +259,7 @@ def _attacks(specs: Iterable[Any]) -> tuple[tuple[Plugin, ...], tuple[Consumer, 
         name, at, behind_spec = spec.partition("@") if isinstance(spec, str) else (spec, "", "")
         if at and not (name.strip() and behind_spec.strip()):
             raise SettingsError(f"{spec!r}: expected LINKER@RECONSTRUCTION, as shape@radial_rts")
-        for plugin in plugin_objects.plugins_of("attacks", name):
+        for plugin in plugins.plugins_of("attacks", name):
             links_people = kind_of(plugin.instance) == "linkage"
             if not at and not links_people:
                 attacks[plugin.spec] = plugin

@@ -12,7 +12,7 @@ from helpers.small_runs import smoke, write_walks
 import evaluation
 from isac_track import plugins
 from isac_track.errors import SettingsError
-from isac_track.plugin_objects import all_of, plugins_of
+from isac_track.plugins import parse_all, plugins_of
 from isac_track.sharing import perturb
 from predictors.least_squares import LeastSquares
 
@@ -66,7 +66,7 @@ def test_its_digest_is_that_of_its_pickle_and_no_others_where_that_is_unstable()
 )
 def test_what_is_no_plugin_or_called_as_another_is_refused(given, told):
     with pytest.raises(SettingsError, match=re.escape(told)):
-        all_of("mechanisms", given)
+        parse_all("mechanisms", given)
 
 
 def test_an_object_runs_in_workers_and_is_computed_again_if_it_changed(tmp_path):
