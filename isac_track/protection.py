@@ -17,7 +17,7 @@ from isac_track.kalman import Batch, kalman_last
 from isac_track.rng import stream
 from isac_track.sharing import check_at_least, fid_d_sigma, perturb
 from isac_track.sharing_controls import correlated_errors
-from isac_track.types import Adding, ErrorLaw, Floats, Ints, Release, Sensed, stretches
+from isac_track.types import Adding, ErrorLaw, Floats, Ints, Release, Sensed, positive, stretches
 
 Reuse: TypeAlias = Literal["release", "session"]
 """Whether errors are drawn anew for every release, or once for a walk and session."""
@@ -87,8 +87,7 @@ def _slow_error(sensed: Sensed, *, tau_s: float, reuse: Reuse, rng: Generator) -
 
 
 def _check_slow(tau_s: float, reuse: str) -> None:
-    if not (np.isfinite(tau_s) and tau_s > 0):
-        raise ValueError(f"tau_s must be positive, got {tau_s}")
+    positive("tau_s", tau_s)
     if reuse not in ("release", "session"):
         raise ValueError(f"reuse must be release or session, got {reuse!r}")
 
@@ -133,8 +132,7 @@ class OuFid:
     errors_are_independent: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.eta) and self.eta > 0):
-            raise ValueError(f"eta must be positive, got {self.eta}")
+        positive("eta", self.eta)
         check_at_least("alpha", self.alpha, 0, " m")
         check_at_least("beta", self.beta, 1)
         _check_slow(self.tau_s, self.reuse)
@@ -197,10 +195,8 @@ class Forecast:
 
     def __post_init__(self) -> None:
         check_at_least("std_m", self.std_m, 0, " m")
-        for name in ("every_s", "q"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise ValueError(f"{name} must be positive, got {value}")
+        positive("every_s", self.every_s)
+        positive("q", self.q)
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the filtered positions of the samples that are shared."""

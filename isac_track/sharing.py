@@ -13,7 +13,7 @@ import numpy as np
 from numpy.random import Generator
 
 from isac_track.sensing import unit_errors
-from isac_track.types import Adding, ErrorLaw, Floats, Release, Sensed, read_only, within
+from isac_track.types import Adding, ErrorLaw, Floats, Release, Sensed, positive, read_only, within
 
 _REMEMBERED = 5
 """Errors kept: of a block, of those who are learnt from in both halves, and two repeats."""
@@ -160,8 +160,7 @@ class Fid:
     sweep: ClassVar[str] = "log"
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.eta) and self.eta > 0):
-            raise ValueError(f"eta must be positive, got {self.eta}")
+        positive("eta", self.eta)
         check_at_least("alpha", self.alpha, 0, " m")
         check_at_least("beta", self.beta, 1)
 

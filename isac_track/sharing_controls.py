@@ -14,7 +14,7 @@ from numpy.random import Generator
 
 from isac_track.sensing import track_directions
 from isac_track.sharing import check_at_least, perturb
-from isac_track.types import Adding, ErrorLaw, Floats, Ints, Release, Sensed
+from isac_track.types import Adding, ErrorLaw, Floats, Ints, Release, Sensed, positive
 
 
 def correlated_errors(
@@ -88,8 +88,7 @@ class Correlated:
 
     def __post_init__(self) -> None:
         check_at_least("d_sigma", self.d_sigma, 0, " m")
-        if not (np.isfinite(self.tau_s) and self.tau_s > 0):
-            raise ValueError(f"tau_s must be positive, got {self.tau_s}")
+        positive("tau_s", self.tau_s)
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the estimates with an error that changes slowly."""

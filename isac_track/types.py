@@ -374,6 +374,13 @@ def end_to_end(values: NDArray[_Scalar], runs: Runs) -> NDArray[_Scalar]:
     return parts[0] if len(parts) == 1 else np.concatenate(parts or [values[:0]])
 
 
+def positive(name: str, value: float, *, finite: bool = True) -> float:
+    """Return a number, or raise ValueError if it is not positive, or infinite where `finite`."""
+    if not value > 0 or (finite and not np.isfinite(value)):
+        raise ValueError(f"{name} must be positive, got {value}")
+    return float(value)
+
+
 def check_offsets(offsets: Ints, n_samples: int) -> None:
     """Raise ValueError unless the offsets cut so many samples into tracks, none of them empty."""
     if offsets.size == 0 or offsets[0] != 0 or offsets[-1] != n_samples:

@@ -26,7 +26,7 @@ from importlib import import_module
 
 import numpy as np
 
-from isac_track.types import Floats, Ints, check_offsets, within
+from isac_track.types import Floats, Ints, check_offsets, positive, within
 
 __all__ = ["MAX_REJECTIONS", "Batch", "ImmStates", "LastState", "Moods"]
 __all__ += ["imm_last", "imm_smoother", "kalman_last", "prepare", "smooth_positions"]
@@ -65,7 +65,7 @@ class Batch:
         if not within(self.variance, np.nextafter(0.0, 1.0), np.finfo(np.float64).max):
             raise ValueError("variance must be positive and finite")
         for std in self.prior_std:
-            _positive("prior_std", std)
+            positive("prior_std", std)
 
     def __len__(self) -> int:
         """Return the number of tracks."""
@@ -77,13 +77,6 @@ class Batch:
             numbers = " or ".join("two" if n == 2 else "three" for n in n_states)  # noqa: PLR2004 - the sizes that there are
             raise ValueError(f"prior_std must have {numbers} numbers, got {len(self.prior_std)}")
         return self.t, self.xy, self.variance, self.offsets, np.square(self.prior_std)
-
-
-def _positive(name: str, value: float, *, finite: bool = True) -> float:
-    """Return a positive number, or raise ValueError."""
-    if not value > 0 or (finite and not np.isfinite(value)):
-        raise ValueError(f"{name} must be positive, got {value}")
-    return float(value)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -110,7 +103,7 @@ def kalman_last(batch: Batch, *, q: float, gate: float = np.inf) -> LastState:
     out = LastState(*(np.empty((len(batch), *size)) for size in ((2, d), (d, d), ())))
     loops = import_module("isac_track.kalman._linear_loops")
     (loops.cv_last if d == 2 else loops.ca_last)(  # noqa: PLR2004 - position and velocity
-        *(arrays, _positive("q", q), _positive("gate", gate, finite=False), MAX_REJECTIONS),
+        *(arrays, positive("q", q), positive("gate", gate, finite=False), MAX_REJECTIONS),
         (out.mean, out.cov, out.log_likelihood),
     )
     return out
@@ -145,7 +138,7 @@ def smooth_positions(
     position, spread = np.empty((batch.t.size, 2)), np.empty(batch.t.size)
     order = np.argsort(np.diff(batch.offsets), kind="stable")
     import_module("isac_track.kalman._linear_loops").smooth_positions(
-        *(batch.arrays(2), order, _positive("q", q), passes, float(anneal), position, spread)
+        *(batch.arrays(2), order, positive("q", q), passes, float(anneal), position, spread)
     )
     return position, spread
 
@@ -163,7 +156,7 @@ class Moods:
     def __post_init__(self) -> None:
         for name, values in (("q", self.q), ("mean times", self.stay_s)):
             for value in values:
-                _positive(name, value)
+                positive(name, value)
 
     @property
     def probability(self) -> Floats:
@@ -211,7 +204,7 @@ def imm_last(batch: Batch, moods: Moods, *, gate: float = np.inf) -> ImmStates:
     out = ImmStates(np.empty((n, 2, 2, 2)), np.empty((n, 2, 4, 4)), np.empty((n, 2)), np.empty(n))
     import_module("isac_track.kalman._imm_loops").imm_last(
         *(batch.arrays(2), moods.arrays(batch.t)),
-        *(_positive("gate", gate, finite=False), MAX_REJECTIONS),
+        *(positive("gate", gate, finite=False), MAX_REJECTIONS),
         (out.mean.reshape(n, 2, 4), out.cov, out.probability, out.log_likelihood),
     )
     return out

@@ -19,7 +19,7 @@ import numpy as np
 
 from isac_track.kalman import MAX_REJECTIONS, Batch, LastState
 from isac_track.noise import running_means
-from isac_track.types import Floats, Ints
+from isac_track.types import Floats, Ints, positive
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -96,9 +96,9 @@ def filter_tracks(
     """
     n, causal = len(batch), np.empty((batch.t.size, 2))
     out = LastState(np.empty((n, 2, 3)), np.empty((n, 3, 3)), np.empty(n))
-    _check(q, gate)
     import_module("isac_track.kalman._error_loops").filter_tracks(
-        *(error.arrays(batch), error.tau_s, q, gate, MAX_REJECTIONS, causal),
+        *(error.arrays(batch), error.tau_s, positive("q", q)),
+        *(positive("gate", gate, finite=False), MAX_REJECTIONS, causal),
         (out.mean, out.cov, out.log_likelihood),
     )
     return out, causal
@@ -112,17 +112,11 @@ def smooth_tracks(
     Parameters and errors are those of `isac_track.kalman.smooth_positions`: further passes take
     what is neither walk nor slow error for a radial error and weigh it anew.
     """
-    _check(q, np.inf)
     if passes < 1 or not 0 <= anneal < 1:
         raise ValueError(f"need passes >= 1 and 0 <= anneal < 1, got {passes} and {anneal}")
     position, spread = np.empty((batch.t.size, 2)), np.empty(batch.t.size)
     import_module("isac_track.kalman._error_loops").smooth_tracks(
-        error.arrays(batch), error.tau_s, q, passes, float(anneal), position, spread
+        *(error.arrays(batch), error.tau_s, positive("q", q), passes, float(anneal)),
+        *(position, spread),
     )
     return position, spread
-
-
-def _check(q: float, gate: float) -> None:
-    for name, value in (("q", q), ("gate", gate)):
-        if not value > 0 or (name == "q" and not np.isfinite(value)):
-            raise ValueError(f"{name} must be positive, got {value}")
