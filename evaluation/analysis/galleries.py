@@ -25,8 +25,7 @@ from isac_track.intervals import (
     percentile_interval,
     ratio_estimates,
 )
-from isac_track.linkability.gallery import REACH, predicted_rank1, reach
-from isac_track.linkability.ranks import first_among
+from isac_track.linkability.ranks import REACH, first_among, predicted_rank1, reach
 from isac_track.types import Floats
 
 SIZES: Final = (10, 30, 100, 300, 1000, 3000, 7545)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from isac_track.linkability.gallery import predicted_rank1, reach
+from isac_track.linkability.ranks import predicted_rank1, reach
 
 
 @pytest.mark.parametrize(("a", "b"), [(0.05, 1.0), (0.4, 30.0), (2.0, 5000.0)])
