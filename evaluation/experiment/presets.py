@@ -141,7 +141,7 @@ PRESETS = {
         predictors=("kalman_cv",),
         attacks=(
             *("identity", "kalman_rts", "radial_rts", "ou_rts", "imm_rts", "gaussian_process"),
-            "posterior",
+            "posterior:draws=100,burn_in=60",
             *("shape", "shape@radial_rts", "dtw", "likelihood_ratio"),
         ),
         tasks=("rerelease",),
