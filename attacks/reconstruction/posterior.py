@@ -90,10 +90,11 @@ class Posterior:
         errors = [(release.xy - xy) * (std_m**2 / total_m2)[:, None] for std_m, _ in parts]
         for turn in range(-self.burn_in, self.draws):
             scales = [
-                scale_m2(std_m, np.hypot(*one.T) / std_m, law=law, rng=rng)
+                # A walk that lay exactly on a sample would never leave it.
+                np.maximum(scale_m2(std_m, np.hypot(*one.T) / std_m, law=law, rng=rng), _LEAST_M2)
                 for one, (std_m, law) in zip(errors, parts, strict=True)
             ]
-            variance = np.maximum(sum(scales), _LEAST_M2)
+            variance = np.sum(scales, axis=0)
             free = simulated(t=t, offsets=offsets, start=start, motion=motion, rng=rng)
             noise = np.sqrt(variance)[:, None] * rng.standard_normal(xy.shape)
             batch = Batch(t, release.xy - free - noise, variance, offsets, PRIOR_STD)
