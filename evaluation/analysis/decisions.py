@@ -23,7 +23,6 @@ from isac_track.types import Bools, Floats, Ints
 N_BINS = 100
 N_POINTS = 51  # Of a curve in the file.
 _ABOUT = ("dataset", "mechanism", "level", "consumer", "score")
-CURVE_COLUMNS = [*_ABOUT, "false_alarm_rate", "missed_conflict_rate"]
 DECISION_COLUMNS = [
     *(*_ABOUT, "area", "area_low", "area_high", "reference"),
     *("false_alarm_rate", "missed_conflict_rate", "missed_low", "missed_high"),

@@ -17,7 +17,7 @@ import pandas as pd
 from evaluation.analysis.families import RAW
 from evaluation.analysis.keys import AS_SHARED, Key, Source
 from evaluation.analysis.linkability import dataset_of
-from evaluation.analysis.matching import CRITERIA, MIN_DEFINED, Sweeps, interpolated, places
+from evaluation.analysis.matching import CRITERIA, Sweeps, interpolated, places, with_ends
 from evaluation.analysis.metrics import (
     DESCRIPTORS,
     ERROR,
@@ -35,7 +35,7 @@ from evaluation.analysis.strongest import (
     strongest_of,
 )
 from evaluation.runs.cell_files import Summed
-from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, Estimate, percentile_intervals
+from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, Estimate
 from isac_track.types import Bools, Floats, Ints
 
 TARGETS: Final = (0.03, 0.05, 0.075, 0.1)
@@ -133,12 +133,12 @@ def frontier(
     Level and value are interpolated on the isotonic curve from the noisiest level to raw, which is
     one for all mechanisms, each replicate on its own. There is no interval, and nothing is held
     against another, with fewer than `ENOUGH_LEVELS` levels (raw is one) whose missed rate is
-    within `NEAR` of the target, with less than `MIN_DEFINED` of the replicates in reach, or of too
-    few people. `vs_white` is the difference from white noise at the same target, paired; empty
-    without it. `dominated`, at the same target: another mechanism is surely better by more than
-    `MARGIN` in attacked PLR or in whom a linker finds, and this one surely better in none of them
-    (simultaneous bounds, max-t over all pairs and axes). A target out of reach keeps its row
-    without level and numbers.
+    within `NEAR` of the target, with less than `MIN_DEFINED` (of `matching`) of the replicates in
+    reach, or of too few people. `vs_white` is the difference from white noise at the same target,
+    paired; empty without it. `dominated`, at the same target: another mechanism is surely better by
+    more than `MARGIN` in attacked PLR or in whom a linker finds, and this one surely better in none
+    of them (simultaneous bounds, max-t over all pairs and axes). A target out of reach keeps its
+    row without level and numbers.
 
     `sums` of the attacks are as in `told`.
     """
@@ -160,7 +160,7 @@ def frontier(
             for name, rise in rises.items()
         }
         level = {
-            name: _read(LEVEL_READ, _levels(sweeps.levels(name), where), is_dense[name])
+            name: with_ends(LEVEL_READ, _levels(sweeps.levels(name), where), is_dense[name])
             for name, where in reached.items()
         }
         axes, first = [], len(rows)
@@ -175,11 +175,11 @@ def frontier(
                 measure = one.whose[name].measure(one.metric)
                 _, effective = sweeps.rests_on([name], measure, cost)
                 can_say = is_dense[name] & (effective >= LEAST_CLUSTERS)
-                told_of = level[name] | _read(VALUE, values, can_say)
+                told_of = level[name] | with_ends(VALUE, values, can_say)
                 if WHITE in left:
                     n_rows = min(len(values), len(left[WHITE]))
                     gap = values[:n_rows] - left[WHITE][:n_rows]
-                    told_of |= _read(GAP, gap, can_say & is_dense[WHITE])
+                    told_of |= with_ends(GAP, gap, can_say & is_dense[WHITE])
                 about = asdict(sweeps.known[name]) | measure._asdict()
                 about |= {"dataset": dataset_of(measure.consumer, dataset=dataset)}
                 about |= {"robot": robot, "criterion": criterion, "n": sweeps.n(name, measure)}
@@ -237,14 +237,3 @@ def _levels(levels: Sequence[float | None], where: tuple[Ints, Floats]) -> Float
     raw = 0.0 if known[0] > known[-1] and not is_log else np.nan
     every = np.broadcast_to(np.append(known, raw), (len(where[0]), known.size + 1))
     return interpolated(where, every, log=is_log)
-
-
-def _read(names: tuple[str, str, str], values: Floats, can_say: Bools) -> dict[str, Floats]:
-    """Return estimate and both ends, (P,) each, of estimate and replicates, (1 + B, P).
-
-    `can_say`, (P,), is where there may be an interval.
-    """
-    drawn = values[1:].T.copy()
-    has_ends = can_say & (np.isfinite(drawn).sum(axis=1) >= MIN_DEFINED * drawn.shape[1])
-    ends = np.where(has_ends & np.isfinite(values[0]), percentile_intervals(drawn), np.nan)
-    return dict(zip(names, (values[0], *ends), strict=True))

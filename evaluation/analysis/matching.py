@@ -26,7 +26,7 @@ from evaluation.analysis.metrics import (
 )
 from evaluation.experiment.presets import SHARED
 from isac_track.intervals import Estimate, percentile_intervals
-from isac_track.types import Floats, Ints
+from isac_track.types import Bools, Floats, Ints
 
 MISSED, AT_EQUAL_ALARMS, PLR = "missed", EQUAL_ALARMS, "plr"  # Criteria of matching.
 CRITERIA: Final = {MISSED: MISSED_RATE, AT_EQUAL_ALARMS: EQUAL_ALARMS}  # What noise may cost.
@@ -123,7 +123,9 @@ class Sweeps:
             keys = [*(measure.at(name, level) for level in self.levels(name)), raw]
             if len(keys) > FEWEST_LEVELS and all(key in self.found for key in keys):
                 found[name] = np.stack([self.drawn(key) for key in keys], axis=1)
-        curves = joined([*found.values()], increasing=_rises(by[RAW])) if found else []
+        # What noise costs falls towards raw, what it hides rises.
+        rises = by[RAW].metric not in (MISSED_RATE, EQUAL_ALARMS, ERROR)
+        curves = joined([*found.values()], increasing=rises) if found else []
         return dict(zip(found, curves, strict=True))
 
     def rests_on(self, mechanisms: Iterable[str], *measures: Measure) -> tuple[int, float]:
@@ -230,11 +232,20 @@ def _compared(
                 "defined": defined,
             }
             for names, values in zip(_INTERVALS, (compared, fixed, gap), strict=True):
-                drawn = values[1:].T.copy()
-                has_ends = np.isfinite(drawn).all(axis=1) | (defined >= MIN_DEFINED)
-                ends = np.where(has_ends, percentile_intervals(drawn), np.nan)
-                points |= zip(names, (values[0], *ends), strict=True)
+                has_ends = np.isfinite(values[1:]).all(axis=0) | (defined >= MIN_DEFINED)
+                points |= with_ends(names, values, has_ends)
             yield measure, points
+
+
+def with_ends(names: tuple[str, str, str], values: Floats, can_say: Bools) -> dict[str, Floats]:
+    """Return estimate and both ends, (P,) each, of estimate and replicates, (1 + B, P).
+
+    `can_say`, (P,), is where there may be an interval.
+    """
+    drawn = values[1:].T.copy()
+    has_ends = can_say & (np.isfinite(drawn).sum(axis=1) >= MIN_DEFINED * drawn.shape[1])
+    ends = np.where(has_ends & np.isfinite(values[0]), percentile_intervals(drawn), np.nan)
+    return dict(zip(names, (values[0], *ends), strict=True))
 
 
 def at_changes(
@@ -295,11 +306,6 @@ def joined(curves: Sequence[Floats], *, increasing: bool) -> list[Floats]:
     sums = np.cumsum(np.append(curves[0][:, -1:], highest, axis=1), axis=1)
     raw = (sums / np.arange(1, sums.shape[1] + 1)).max(axis=1, keepdims=True)
     return [np.append(np.minimum(one, raw), raw, axis=1) for one in own]
-
-
-def _rises(measure: Measure) -> bool:
-    """Return whether a measure rises towards raw: what noise costs falls, what it hides rises."""
-    return measure.metric not in (MISSED_RATE, EQUAL_ALARMS, ERROR)
 
 
 def places(at: Floats, change: Floats) -> tuple[Ints, Floats]:

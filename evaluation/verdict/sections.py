@@ -38,7 +38,7 @@ def verdict(
     """
     success = {task: linker for task, linker in strongest.items() if task}
     attacks = [attack for task, attack in strongest.items() if not task]
-    seed = manifest["identity"]["seed"]
+    seed, dataset = manifest["identity"]["seed"], manifest["dataset"]
     claims = (
         draft
         for predictor in manifest["settings"]["predictors"][:1]
@@ -48,7 +48,7 @@ def verdict(
         by_cluster(levels),
         families=sweeps.known,
         preset=manifest["settings"]["preset"],
-        dataset=manifest["dataset"]["name"],
+        dataset=dataset["name"],
         seed=seed,
     )
     items = [
@@ -60,12 +60,10 @@ def verdict(
     for one in items:
         if scored and (one["section"] == rules.INFLATION or one.get("of") == claim.AFTER):
             one["scored"] = [source.label for source in scored]
-    dataset = manifest["dataset"]
-    of = {name: [one for one in items if one["section"] == name] for name in rules.SECTIONS}
     return {
         "dataset": dataset["name"],
         "simulated": bool(dataset.get("simulated", False)),
-        "seed": manifest["identity"]["seed"],
+        "seed": seed,
         "preset": manifest["settings"]["preset"],
         "scenes": manifest["settings"]["scenes"],
         "rules": {
@@ -85,7 +83,8 @@ def verdict(
             "item is if its band lies on one side. Intervals are at 95 %, each by itself.",
         },
         "counts": {
-            name: dict(Counter(one["decision"] for one in mine)) for name, mine in of.items()
+            name: dict(Counter(one["decision"] for one in items if one["section"] == name))
+            for name in rules.SECTIONS
         },
         "items": items,
         "controls": across["controls"],

@@ -172,7 +172,8 @@ def make_curves(at=None, *, dataset="students03"):
         for score in ("separation", "probability")
         for x in (0.0, 0.5, 1.0)
     ]
-    return pd.DataFrame(rows, columns=decisions.CURVE_COLUMNS)
+    rates = "false_alarm_rate", "missed_conflict_rate"
+    return pd.DataFrame(rows, columns=[*decisions.DECISION_COLUMNS[:5], *rates])
 
 
 def make_gallery():
