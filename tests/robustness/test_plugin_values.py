@@ -290,7 +290,7 @@ def test_each_fails_alone_by_name_and_on_one_line(tmp_path, arguments, capsys, j
     assert rows(tmp_path / "good")
     # A fault of our own takes no other cells along and is not hidden.
     ours = table[(table["spec"] == "odd:Strange:0.5") & ~table["consumer"].str.startswith("odd:")]
-    assert set(ours["consumer"]) == {"moving_average"}
+    assert set(ours["consumer"]) == {"moving_average", "bound"}
     (why,) = set(ours["why"])
     assert "KeyError: 'nobody expected this'" in why
     assert "(in isac-track's own code, evaluation.cells.reconstruction, line " in why
