@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from attacks.parameters import positive
 from attacks.reconstruction.kalman_rts import RadialRTS, information
@@ -25,6 +27,8 @@ _STILL_M = 1e-3
 """Who moves no farther heads nowhere, and is corrected the less the less they move."""
 _LEAST_WALKS = 5
 _FOLDS = 3
+_one_thread = partial(threadpool_limits, limits=1, user_api="openmp")
+"""Processes share the cores: trees that take all of them as well would wait for each other."""
 _STAGES = 4  # At which the number of trees is tried.
 _SHARES = (0.5, 1.0)
 _LEAST_GAIN = 1e-3  # Of `exposure_loss`.
@@ -77,7 +81,8 @@ class Corrector:
             judges = owner % _FOLDS == fold
             models = self._grown(about[~judges], wanted[~judges], every * _STAGES, seed)
             for axis, model in enumerate(models):
-                stages = list(model.staged_predict(about[judges]))
+                with _one_thread():
+                    stages = list(model.staged_predict(about[judges]))
                 said[:, judges, axis] = stages[every - 1 :: every]
 
         def loss(added: Floats) -> float:
@@ -99,7 +104,8 @@ class Corrector:
         def correct(release: Release) -> Reconstruction:
             found = smooth(release)
             about, ahead = _looked_at(release, found)
-            said = np.stack([model.predict(about) for model in models], axis=1)
+            with _one_thread():
+                said = np.stack([model.predict(about) for model in models], axis=1)
             return replace(found, xy=found.xy + share * _turned(said, ahead))
 
         return correct
@@ -119,7 +125,8 @@ class Corrector:
             early_stopping=False,  # by walks, above: samples of one are no witnesses
             random_state=seed,
         )
-        return [clone(model).fit(about, one) for one in wanted.T]
+        with _one_thread():
+            return [clone(model).fit(about, one) for one in wanted.T]
 
 
 def _turned(xy: Floats, by: Complexes) -> Floats:
