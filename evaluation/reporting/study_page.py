@@ -76,7 +76,7 @@ def forest_chart(rows: Sequence[tuple[str, float, float, float]]) -> Chart:
         zip(rows, values.tolist(), strict=True)
     ):
         y = 8.0 + _STEP * (place + 0.5)
-        look = Look(1 if name in ("pooled", _PREDICTED) else 0, hollow="(" in name)
+        look = Look(1 if name in ("pooled", _PREDICTED) else 0, hollow=name.endswith("(simulated)"))
         chart.y_ticks.append((y, name))
         x, *ends = (left + unit * (one - low) for one in (value, ci_low, ci_high))
         if all(map(math.isfinite, ends)):

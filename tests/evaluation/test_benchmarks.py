@@ -376,6 +376,7 @@ def test_runs_of_one_seed_pooled_are_that_run(tmp_path):
     pd.testing.assert_frame_equal(one, both, check_dtype=False)
 
 
+@pytest.mark.slow
 def test_linkers_are_compared_where_they_know_the_same(tmp_path):
     out, names = tmp_path / "run", ("shape", "likelihood_ratio")
     axes = {"predictors": (), "attacks": names, "tasks": ("rerelease",), "mechanisms": ("raw",)}

@@ -67,7 +67,7 @@ def dense(parts, n):
         ([(STD_M, "radial")], 120),
         ([(STD_M, "laplace")], 80),
         ([(STD_M, "isotropic"), (0.7 * STD_M, "laplace")], 80),
-        ([(STD_M, "radial"), (0.7 * STD_M, "radial")], 12),
+        pytest.param([(STD_M, "radial"), (0.7 * STD_M, "radial")], 12, marks=pytest.mark.slow),
     ],
     ids=["radial", "laplace", "Gaussian and Laplace", "two radial"],
 )

@@ -53,6 +53,7 @@ def test_measured_is_what_drawn_galleries_give():
     assert (tpr[["value", "ci_low", "ci_high"]] == [0.5, 0.4, 0.6]).all(axis=None)
 
 
+@pytest.mark.slow
 def test_the_interval_of_what_is_predicted_holds_the_truth_as_often_as_it_says():
     rng = np.random.default_rng(1)
     held, plain = [], []
