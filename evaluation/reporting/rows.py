@@ -136,10 +136,6 @@ class Results:
         expected = self.linkability["consumer"].map(partial(dataset_of, dataset=self.dataset))
         return linked_tasks(self.linkability[self.linkability["dataset"] == expected])
 
-    def link_of(self, task: LinkedTask) -> Source:
-        """Return the attack that stands for a task: the strongest, or the first of the run."""
-        return self.strongest.get(task.name, task.attacks[0])
-
 
 def family_of(known: Mapping[str, Family], mechanism: str) -> Family:
     """Return what is known of a mechanism; of one that is not, its name."""

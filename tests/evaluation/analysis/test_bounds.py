@@ -76,7 +76,11 @@ def test_linkers_stand_beside_the_optimal_ratio_where_errors_are_gaussian(tmp_pa
     assert gap["ci_low"] < gap["value"] < gap["ci_high"]
     assert gap["ci_high"] > 0.0  # nobody surely beats the optimum
     assert not (rows["dataset"] == "plaza:model").any()  # nobody rebuilds, and these are radial
-    assert len(linked_bound_table(found).rows) == 1
+    table = linked_bound_table(found)
+    assert len(table.rows) == 1
+    assert (found.out / "report.html").read_text(encoding="utf-8").count(
+        f"<summary>{table.title}"
+    ) == 1
     # What a person sees of the recording has none of it.
     assert set(found.linkability["consumer"]) >= {"rerelease/shape"}
     assert not found.linkability["consumer"].str.contains("bound").any()
