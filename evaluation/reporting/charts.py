@@ -42,6 +42,7 @@ class Look(NamedTuple):
 
     place: int
     hollow: bool = False
+    turn: int = 0  # A colour that is used again has the shape of so many colours on.
 
     @property
     def css(self) -> str:
@@ -50,7 +51,8 @@ class Look(NamedTuple):
 
     def path(self, x: float, y: float) -> str:
         """Return its mark in the middle of a point."""
-        return f"M{x - 3.4:.1f} {y:.1f}{_SHAPES[self.place % LOOKS]}"
+        shape = (self.place + self.turn) % (LOOKS - 1) if self.turn else self.place % LOOKS
+        return f"M{x - 3.4:.1f} {y:.1f}{_SHAPES[shape]}"
 
 
 class Point(NamedTuple):

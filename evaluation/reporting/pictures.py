@@ -136,9 +136,12 @@ def _points(
 def _looks(of: Headline) -> dict[str, Look]:
     """Return the look of every mechanism: its rule is hollow or not, raw is a star."""
     names = [one.name for one in of.known.values() if one.family not in (RAW, CLEAN)]
-    places = {name: place for place, name in enumerate(dict.fromkeys([FID, FIXED, *names]))}
+    looks = {
+        name: Look(place % (LOOKS - 1), turn=place // (LOOKS - 1))
+        for place, name in enumerate(dict.fromkeys([FID, FIXED, *names]))
+    }
     return {
-        mechanism: Look(places[one.name] % (LOOKS - 1), one.adding == "independent")
+        mechanism: looks[one.name]._replace(hollow=one.adding == "independent")
         if one.family != RAW
         else Look(LOOKS - 1)
         for mechanism, one in of.known.items()
