@@ -1,10 +1,8 @@
 """What several attacks make of one release, or one attack for several adversaries, is made once."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import wraps
-from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
+from typing import Concatenate, ParamSpec, TypeVar
 from weakref import WeakKeyDictionary, ref
 
 import numpy as np
@@ -12,8 +10,7 @@ import numpy as np
 from isac_track.noise import innovation_variance_m2
 from isac_track.types import Floats, Ints, Release
 
-if TYPE_CHECKING:
-    _Rest = ParamSpec("_Rest")
+_Rest = ParamSpec("_Rest")
 _Source = TypeVar("_Source")
 _Found = TypeVar("_Found")
 

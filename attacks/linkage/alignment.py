@@ -3,22 +3,18 @@
 Of two paths, by their shape, or of how fast their walkers went and how they turned.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from attacks.linkage.learning import EVERYBODY, Few, learn, linker, tried
 from attacks.linkage.signals import FACTORS, aligned_costs, motions, on_grid
 from attacks.parameters import positive
+from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 from isac_track.types import Floats, Knowledge, Release
-
-if TYPE_CHECKING:
-    from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 
 _RANK = 8  # Polynomials of a profile.
 _TAUGHT_BY = 80

@@ -1,20 +1,16 @@
 """Who walks in this manner? A learnt metric on what describes a walk as a whole."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from attacks.linkage.learning import mated, teaches
 from attacks.linkage.signals import STEP_S, Signals, motion_of, on_grid
 from attacks.remembered import noise_m2, remembered, whole
+from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 from isac_track.types import Floats, Knowledge, Release
-
-if TYPE_CHECKING:
-    from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 
 _STOPPED_M_S = 0.3
 _BANDS_HZ = ((0.4, 0.7), (0.7, 1.0), (1.0, 1.4), (1.4, 2.0))

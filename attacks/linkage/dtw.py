@@ -1,20 +1,16 @@
 """Who walks like this, give or take the pace? Dynamic time warping of speed and turning."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from attacks.linkage.learning import EVERYBODY, Few, learn, linker, tried
 from attacks.linkage.signals import EXPONENT, FACTORS, FULL_CELLS, Signals, blocks, loops, motions
 from attacks.parameters import positive
+from isac_track.protocols import AttackContext, Linker
 from isac_track.types import Floats, Knowledge, Release
-
-if TYPE_CHECKING:
-    from isac_track.protocols import AttackContext, Linker
 
 _STRIDE = 2  # Cells between those compared: 2 Hz of signals that are smoothed over more than that.
 _TAUGHT_BY = 48

@@ -1,10 +1,8 @@
 """What do all linkers say together? A conditional logit of their scores, learnt from mates."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
@@ -19,11 +17,8 @@ from attacks.linkage.likelihood_ratio import LikelihoodRatio
 from attacks.parameters import positive
 from attacks.reconstruction.kalman_rts import RadialRTS
 from attacks.remembered import noise_m2, part, remembered, whole
-from isac_track.protocols import AttackContext, LinkageTrainingSet
+from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 from isac_track.types import Floats, Ints, Knowledge, Release, derived
-
-if TYPE_CHECKING:
-    from isac_track.protocols import Linker
 
 _MEMBERS = (LikelihoodRatio(), Behaviour(), Histogram())
 _SMOOTHED_MEMBERS = (Shape(), Profile(), DTW())  # Behind `radial_rts` they find far more.

@@ -1,20 +1,16 @@
 """Whose speeds and turns are these? Matching of histograms."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from attacks.linkage.learning import EVERYBODY, Few, learn, linker, tried
 from attacks.linkage.signals import FACTORS, Signals, loops, motions
 from attacks.parameters import positive
+from isac_track.protocols import AttackContext, Linker
 from isac_track.types import Floats, Ints, Knowledge, Release
-
-if TYPE_CHECKING:
-    from isac_track.protocols import AttackContext, Linker
 
 _FASTEST_M_S = 2.2
 _TAUGHT_BY = 64

@@ -1,11 +1,9 @@
 """Who walks on where somebody left off? Kalman states on both sides of a silent gap."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -14,10 +12,8 @@ from attacks.linkage.signals import loops
 from attacks.parameters import positive
 from attacks.remembered import noise_m2, remembered, whole
 from isac_track.kalman import Batch, kalman_last
+from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 from isac_track.types import Floats, Knowledge, Release, derived
-
-if TYPE_CHECKING:
-    from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 
 _PRIOR_STD = (100.0, 1.4)
 """m around the first sample and m/s around rest: people walk, they do not run."""

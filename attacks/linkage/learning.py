@@ -1,18 +1,14 @@
 """Learning from mates: what an adversary with a training set of pairs does first."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
 from attacks.remembered import remembered
+from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 from isac_track.types import Floats, Ints, Knowledge, Release, read_only
-
-if TYPE_CHECKING:
-    from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 
 Rows: TypeAlias = Ints | slice
 Few: TypeAlias = tuple[Rows, Rows]  # Which walks of the probe and of the gallery are compared.

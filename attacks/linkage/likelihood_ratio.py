@@ -1,12 +1,10 @@
 """How much likelier are two walks if one person walked both? Gaussian walks behind known errors."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
 from types import ModuleType
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
@@ -16,10 +14,8 @@ from attacks.parameters import positive
 from attacks.reconstruction.kalman_rts import RadialRTS, information
 from attacks.remembered import remembered, whole
 from isac_track.kalman.slow_errors import added_error
+from isac_track.protocols import AttackContext, Linker
 from isac_track.types import Floats, Knowledge, Release, read_only
-
-if TYPE_CHECKING:
-    from isac_track.protocols import AttackContext, Linker
 
 _STEP_S = 0.5  # Between two lags.
 _SPEED_M_S = 1.4  # Root mean square, of the prior.

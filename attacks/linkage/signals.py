@@ -4,8 +4,6 @@ A walk of a release comes in a frame and on a clock of its own. Everything here 
 first sample, in space and in time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from importlib import import_module
@@ -40,7 +38,7 @@ class Signals(NamedTuple):
     values: Floats  # (C, N, K) channels.
     sizes: Ints  # (N,) 1 to K, how many cells of each walk count, the first ones.
 
-    def walks(self, rows: Rows) -> Signals:
+    def walks(self, rows: Rows) -> "Signals":
         """Return some of the walks."""
         return Signals(self.values[:, rows], self.sizes[rows])
 

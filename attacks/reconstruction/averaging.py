@@ -1,17 +1,13 @@
 """Adversaries with no model of a walk: what was shared, at its word, or the mean of its repeats."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
+from isac_track.protocols import AttackContext, Reconstructor
 from isac_track.types import Knowledge, Reconstruction, Release
-
-if TYPE_CHECKING:
-    from isac_track.protocols import AttackContext, Reconstructor
 
 
 @dataclass(frozen=True, slots=True)

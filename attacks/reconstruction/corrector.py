@@ -1,11 +1,9 @@
 """What is left to learn after the best smoother: boosted trees correct what it does to a walk."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +13,9 @@ from attacks.parameters import positive
 from attacks.reconstruction.kalman_rts import RadialRTS, information
 from attacks.reconstruction.learning import TOLD, exposure_loss
 from attacks.remembered import noise_m2
+from isac_track.protocols import AttackContext, Reconstructor
 from isac_track.types import Complexes, Floats, Ints, Knowledge, Reconstruction, Release
 
-if TYPE_CHECKING:
-    from isac_track.protocols import AttackContext, Reconstructor
 _EDGES_S = np.geomspace(0.05, 3.0, 6) * np.sqrt(1.01)
 """Of the stretches whose means are looked at, to either side of a sample: short nearby. No clock of
 round steps has a sample just there, which rounding would let in or out."""

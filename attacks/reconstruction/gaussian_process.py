@@ -1,19 +1,15 @@
 """Gaussian-process regression of each axis on time, in linear time."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from attacks.parameters import positive
 from attacks.reconstruction.learning import TOLD, around, smoother
+from isac_track.protocols import AttackContext, Reconstructor
 from isac_track.types import Floats, Ints, Knowledge, Reconstruction, Release
-
-if TYPE_CHECKING:
-    from isac_track.protocols import AttackContext, Reconstructor
 
 TREND_STD = (100.0, 10.0)
 """m and m/s: of the line that the process varies about, far more than any walk needs."""

@@ -3,10 +3,8 @@
 For Gaussian errors, for radial ones, which are heavy at zero, and with two moods of a walk.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -14,10 +12,8 @@ from attacks.parameters import positive
 from attacks.reconstruction.learning import TOLD, around, smoothed, smoother
 from attacks.remembered import noise_m2, remembered
 from isac_track.kalman import Batch, Moods, imm_smoother, smooth_positions
+from isac_track.protocols import AttackContext, Reconstructor
 from isac_track.types import Floats, Knowledge, Reconstruction, Release
-
-if TYPE_CHECKING:
-    from isac_track.protocols import AttackContext, Reconstructor
 
 PRIOR_STD = (100.0, 10.0)  # m around the first sample and m/s around rest: far more than any walk.
 _RADIAL_BELOW = -1 / 3

@@ -10,23 +10,19 @@ and long intervals (one is a simplification: the beam fluctuates from sample to 
 the network's estimator is a constant, learnt from other people.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import cache
 from importlib import import_module
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from attacks.remembered import noise_m2, remembered
 from isac_track.noise import MIN_VARIANCE_M2
+from isac_track.protocols import AttackContext, Reconstructor, TrainingSet
 from isac_track.sensing import intervals_before
 from isac_track.sharing import Fid, fid_d_sigma
 from isac_track.types import Floats, Ints, Knowledge, Reconstruction, Release
-
-if TYPE_CHECKING:
-    from isac_track.protocols import AttackContext, Reconstructor, TrainingSet
 
 _Choice = TypeVar("_Choice")
 TOLD = frozenset({Knowledge.MECHANISM, Knowledge.TRAIN, Knowledge.SIGMA})

@@ -1,19 +1,15 @@
 """The first that anybody does to a noisy track: a mean, or a parabola, over neighbours."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from attacks.parameters import positive
 from attacks.reconstruction.learning import around, smoother
+from isac_track.protocols import AttackContext, Reconstructor
 from isac_track.types import Floats, Ints, Knowledge, Reconstruction, Release
-
-if TYPE_CHECKING:
-    from isac_track.protocols import AttackContext, Reconstructor
 
 REFERENCE_STD_M = 0.5
 """Noise per axis at which a window has its nominal width; no matter but a scale."""

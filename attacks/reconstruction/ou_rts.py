@@ -7,11 +7,9 @@ Repeats are averaged before they are smoothed; one known position is a sample wi
 walks along is laid on the walk and averaged with it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -22,11 +20,8 @@ from attacks.remembered import noise_m2, remembered
 from isac_track.kalman import Batch
 from isac_track.kalman.slow_errors import SlowError, added_error, filter_tracks, smooth_tracks
 from isac_track.noise import MIN_VARIANCE_M2
-from isac_track.protocols import OF_WALKS
+from isac_track.protocols import OF_WALKS, AttackContext, Reconstructor
 from isac_track.types import Floats, Knowledge, Reconstruction, Release, derived
-
-if TYPE_CHECKING:
-    from isac_track.protocols import AttackContext, Reconstructor
 
 _STD_M = (0.2, 0.4, 0.8, 1.6)
 _TAU_S = (1.0, 3.0, 9.0, 27.0)
@@ -93,7 +88,7 @@ class OuRTS:
         best = self._learnt(context, told, densities)
         return white if best.std_m == 0.0 else lambda release: smooth(release, best)
 
-    def _with(self, beyond: _Beyond, context: AttackContext) -> Reconstructor:
+    def _with(self, beyond: "_Beyond", context: AttackContext) -> Reconstructor:
         """Return the smoother of who has more than a release; of them the densities are learnt."""
         told = self._told(context)
         q = self.DEFAULT_Q if self.q is None else self.q
@@ -154,7 +149,7 @@ class _Beyond(NamedTuple):
     mechanism: object
 
     @classmethod
-    def of(cls, context: AttackContext) -> _Beyond | None:
+    def of(cls, context: AttackContext) -> Self | None:
         """Return what was granted; None if nothing was, or only repeats in frames of their own."""
         granted = context.granted
         repeats = context.repeats if {Knowledge.REPEATS, Knowledge.SCENE} <= granted else ()

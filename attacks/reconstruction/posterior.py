@@ -1,10 +1,8 @@
 """Where was somebody, if errors are Gaussian but for a scale that nobody tells? Draws from that."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 from numpy.random import Generator
@@ -17,10 +15,8 @@ from isac_track.kalman.slow_errors import added_error
 from isac_track.kalman.steady import Q_M2_PER_S3
 from isac_track.model_world import Motion, scale_m2, simulated
 from isac_track.protection import Laplace
+from isac_track.protocols import AttackContext, Reconstructor
 from isac_track.types import Floats, Knowledge, Reconstruction, Release
-
-if TYPE_CHECKING:
-    from isac_track.protocols import AttackContext, Reconstructor
 
 _Part: TypeAlias = tuple[Floats, str]
 _LEAST_M2 = 1e-8

@@ -6,27 +6,23 @@ sensed twice in one place, a walk would be known by its distance from the base s
 the noise depends. `attacks.tasks.task_list` says which tasks there are.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import combinations
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.random import Generator
 
 from attacks.tasks.sessions import N_FOLDS, Sessions, Windows, circumstances, halves, joined, roles
 from attacks.tasks.task_list import TASKS, Task, task_named
+from isac_track.config import StageSettings
 from isac_track.datasets import load, summarise
 from isac_track.errors import DataError, SettingsError
 from isac_track.resample import sampling_times, walk
 from isac_track.rng import stream
 from isac_track.types import Bools, Floats, Ints, Tracks, end_to_end, runs_of
-
-if TYPE_CHECKING:
-    from isac_track.config import StageSettings
 
 LEAST_PEOPLE = 24
 """Fewer cannot be split into people to learn from, to calibrate on and to attack, twice."""

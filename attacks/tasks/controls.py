@@ -6,23 +6,19 @@ to do with how a person walks. If it differs from chance, in either direction, t
 away by a side door, and what an attack achieves there is no measure of anything.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
 from numpy.random import Generator
 
 from attacks.tasks.sessions import COLUMNS
+from attacks.tasks.task_list import Task
 from isac_track.sensing import intervals_before
 from isac_track.types import Floats, Ints, Release
 
-if TYPE_CHECKING:
-    from attacks.tasks.task_list import Task
-
-Score: TypeAlias = "Callable[[Release, Release, Generator], Floats]"
+Score: TypeAlias = Callable[[Release, Release, Generator], Floats]
 _NO_SIGMA_M = 1e-9
 _NEIGHBOURS = 5
 

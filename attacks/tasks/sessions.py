@@ -4,19 +4,15 @@ Windows of walks, and who is who in them. Walking groups stay whole, whoever is 
 the adversary or calibrates it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.random import Generator
 
+from attacks.tasks.task_list import Task
 from isac_track.types import Bools, Floats, Ints, Tracks, read_only
-
-if TYPE_CHECKING:
-    from attacks.tasks.task_list import Task
 
 N_FOLDS = 2
 CALIBRATING_SHARE = 1 / 3

@@ -5,8 +5,6 @@ handover those of the live recording rotate at one instant, in the true frame an
 who left has no mate, who is new is a candidate all the same. In the others everybody is in both.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final

@@ -4,11 +4,9 @@ What the kinds differ in is in the classes of their cases: how a plug-in is call
 read, compared and scored, and what is made up to ask for one.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, NoReturn, TypeAlias
+from typing import Any, NoReturn, Self, TypeAlias
 from unittest import SkipTest
 
 import numpy as np
@@ -50,7 +48,7 @@ class Row:
         row = f" as {self.adversary} (granted {knows})" if self.adversary else ""
         return f"{type(self.subject).__name__}{row}"
 
-    def with_everything(self) -> Row:
+    def with_everything(self) -> Self:
         """Return the row given all that there is in its cases."""
         return replace(self, given=self.ordinary.everything)
 

@@ -1,11 +1,9 @@
 """Made-up people under pseudonyms, and the same release seen otherwise: shared by all cases."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
+from typing import Any, ClassVar, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,15 +12,13 @@ from scipy.integrate import cumulative_trapezoid
 from isac_track.protocols import AttackContext, LinkageTrainingSet, TrainingSet
 from isac_track.rng import stream
 from isac_track.sensing import fisher_information_density, unit_errors
+from isac_track.sharing import Fixed
 from isac_track.testing.engine import call
 from isac_track.types import ErrorLaw, Floats, Knowledge, Release, Sensed
 
-if TYPE_CHECKING:
-    from isac_track.sharing import Fixed
+Person: TypeAlias = Callable[[Floats], Floats]
 
-    Person = Callable[[Floats], Floats]
-
-Walk: TypeAlias = "tuple[Floats, Floats]"
+Walk: TypeAlias = tuple[Floats, Floats]
 """Times of one walk, (n,) s, and where somebody truly was then, (n, 2) m."""
 Plugin: TypeAlias = Any  # A stranger's.
 Holder = TypeVar("Holder", bound=Any)  # A case, or a training set.
