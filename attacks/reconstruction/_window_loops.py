@@ -16,8 +16,8 @@ def add_weighed(xy: Floats, sigma: Floats, total: Floats, weight: Floats) -> Non
         weight[k] += trust
 
 
-@compiled(read(2), read(1, "int64"), read(1, "int64"), written(2))
-def centred_means(xy: Floats, offsets: Ints, half: Ints, out: Floats) -> None:
+@compiled(read(1), read(2), read(1, "int64"), read(1, "int64"), written(2))
+def centred_means(_: Floats, xy: Floats, offsets: Ints, half: Ints, out: Floats) -> None:
     """Fill `out` with the mean over up to `half` neighbours on each side, fewer near the ends."""
     total = np.zeros((len(xy) + 1, 2))
     for i in range(half.size):

@@ -19,11 +19,10 @@ REFERENCE_STD_M = 0.5
 class MovingAverage:
     """Centred moving average, wider where a track is noisier.
 
-    On a walk of acceleration a the mean over a window of width h is off by a h^2 / 24, and
-    errors of standard deviation s leave it the variance s^2 dt / h. Their mean square
-    a^2 h^4 / 576 + s^2 dt / h is least at h^5 = 144 s^2 dt / a^2: the best width grows as
-    s^(2/5). With s from the innovations of each track, its window is
-    ``width_s * (s / 0.5 m)^(2/5)``.
+    The mean over a window of width h of a walk of acceleration a is off by a h^2 / 24: with s from
+    the innovations of each track, the best window is ``width_s * (s / 0.5 m)^(2/5)``
+    (`half_windows`). Near the ends of a track both sides are as short as the shorter one, down to
+    the sample itself: a lopsided mean would lag behind the walk.
     """
 
     width_s: float | None = None
@@ -38,23 +37,28 @@ class MovingAverage:
         positive(width_s=self.width_s)
 
     def fit(self, context: AttackContext) -> Reconstructor:
-        """Return the average over releases like those in the training set."""
+        """Return the filter of releases like those in the training set."""
         candidates = around(self.DEFAULT_WIDTH_S, factor=2.0)
-        return smoother(context, average, given=self.width_s, candidates=candidates)
+        return smoother(context, self.smooth, given=self.width_s, candidates=candidates)
+
+    @staticmethod
+    def smooth(release: Release, variance: Floats, width_s: float) -> Reconstruction:
+        """Return the average of every track over windows fit for its noise."""
+        half = half_windows(release, variance, width_s=width_s, bias_order=2)
+        return Reconstruction(filtered(release, half, loop="centred_means"))
 
 
 @dataclass(frozen=True, slots=True)
 class Savgol(MovingAverage):
     """Least-squares parabolas over a moving window, wider where a track is noisier.
 
-    At the middle of a window of width h a parabola (and a cubic, which is the same there) is off
-    by a multiple of h^4 times the fourth derivative of the walk; errors of standard deviation s
-    leave a variance of 9 s^2 dt / (4 h). Their mean square is least at an h that grows as
-    s^(2/9). With s from the innovations of each track, its window is
-    ``width_s * (s / 0.5 m)^(2/9)``, rounded to an odd number of samples and no longer than the
-    track. A track of one or two samples is returned as it is.
+    At the middle of a window of width h a parabola (and a cubic, which is the same there) is off by
+    a multiple of h^4 times the fourth derivative of the walk: the best window is
+    ``width_s * (s / 0.5 m)^(2/9)`` (`half_windows`), no longer than the track. A track of one or
+    two samples is returned as it is.
 
-    A track is interpolated onto as many instants at its mean interval, and back.
+    A track is interpolated onto as many instants at its mean interval, and back. On that grid it is
+    ``scipy.signal.savgol_filter(..., window, 2, mode="interp")``.
 
     References
     ----------
@@ -64,24 +68,13 @@ class Savgol(MovingAverage):
 
     DEFAULT_WIDTH_S: ClassVar[float] = 6.5
 
-    def fit(self, context: AttackContext) -> Reconstructor:
-        """Return the filter of releases like those in the training set."""
-        candidates = around(self.DEFAULT_WIDTH_S, factor=2.0)
-        return smoother(context, fit_parabolas, given=self.width_s, candidates=candidates)
-
-
-def average(release: Release, variance: Floats, width_s: float) -> Reconstruction:
-    """Return the average of every track over windows fit for its noise."""
-    half = half_windows(release, variance, width_s=width_s, bias_order=2)
-    return Reconstruction(centred_means(xy=release.xy, offsets=release.offsets, half=half))
-
-
-def fit_parabolas(release: Release, variance: Floats, width_s: float) -> Reconstruction:
-    """Return every track filtered over windows fit for its noise."""
-    half = half_windows(release, variance, width_s=width_s, bias_order=4)
-    # A parabola through three samples smooths nothing.
-    half = np.minimum(np.maximum(half, 2), (np.diff(release.offsets) - 1) // 2)
-    return Reconstruction(parabolas(t=release.t, xy=release.xy, offsets=release.offsets, half=half))
+    @staticmethod
+    def smooth(release: Release, variance: Floats, width_s: float) -> Reconstruction:
+        """Return every track filtered over windows fit for its noise."""
+        half = half_windows(release, variance, width_s=width_s, bias_order=4)
+        # A parabola through three samples smooths nothing.
+        half = np.minimum(np.maximum(half, 2), (np.diff(release.offsets) - 1) // 2)
+        return Reconstruction(filtered(release, half, loop="fit_parabolas"))
 
 
 def half_windows(release: Release, variance: Floats, *, width_s: float, bias_order: int) -> Ints:
@@ -104,25 +97,12 @@ def half_windows(release: Release, variance: Floats, *, width_s: float, bias_ord
     return np.minimum(half, longest).clip(0).astype(np.int64)
 
 
-def centred_means(*, xy: Floats, offsets: Ints, half: Ints) -> Floats:
-    """Return the mean over up to `half` neighbours on each side, (M, 2) m.
+def filtered(release: Release, half: Ints, *, loop: str) -> Floats:
+    """Return positions, (M, 2) m, over windows of ``2 half + 1`` samples for each track, (N,).
 
-    Near the ends of a track both sides are as short as the shorter one, down to the sample
-    itself: a lopsided mean would lag behind the walk.
+    `loop` is one of `_window_loops`. No window of parabolas may exceed its track.
     """
-    means = np.empty_like(xy)
-    arrays = (np.ascontiguousarray(each) for each in (xy, offsets, half))
-    import_module("attacks.reconstruction._window_loops").centred_means(*arrays, means)
-    return means
-
-
-def parabolas(*, t: Floats, xy: Floats, offsets: Ints, half: Ints) -> Floats:
-    """Return positions filtered with a window of ``2 half + 1`` samples for each track, (M, 2) m.
-
-    On the grid equal to ``scipy.signal.savgol_filter(..., 2 * half + 1, 2, mode="interp")``. No
-    window may exceed its track; a track with `half`, (N,), 0 stays as it is.
-    """
-    out = np.empty_like(xy)
-    arrays = (np.ascontiguousarray(each) for each in (t, xy, offsets, half))
-    import_module("attacks.reconstruction._window_loops").fit_parabolas(*arrays, out)
+    out = np.empty_like(release.xy)
+    arrays = map(np.ascontiguousarray, (release.t, release.xy, release.offsets, half))
+    getattr(import_module("attacks.reconstruction._window_loops"), loop)(*arrays, out)
     return out

@@ -13,9 +13,8 @@ from attacks.reconstruction.moving_windows import (
     REFERENCE_STD_M,
     MovingAverage,
     Savgol,
-    centred_means,
+    filtered,
     half_windows,
-    parabolas,
 )
 from isac_track.rng import stream
 
@@ -32,10 +31,10 @@ def by_loop(xy, offsets, half):
 @pytest.mark.parametrize("far_m", [0.0, 1e6])
 def test_it_is_the_loop(far_m):
     release, _ = smooth_walks(1, 2, 3, 50, 7, 200, 1)
-    xy = release.xy + far_m
+    release = replace(release, xy=release.xy + far_m)
     half = np.array([0, 4, 1, 6, 100, 20, 3])
-    ours = centred_means(xy=xy, offsets=release.offsets, half=half)
-    assert np.allclose(ours, by_loop(xy, release.offsets, half), atol=1e-9, rtol=1e-14)
+    ours = filtered(release, half, loop="centred_means")
+    assert np.allclose(ours, by_loop(release.xy, release.offsets, half), atol=1e-9, rtol=1e-14)
 
 
 def test_the_whole_attack_is_the_loop():
@@ -93,7 +92,7 @@ def test_it_is_scipy(width_s, lengths):
 def test_windows_of_any_length_are_scipys(half):
     release, _ = smooth_walks(2 * half + 1, 500, 2 * half + 2)
     halves = np.full(3, half)
-    ours = parabolas(t=release.t, xy=release.xy, offsets=release.offsets, half=halves)
+    ours = filtered(release, halves, loop="fit_parabolas")
     assert np.allclose(ours, by_scipy(release, halves), atol=1e-9, rtol=0)
 
 
@@ -103,5 +102,5 @@ def test_running_sums_lose_nothing_on_a_long_track():
     xy = np.stack([50 * np.sin(t / 300), 0.01 * t], axis=1) + rng.standard_normal((t.size, 2))
     release = release_of([(t, xy)])
     half = np.array([40])
-    ours = parabolas(t=release.t, xy=release.xy, offsets=release.offsets, half=half)
+    ours = filtered(release, half, loop="fit_parabolas")
     assert np.allclose(ours, by_scipy(release, half), atol=1e-9, rtol=0)
