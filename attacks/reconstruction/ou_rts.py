@@ -65,44 +65,28 @@ class OuRTS:
 
     def fit(self, context: AttackContext) -> Reconstructor:
         """Return the smoother of releases like those in the training set."""
-        beyond = _Beyond.of(context)
-        told = self._told(context)
+        told, beyond = self._told(context), _Beyond.of(context)
+        q = self.DEFAULT_Q if self.q is None else self.q
         # Companions say nothing of a walk whose errors are white.
-        if beyond and (told != (0.0, 0.0) or beyond.repeats or beyond.anchor):
-            return self._with(beyond, context)
-        white = RadialRTS(self.q).fit(context)
-        if told == (0.0, 0.0):
-            return white
-        q = self.DEFAULT_Q if self.q is None else self.q
-        if Knowledge.TRAIN not in context.granted:
-
-            def reconstruct(release: Release) -> Reconstruction:
-                std_m, tau_s = told or fitted(release, q)
-                if std_m == 0.0:
-                    return white(release)
-                passes = RadialRTS.USUAL_PASSES if looks_radial(release) else 1
-                return smooth(release, _Choice(std_m, tau_s, q, passes))
-
-            return reconstruct
-        densities = around(q, factor=4.0) if self.q is None else (q,)
-        best = self._learnt(context, told, densities)
-        return white if best.std_m == 0.0 else lambda release: smooth(release, best)
-
-    def _with(self, beyond: "_Beyond", context: AttackContext) -> Reconstructor:
-        """Return the smoother of who has more than a release; of them the densities are learnt."""
-        told = self._told(context)
-        q = self.DEFAULT_Q if self.q is None else self.q
-        learns = Knowledge.TRAIN in context.granted and told != (0.0, 0.0)
-        if learns:
-            q = self._learnt(context, told, around(q, factor=4.0) if self.q is None else (q,)).q
+        if told == (0.0, 0.0) and not (beyond and (beyond.repeats or beyond.anchor)):
+            return RadialRTS(self.q).fit(context)
+        white = None if beyond else RadialRTS(self.q).fit(context)
+        if Knowledge.TRAIN in context.granted and told != (0.0, 0.0):
+            best = self._learnt(context, told, around(q, factor=4.0) if self.q is None else (q,))
+            if white:
+                return white if best.std_m == 0.0 else lambda release: smooth(release, best)
+            q = best.q
 
         def reconstruct(release: Release) -> Reconstruction:
             std_m, tau_s = told or fitted(release, q)
-            averaged, n = beyond.averaged(release, std_m)
-            if getattr(beyond.mechanism, "reuse", "release") == "session":
+            if white and std_m == 0.0:
+                return white(release)
+            averaged, n = beyond.averaged(release, std_m) if beyond else (release, np.float64(1.0))
+            if beyond and getattr(beyond.mechanism, "reuse", "release") == "session":
                 n = np.ones_like(n)  # the same error every time
             passes = RadialRTS.USUAL_PASSES if looks_radial(averaged) else 1
-            return smooth(averaged, _Choice(std_m / np.sqrt(n), tau_s, q, passes), beyond.anchor)
+            choice = _Choice(std_m / np.sqrt(n), tau_s, q, passes)
+            return smooth(averaged, choice, beyond.anchor if beyond else None)
 
         return reconstruct
 
@@ -124,11 +108,8 @@ class OuRTS:
     ) -> _Choice:
         """Return what reconstructs the training set best: told, found there, or nothing slow."""
         middle = densities[len(densities) // 2]
-        if self.std_m is not None and told is not None:
-            errors = [told]
-        else:
-            found = fitted(context.train.release, middle)
-            errors = [*filter(None, [told]), *([found] if found != told else [])]
+        found = None if self.std_m is not None else fitted(context.train.release, middle)
+        errors = dict.fromkeys(filter(None, (told, found)))
         numbers = (RadialRTS.USUAL_PASSES, 1)
         first = [_Choice(*one, middle, number) for one in errors for number in numbers]
 
@@ -207,12 +188,8 @@ def smooth(release: Release, choice: _Choice, anchor: Release | None = None) -> 
                 f"the anchor of track {one} is at {anchor.t[one]:.12g} s, outside its "
                 f"{first[one]:.12g} to {last[one]:.12g} s"
             )
-        known = np.array(
-            [
-                lo + np.searchsorted(t[lo:hi], at, side="right")
-                for lo, hi, at in zip(offsets[:-1], offsets[1:], anchor.t, strict=True)
-            ]
-        )
+        until = t <= np.repeat(anchor.t, np.diff(offsets))
+        known = offsets[:-1] + np.add.reduceat(until, offsets[:-1], dtype=np.int64)
         t, xy = np.insert(t, known, anchor.t), np.insert(xy, known, anchor.xy, axis=0)
         rest, std_m = np.insert(rest, known, _KNOWN_M2), np.insert(std_m, known, 0.0)
         offsets = offsets + np.arange(offsets.size)
