@@ -38,8 +38,7 @@ class KalmanRTS:
 
     def fit(self, context: AttackContext) -> Reconstructor:
         """Return the smoother of releases like those in the training set."""
-        candidates = around(self.DEFAULT_Q, factor=4.0)
-        return smoother(context, smooth, given=self.q, candidates=candidates)
+        return RadialRTS(self.q, passes=1, anneal=0.0).fit(context)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +81,7 @@ class RadialRTS:
         densities = around(q, factor=4.0) if self.q is None else (q,)
         return smoother(
             context,
-            _smooth_again,
+            _smooth,
             given=None,
             candidates=[(q, number, self.anneal) for number in numbers],
             then=lambda best: [(density, *best[1:]) for density in densities],
@@ -139,23 +138,12 @@ class ImmRTS:
         return Reconstruction(position, np.sqrt(spread))
 
 
-def smooth(
-    release: Release, variance: Floats, q: float, *, passes: int = 1, anneal: float = 0.0
-) -> Reconstruction:
-    """Return smoothed positions of a release with error variance per axis `variance`, (M,) m^2.
-
-    `passes` and `anneal` are those of `isac_track.kalman.smooth_positions`.
-    """
+def _smooth(release: Release, variance: Floats, choice: tuple[float, int, float]) -> Reconstruction:
+    """Return smoothed positions; `choice` is q, passes and anneal of `smooth_positions`."""
     batch = Batch(release.t, release.xy, variance, release.offsets, PRIOR_STD)
+    q, passes, anneal = choice
     position, spread = smooth_positions(batch, q=q, passes=passes, anneal=anneal)
     return Reconstruction(position, np.sqrt(spread))
-
-
-def _smooth_again(
-    release: Release, variance: Floats, choice: tuple[float, int, float]
-) -> Reconstruction:
-    q, passes, anneal = choice
-    return smooth(release, variance, q, passes=passes, anneal=anneal)
 
 
 @remembered
@@ -168,7 +156,7 @@ def information(release: Release, passes: int) -> Floats:
     variance = np.repeat(noise_m2(release), np.diff(release.offsets))
     if not looks_radial(release):
         return 1.0 / variance
-    found = smoothed(release, _smooth_again, (RadialRTS.DEFAULT_Q, passes, RadialRTS().anneal))
+    found = smoothed(release, _smooth, (RadialRTS.DEFAULT_Q, passes, RadialRTS().anneal))
     assert found.std is not None
     square_m2 = ((release.xy - found.xy) ** 2).sum(axis=1)
     return np.asarray(1.0 / (square_m2 + 2.0 * found.std**2) + 0.5 / variance)
@@ -184,7 +172,7 @@ def looks_radial(release: Release) -> bool:
     the logarithm to the left; the smoother's own error blurs that. Tracks of fewer than three
     samples do not count.
     """
-    off_m = release.xy - smoothed(release, smooth, KalmanRTS.DEFAULT_Q).xy
+    off_m = release.xy - smoothed(release, _smooth, (KalmanRTS.DEFAULT_Q, 1, 0.0)).xy
     square_m2 = off_m[:, 0] * off_m[:, 0] + off_m[:, 1] * off_m[:, 1]
     log_m = 0.5 * np.log(np.maximum(square_m2, _LEAST_M**2, out=square_m2), out=square_m2)
     sizes, first = np.diff(release.offsets), release.offsets[:-1]

@@ -166,18 +166,22 @@ def _learn_fid(train: TrainingSet, rule: Fid) -> Callable[[Release], Floats]:
     # An empty bin (equal quantiles) is nobody's; any positive time will do.
     middle_s = np.where(count > 0, total_s / np.maximum(count, 1), interval_s.mean())
 
-    def fits(errors: tuple[Floats, Floats], sigmas_m: Floats, gap: float) -> Floats:
+    def fits(errors: Floats, sigmas_m: Floats, gap: float) -> Floats:
         """Return the log likelihood of each track under each raw error, (N, S), up to a factor.
 
-        The length of a radial error is |N(0, sigma)|: -log sigma - r^2 / (2 sigma^2) a sample. An
+        `errors`, (2, N, B), are counts and sums of squares of each track by sampling interval. The
+        length of a radial error is |N(0, sigma)|: -log sigma - r^2 / (2 sigma^2) a sample. An
         isotropic error has twice that, which moves no maximum.
         """
-        count, total_m2 = errors
         square_m2 = _total_m2(sigmas_m[:, None], middle_s, gap=gap, rule=rule)
-        return -(count @ np.log(square_m2).T + total_m2 @ (1.0 / square_m2).T)
+        return -np.asarray(errors[0] @ np.log(square_m2).T + errors[1] @ (1.0 / square_m2).T)
 
     square_m2 = ((train.release.xy - train.truth) ** 2).sum(axis=1)
-    errors = _binned(train.release, square_m2, edges=edges)
+    shape = len(train.release), count.size
+    cell = np.repeat(np.arange(shape[0]) * shape[1], np.diff(train.release.offsets)) + which
+    ones = np.ones_like(square_m2)
+    errors = np.array([np.bincount(cell, x, shape[0] * shape[1]) for x in (ones, square_m2)])
+    errors = errors.reshape(2, *shape)
     best = [fits(errors, _FINE_SIGMAS_M, gap).max(axis=1).sum() for gap in _GAPS]
     gap = float(_GAPS[int(np.argmax(best))])
 
@@ -210,27 +214,14 @@ def _intervals(release: Release) -> Floats:
     return np.where(interval_s > 0.0, interval_s, _LONE_S)
 
 
-def _innovations(release: Release, *, edges: Floats) -> tuple[Floats, Floats]:
-    """Return counts and sums of squared innovations by sampling interval, as `_binned` of errors.
+def _innovations(release: Release, *, edges: Floats) -> Floats:
+    """Return counts and sums of squared innovations by sampling interval, (2, N, B).
 
     As in `isac_track.noise`, scaled to the squared length of one error. An innovation spans three
     samples and counts for the middle one, which weighs most in it; the first and the last of a
     track have none.
     """
     arrays = (np.ascontiguousarray(one) for one in (release.t, release.xy, release.offsets, edges))
-    count, total_m2 = np.zeros((2, len(release), edges.size + 1))
-    loops = import_module("isac_track.kalman._linear_loops")
-    loops.innovations_by_interval(*arrays, count, total_m2)
-    return count, total_m2
-
-
-def _binned(release: Release, square_m2: Floats, *, edges: Floats) -> tuple[Floats, Floats]:
-    """Return counts and sums of squares of each track by sampling interval, (N, B) each."""
-    shape = len(release), edges.size + 1
-    owner = np.repeat(np.arange(shape[0]), np.diff(release.offsets))
-    cell = owner * shape[1] + np.searchsorted(edges, _intervals(release), side="right")
-    count, total_m2 = (
-        np.bincount(cell, values, shape[0] * shape[1]).reshape(shape).astype(np.float64)
-        for values in (None, square_m2)
-    )
-    return count, total_m2
+    found = np.zeros((2, len(release), edges.size + 1))
+    import_module("isac_track.kalman._linear_loops").innovations_by_interval(*arrays, *found)
+    return found
