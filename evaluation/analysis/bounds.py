@@ -69,6 +69,7 @@ def gaps(summary: pd.DataFrame) -> Sequence[Gap]:
     world = worlds_of(summary)
     rows = summary.assign(world=world)[world.str.startswith(MODEL)]
     rows = rows.assign(task=[Source(one).task for one in rows["consumer"]])
+    rows["most"] = rows["ci_high"].fillna(rows["value"])  # very few people have no interval
     found = []
     for gap, metric, optimum in ((GAP, EXPOSURE, OPTIMUM), (RANK_GAP, SUCCESS, RANK_OPTIMUM)):
         is_bound = rows["metric"].isin([optimum, CEILING] if metric == EXPOSURE else [optimum])
@@ -76,7 +77,7 @@ def gaps(summary: pd.DataFrame) -> Sequence[Gap]:
         some = rows[able | is_bound | (rows["metric"] == metric)]
         for place, of in some.groupby(_PLACE, sort=False, dropna=False):
             name, mechanism, level, _ = cast("tuple[str, str, float, str]", place)
-            lacking = of[of["metric"] == gap].nsmallest(1, "ci_high")
+            lacking = of[of["metric"] == gap].nsmallest(1, "most")
             bounds = of[of["metric"].isin([optimum, CEILING])]
             if lacking.empty or bounds.empty:
                 continue

@@ -22,7 +22,8 @@ def test_in_worlds_of_the_fitted_motion_attacks_stand_beside_the_optimum(
     csv_recording, tmp_path, monkeypatch
 ):
     axes = {"mechanisms": ("raw", "fixed:0.5"), "tasks": (), "scenes": 4, "other_law": ()}
-    axes |= {"attacks": ("kalman_rts", "averaging"), "predictors": (), "protections": ()}
+    axes |= {"attacks": ("identity", "kalman_rts", "averaging")}
+    axes |= {"predictors": (), "protections": ()}
     model = replace(PRESETS["paper"], utility_scenes=4, model=("fixed:0.5",), **axes)
     monkeypatch.setitem(PRESETS, "paper", model)
     found = run(Settings(dataset=str(csv_recording), jobs=1, out=tmp_path / "model"))
@@ -51,6 +52,7 @@ def test_in_worlds_of_the_fitted_motion_attacks_stand_beside_the_optimum(
     assert abs(gap[isotropic]) < gap[radial]
     assert len(bound_table(found).rows) == 2
     assert [one.where for one in gaps(found.summary)] == [("fixed", 0.5)] * 2
+    assert {one.attack.consumer for one in gaps(found.summary)} == {"kalman_rts"}
     assert gap_text(gaps(found.summary), ("fixed", 0.5)).startswith("in the model world at most ")
 
 
