@@ -56,12 +56,10 @@ def whole(release: Release) -> tuple[Release, Ints]:
     return (release, np.arange(len(release))) if known is None else known
 
 
+@remembered
 def noise_m2(release: Release) -> Floats:
     """Return the error variance per axis of each track, (N,) m^2, as its innovations have it."""
     origin, rows = whole(release)
-    return _noise_m2(origin)[rows]
-
-
-@remembered
-def _noise_m2(release: Release) -> Floats:
+    if origin is not release:
+        return noise_m2(origin)[rows]
     return innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets)

@@ -93,28 +93,21 @@ def learnt_metric(train: LinkageTrainingSet, *, shrinkage: float) -> Floats:
     everybody = np.concatenate([a, b])
     spread = np.maximum(everybody.std(axis=0), _LEAST_SCALE)
     apart = (everybody - everybody.mean(axis=0)) / spread
-    within, total = (_shrunk_moments(each, shrinkage) for each in (between / scale, apart))
+    within, total = ((1.0 - shrinkage) * (x.T @ x / len(x)) for x in (between / scale, apart))
+    for moments in (within, total):  # shrunk as by `sklearn.covariance`
+        # One in which hardly anybody varies counts as if it had the least scale.
+        np.fill_diagonal(moments, 1.0)
     strangers = 2.0 * total * np.outer(spread / scale, spread / scale)
     value, vector = np.linalg.eigh(np.linalg.inv(within) - np.linalg.inv(strangers))
     return np.asarray((vector * np.maximum(value, 0.0)) @ vector.T / np.outer(scale, scale))
 
 
-def _shrunk_moments(x: Floats, shrinkage: float) -> Floats:
-    """Return second moments of scaled features, shrunk as by `sklearn.covariance`."""
-    moments: Floats = (1.0 - shrinkage) * (x.T @ x / len(x))
-    # One in which hardly anybody varies counts as if it had the least scale.
-    np.fill_diagonal(moments, 1.0)
-    return moments
-
-
+@remembered
 def features(release: Release) -> Floats:
     """Return what describes each walk, (N, F) in the order of `FEATURES`."""
     origin, rows = whole(release)
-    return _features(origin)[rows]
-
-
-@remembered
-def _features(release: Release) -> Floats:
+    if origin is not release:
+        return features(origin)[rows]
     walks = on_grid(release)
     (speed, turn), count = motion_of(release, 1.0)
     live = np.arange(speed.shape[1]) < count[:, None]

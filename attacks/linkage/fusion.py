@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -105,33 +106,24 @@ _Members = Sequence[Callable[[Release, Release], Floats]]
 
 def _fitted(context: AttackContext, train: LinkageTrainingSet) -> _Members:
     """Return all linkers, fitted on a training set; the last ones smooth before they score."""
-
-    def knowing(train: LinkageTrainingSet) -> AttackContext:
-        knows = Knowledge.MECHANISM in context.granted
-        return AttackContext(
-            rng=context.rng,
-            epsilon_m=context.epsilon_m,
-            granted=context.granted & {Knowledge.TRAIN, Knowledge.MECHANISM},
-            mechanism=context.mechanism if knows else None,
-            train=train,
-        )
-
+    granted = context.granted & {Knowledge.TRAIN, Knowledge.MECHANISM}
+    told = context.mechanism if Knowledge.MECHANISM in granted else None
+    common = partial(AttackContext, rng=context.rng, epsilon_m=context.epsilon_m)
+    knowing = partial(common, granted=granted, mechanism=told)
     smooth = LinkageTrainingSet(_smoothed(train.probe), _smoothed(train.gallery), train.mate)
-    behind = [one.fit(knowing(smooth)) for one in _SMOOTHED_MEMBERS]
+    behind = [one.fit(knowing(train=smooth)) for one in _SMOOTHED_MEMBERS]
     return [
-        *(one.fit(knowing(train)) for one in _MEMBERS),
+        *(one.fit(knowing(train=train)) for one in _MEMBERS),
         *(lambda p, g, one=one: one(_smoothed(p), _smoothed(g)) for one in behind),
     ]
 
 
+@remembered
 def _smoothed(release: Release) -> Release:
     """Return a release with the positions that `radial_rts` makes of it."""
     origin, rows = whole(release)
-    return part(_smoothed_whole(origin), rows)
-
-
-@remembered
-def _smoothed_whole(release: Release) -> Release:
+    if origin is not release:
+        return part(_smoothed(origin), rows)
     blind = AttackContext(rng=np.random.default_rng(0), epsilon_m=0.3, granted=frozenset())
     return derived(release, xy=RadialRTS().fit(blind)(release).xy)
 

@@ -99,25 +99,23 @@ def continuations(
     Up to a constant; `q` in m^2/s^3, `floor_m2` the least error variance per axis. There is no
     density where the gap is not within `gap_s`.
     """
-    ends = _ends(probe, q, floor_m2, at=1), _ends(gallery, q, floor_m2, at=-1)
+    ends = _ends(probe, q, floor_m2, 1), _ends(gallery, q, floor_m2, -1)
     until_s, mean, cov = (np.concatenate(each) for each in zip(*ends, strict=True))
     density = np.empty((len(probe), len(gallery)))
     loops().continued(until_s, mean, cov, q, (*gap_s, _LONGEST_S), _TAIL, density)
     return density
 
 
-def _ends(release: Release, q: float, floor_m2: float, *, at: int) -> tuple[Floats, ...]:
-    """Return times and states, mean and covariance, at the ends of walks, or (-1) their starts."""
-    origin, rows = whole(release)
-    until_s, mean, cov = _ends_of_all(origin, q, floor_m2, at)
-    return until_s[rows], mean[rows], cov[rows]
-
-
 @remembered
-def _ends_of_all(
-    release: Release, q: float, floor_m2: float, at: int
-) -> tuple[Floats, Floats, Floats]:
-    """Return the same of all walks of a release, each as noisy as its innovations say."""
+def _ends(release: Release, q: float, floor_m2: float, at: int) -> tuple[Floats, Floats, Floats]:
+    """Return times and states, mean and covariance, at the ends of walks, or (-1) their starts.
+
+    Each walk is as noisy as its innovations say.
+    """
+    origin, rows = whole(release)
+    if origin is not release:
+        until_s, mean, cov = _ends(origin, q, floor_m2, at)
+        return until_s[rows], mean[rows], cov[rows]
     t, xy, sizes = release.t, release.xy, np.diff(release.offsets)
     if at < 0:  # back in time, from its last sample to its first
         ends = release.offsets[:-1] + release.offsets[1:] - 1

@@ -43,6 +43,7 @@ class Signals(NamedTuple):
         return Signals(self.values[:, rows], self.sizes[rows])
 
 
+@remembered
 def on_grid(release: Release) -> Signals:
     """Return x and y of the walks of a release less their first samples, in m.
 
@@ -51,11 +52,8 @@ def on_grid(release: Release) -> Signals:
     what there is; a walk shorter than one cell is one cell.
     """
     origin, rows = whole(release)
-    return _on_grid(origin).walks(rows)
-
-
-@remembered
-def _on_grid(release: Release) -> Signals:
+    if origin is not release:
+        return on_grid(origin).walks(rows)
     t, xy, offsets = (np.ascontiguousarray(x) for x in (release.t, release.xy, release.offsets))
     lasts_s = t[offsets[1:] - 1] - t[offsets[:-1]]
     count = np.floor(np.minimum(lasts_s, LONGEST_S) / STEP_S + _CLOCK_S).astype(np.int64)
