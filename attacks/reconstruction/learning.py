@@ -110,9 +110,7 @@ def smoother(
 
 @remembered
 def smoothed(
-    release: Release,
-    smooth: Callable[[Release, Floats, _Choice], Reconstruction],
-    choice: _Choice,
+    release: Release, smooth: Callable[[Release, Floats, _Choice], Reconstruction], choice: _Choice
 ) -> Reconstruction:
     """Return what a smoother makes of a release by the noise that its innovations show."""
     return smooth(release, _estimated(release), choice)
