@@ -1,7 +1,6 @@
 """What the linkage attacks share: walks on a common grid, their motion, and the best lag of two.
 
-A walk of a release comes in a frame and on a clock of its own. Everything here starts from its
-first sample, in space and in time.
+Everything starts from a walk's first sample, in space and in time.
 """
 
 from collections.abc import Iterator, Sequence
@@ -47,9 +46,8 @@ class Signals(NamedTuple):
 def on_grid(release: Release) -> Signals:
     """Return x and y of the walks of a release less their first samples, in m.
 
-    A cell's value is the mean over the cell of the line through the samples, so that no sample
-    in it is wasted and a step longer than a cell is bridged. Whole cells only, in the middle of
-    what there is; a walk shorter than one cell is one cell.
+    A cell's value is the mean over the cell of the line through the samples. Whole cells only, in
+    the middle of what there is; a walk shorter than one cell is one cell.
     """
     origin, rows = whole(release)
     if origin is not release:
@@ -64,7 +62,7 @@ def on_grid(release: Release) -> Signals:
 
 
 def loops() -> ModuleType:
-    """Return the compiled loops, imported at first use: numba takes its time."""
+    """Return the compiled loops; to import numba takes its time."""
     return import_module("attacks.linkage._lag_loop")
 
 
@@ -72,10 +70,8 @@ def loops() -> ModuleType:
 def _local_lines(cells: int, width_s: float) -> tuple[Floats, Floats]:
     """Return what takes a walk of that many cells to its velocity and acceleration, (K, K) each.
 
-    At each cell a parabola is fitted to all others with Gaussian weights of standard deviation
-    `width_s` (Cleveland, "Robust locally weighted regression", JASA 74, 1979): at either end of a
-    walk it looks to one side only, and nothing need be padded. With two cells the parabola is a
-    line.
+    At each cell a parabola, of two cells a line, is fitted to all others with Gaussian weights of
+    standard deviation `width_s` (Cleveland, "Robust locally weighted regression", JASA 74, 1979).
     """
     at_s = np.arange(cells) * STEP_S
     gap_s = at_s[None, :] - at_s[:, None]
@@ -94,7 +90,7 @@ def motion(walks: Signals, *, width_s: Floats) -> Signals:
     """Return speed, m/s, and turning rate, rad/s, each smoothed over its walk's `width_s`, (N,).
 
     The turning rate, anticlockwise positive, is Im(v* a) / (|v|^2 + `SLOW_M_S`^2) of velocity v
-    and acceleration a. Nothing of it depends on the frame.
+    and acceleration a.
     """
     going = np.zeros(walks.values.shape)
     kinds = walks.sizes + 1j * width_s
@@ -112,7 +108,7 @@ def widths_s(release: Release, factor: float = 1.0) -> Floats:
     """Return over how long to smooth each walk, (N,) s: the noisier, the longer.
 
     ``factor * 3 s * v^(1/4)`` of the error variance per axis v in m^2, as the innovations have it,
-    rounded to `WIDTHS_S`. Behind a smoother there is nothing left to smooth and v is next to 0.
+    rounded to `WIDTHS_S`.
     """
     wanted = factor * (_WIDTH_S * noise_m2(release) ** 0.25)
     rounded: Floats = WIDTHS_S[np.searchsorted(np.sqrt(WIDTHS_S[1:] * WIDTHS_S[:-1]), wanted)]
@@ -146,15 +142,12 @@ def aligned_costs(
 ) -> Floats:
     """Return how badly P signals fit G signals where they fit best, (E, P, G), one per floor.
 
-    With a single number for `floors` it is (P, G).
-
-    For every lag the overlap, of m cells, is projected on its first `rank` polynomials; d is the
-    mean squared difference of what is left. The cost is the least over all lags of
-    ``(d + floor) * (L / m)^3`` with L the cells of 12 s, and a floor in the signal's unit squared.
-    Walks of one length lag by `reach_s` at most; a shorter one may lie anywhere within a longer.
-
-    If `rotated`, of x and y, the mean and a rotation (no reflection) of the overlap are left out of
-    the difference; `rank` does not count the mean.
+    With a single number for `floors` it is (P, G). For every lag the overlap, of m cells, is
+    projected on its first `rank` polynomials; d is the mean squared difference of what is left. The
+    cost is the least over all lags of ``(d + floor) * (L / m)^3`` with L the cells of 12 s, and a
+    floor in the signal's unit squared. Walks of one length lag by `reach_s` at most; a shorter one
+    may lie anywhere within a longer. If `rotated`, of x and y, the mean and a rotation (no
+    reflection) of the overlap are left out of the difference; `rank` does not count the mean.
     """
     levels = np.array(floors, dtype=np.float64).ravel()
     out = np.empty((levels.size, probe.sizes.size, gallery.sizes.size))
@@ -187,21 +180,16 @@ def polynomials(most: int, rank: int, first: int) -> tuple[Floats, Ints]:
 
 
 def blocks(probe: Signals, gallery: Signals) -> Iterator[tuple[Ints, Ints, Floats, Floats]]:
-    """Yield probes and gallery walks of one length each: rows, columns and signals of either.
-
-    At most `_NEAR` of either.
+    """Yield at most `_NEAR` probes and gallery walks of one length each, with rows and columns.
 
     Signals come as (C, P, K) and (C, G, K), and go as (C, cells, rows) and (C, cells, columns).
     """
 
     def by_cell(signals: Signals) -> list[tuple[Ints, Floats]]:
-        alike = [
-            (cells, np.flatnonzero(signals.sizes == cells)) for cells in np.unique(signals.sizes)
-        ]
         return [
             (rows, np.ascontiguousarray(signals.values[:, rows, :cells].transpose(0, 2, 1)))
-            for cells, all_rows in alike
-            for rows in np.array_split(all_rows, -(-all_rows.size // _NEAR))
+            for cells, count in zip(*np.unique(signals.sizes, return_counts=True), strict=True)
+            for rows in np.array_split(np.flatnonzero(signals.sizes == cells), -(-count // _NEAR))
         ]
 
     parts = by_cell(gallery)

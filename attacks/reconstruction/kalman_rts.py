@@ -1,7 +1,4 @@
-"""Smoothers of constant-velocity walks, by Rauch, Tung and Striebel: which everybody tries first.
-
-For Gaussian errors, for radial ones, which are heavy at zero, and with two moods of a walk.
-"""
+"""Smoothers of constant-velocity walks, by Rauch, Tung and Striebel: what everybody tries."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -92,8 +89,7 @@ class RadialRTS:
 class ImmRTS:
     """Two constant-velocity models, walking on and stopping or turning, with a Markov chain.
 
-    The default densities reconstruct the bundled crowd best; the robot's tracker `kalman_imm`
-    foresees a second and has a calmer first mode. The smoother is Barber's expectation
+    The default densities reconstruct the bundled crowd best. The smoother is Barber's expectation
     correction; see `isac_track.kalman`.
 
     References
@@ -167,8 +163,7 @@ def looks_radial(release: Release) -> bool:
     """Return whether the errors of a release are radial, by their distances to smoothed walks.
 
     Of the logarithm of a distance the third cumulant is taken, about each track's own mean: what
-    scales the errors does not move it, be it sigma of a track or, from sample to sample, a spread
-    that is symmetric in its logarithm. A radial error is often far smaller than sigma, which skews
+    scales the errors does not move it. A radial error is often far smaller than sigma, which skews
     the logarithm to the left; the smoother's own error blurs that. Tracks of fewer than three
     samples do not count.
     """

@@ -3,11 +3,10 @@
 Blind, an adversary reads one level of noise for each track off its innovations. With the declared
 standard deviations (the oracle) nothing is left to guess but the error law. In between, under
 FID-controlled sharing, the rule itself tells: a sample gets error if the information that it
-carries per second, ``(gap / sigma_raw)^2 / interval``, exceeds the public threshold. The
-intervals are in the release; what an informed adversary finds is one raw standard deviation for
-each track, the one under which the rule explains best how the track's errors differ between short
-and long intervals (one is a simplification: the beam fluctuates from sample to sample). The gap of
-the network's estimator is a constant, learnt from other people.
+carries per second, ``(gap / sigma_raw)^2 / interval``, exceeds the public threshold. What an
+informed adversary finds is one raw standard deviation for each track, under which the rule explains
+best how the track's errors differ between short and long intervals; the gap of the network's
+estimator is a constant, learnt from other people.
 """
 
 from collections.abc import Callable, Sequence
@@ -42,8 +41,8 @@ _LONE_S = 1.0  # s, in place of the interval that a lone sample does not have.
 def around(default: float, *, factor: float) -> tuple[float, ...]:
     """Return ``default / factor``, the default and ``default * factor``.
 
-    Every attack that learns a number tries these. Defaults of motion come from the bundled crowd,
-    whose constants were set by hand to agree with Students03: of that recording they know as much.
+    Defaults of motion come from the bundled crowd, whose constants were set by hand to agree with
+    Students03: of that recording they know as much.
     """
     return tuple(default * factor**power for power in _POWERS)
 
@@ -119,8 +118,7 @@ def smoothed(
 def exposure_loss(*, xy: Floats, truth: Floats, offsets: Ints, epsilon_m: float) -> float:
     """Return a smooth stand-in for 1 - PLR: the mean of d^2 / (d^2 + epsilon^2).
 
-    Of (M, 2) positions, over the samples of a track, then over tracks, as for PLR. One person with
-    hopeless errors does not outweigh all others, as in a mean square.
+    Of (M, 2) positions, over the samples of a track, then over tracks, as for PLR.
     """
     gap = xy - truth
     square = gap[:, 0] ** 2 + gap[:, 1] ** 2
@@ -215,9 +213,8 @@ def _intervals(release: Release) -> Floats:
 def _innovations(release: Release, *, edges: Floats) -> Floats:
     """Return counts and sums of squared innovations by sampling interval, (2, N, B).
 
-    As in `isac_track.noise`, scaled to the squared length of one error. An innovation spans three
-    samples and counts for the middle one, which weighs most in it; the first and the last of a
-    track have none.
+    As in `isac_track.noise`, scaled to the squared length of one error; that of three samples
+    counts for the middle one.
     """
     arrays = (np.ascontiguousarray(one) for one in (release.t, release.xy, release.offsets, edges))
     found = np.zeros((2, len(release), edges.size + 1))

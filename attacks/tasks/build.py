@@ -1,9 +1,8 @@
 """What is to be linked: windows of true walks, and who is who in them.
 
-All start from the recorded tracks; sensing, sharing and the frames that an adversary sees come
-later. Where a task hides the frame, each window is first put in another place of the recording:
-sensed twice in one place, a walk would be known by its distance from the base station, on which
-the noise depends. `attacks.tasks.task_list` says which tasks there are.
+Sensing, sharing and the frames that an adversary sees come later. Where a task hides the frame,
+each window is first put in another place of the recording: sensed twice in one place, a walk would
+be known by its distance from the base station, on which the noise depends.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -92,26 +91,19 @@ class Draft:
     ) -> Windows:
         """Return stretches of walks, as far as these go, each at sampling instants of its own.
 
-        `rows`, (N,), may hold a track more than once, each time with another of `keys`; `start_s`,
-        `end_s`, `person` and `search`, (N,), are those of each window.
+        All are (N,). `rows` may hold a track more than once, each time with another of `keys`.
         """
         start_s = np.maximum(start_s, self.start_s[rows])
         end_s = np.minimum(end_s, self.end_s[rows])
         t, xy = [], []
-        for row, start, end, key in zip(
-            rows.tolist(), start_s, end_s.tolist(), keys or [""] * rows.size, strict=True
-        ):
+        each = zip(rows.tolist(), start_s, end_s.tolist(), keys or [""] * rows.size, strict=True)
+        for row, start, end, key in each:
             rng = self.rng("sampling", side, self.tracks.source[row], key)
             resample = self.settings.resample
             t.append(sampling_times(start_s=start, end_s=end, settings=resample, rng=rng))
             xy.append(_walk(self.tracks, row)(t[-1]))
-        return Windows(
-            t=np.concatenate(t),
-            xy=np.concatenate(xy),
-            offsets=np.cumsum([0, *map(len, t)]),
-            person=person,
-            search=search,
-        )
+        offsets = np.cumsum([0, *map(len, t)])
+        return Windows(np.concatenate(t), np.concatenate(xy), offsets, person, search)
 
     def sessions(
         self, rows: Ints, *, group: tuple[str, ...], may_teach: Bools, **found: object
@@ -121,22 +113,14 @@ class Draft:
         if not self.task.comes_back:
             learns, calibrates = roles(group, may_teach=may_teach, rng=self.rng("roles"))
         source = tuple(self.tracks.source[row] for row in rows)
-        by_itself, moving = np.ones((2, rows.size), dtype=bool)
+        alone, moving = np.ones((2, rows.size), dtype=bool)
         for tracks in (self.tracks, self.later):
             there = rows_of(tracks, source)
             _, cluster, sizes = np.unique(tracks.group, return_inverse=True, return_counts=True)
-            by_itself &= sizes[cluster][there] == 1
+            alone &= sizes[cluster][there] == 1
             moving &= _moving(tracks)[there]
-        return Sessions(
-            task=self.task,
-            source=source,
-            group=group,
-            alone=by_itself,
-            moving=moving,
-            learns=learns,
-            calibrates=calibrates,
-            **found,  # type: ignore[arg-type]  # the other fields of Sessions
-        )
+        found |= {"learns": learns, "calibrates": calibrates, "alone": alone, "moving": moving}
+        return Sessions(task=self.task, source=source, group=group, **found)  # type: ignore[arg-type]
 
 
 def rows_of(tracks: Tracks, source: Sequence[str]) -> Ints:
@@ -324,22 +308,13 @@ def handover(draft: Draft) -> Sessions:
     def windows(side: str, present: Bools, since_s: float, until_s: float) -> Windows:
         """Return those of one side of every rotation, those of each in an order of its own."""
         # By number among all instants: whatever the gap, the same instant has the same draws.
-        order = [
-            draft.rng("order", side, n).permutation(np.flatnonzero(present[n]))
-            for n in used.tolist()
-        ]
+        orders = {n: draft.rng("order", side, n) for n in used.tolist()}
+        order = [rng.permutation(np.flatnonzero(present[n])) for n, rng in orders.items()]
         row = np.concatenate(order)
         search = np.repeat(np.arange(used.size), [part.size for part in order])
-        rotates_s = at_s[used][search]
-        return draft.windows(
-            side,
-            row,
-            rotates_s + since_s,
-            rotates_s + until_s,
-            person=np.searchsorted(rows, row),
-            search=search,
-            keys=[labels[n] for n in search],
-        )
+        start_s, end_s = (at_s[used][search] + after_s for after_s in (since_s, until_s))
+        person, keys = np.searchsorted(rows, row), [labels[n] for n in search]
+        return draft.windows(side, row, start_s, end_s, person=person, search=search, keys=keys)
 
     probe = windows("probe", before, -window_s, 0.0)
     gallery = windows("gallery", after, gap_s, gap_s + window_s)

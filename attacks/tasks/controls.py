@@ -56,8 +56,7 @@ def _alike(features: Callable[[Release], Floats]) -> Score:
     `features` takes a release to those of its tracks, (N,) or (N, F).
     """
 
-    def score(probe: Release, gallery: Release, rng: Generator) -> Floats:
-        del rng
+    def score(probe: Release, gallery: Release, _rng: Generator) -> Floats:
         return closeness(*(features(one).reshape(len(one), -1) for one in (probe, gallery)))
 
     return score
@@ -101,8 +100,7 @@ def _over_neighbours(release: Release) -> Floats:
     """
     from scipy.spatial import cKDTree  # noqa: PLC0415 - heavy, and used here alone
 
-    level = _noise(release)
-    few = min(_NEIGHBOURS, len(release) - 1)
+    level, few = _noise(release), min(_NEIGHBOURS, len(release) - 1)
     # Of levels that are all alike only rounding would be left, which goes by the place.
     if few == 0 or np.ptp(level) < _NO_SIGMA_M:
         return np.zeros_like(level)

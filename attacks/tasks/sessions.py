@@ -1,7 +1,6 @@
 """The two releases of a linkage task, still true, and who may learn from whom.
 
-Windows of walks, and who is who in them. Walking groups stay whole, whoever is attacked, teaches
-the adversary or calibrates it.
+Walking groups stay whole, whoever is attacked, teaches the adversary or calibrates it.
 """
 
 from collections.abc import Mapping, Sequence

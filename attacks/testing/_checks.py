@@ -57,34 +57,27 @@ class Row:
         raise AssertionError(f"{self}, {case.about}: {what}")
 
     def answer(self, case: Case, *, seed: int = 0) -> Floats:
-        """Return as an array what the plug-in makes of a case, given copies of all arrays."""
-        return self.answers(case, seed=seed)[0]
-
-    def answers(self, *cases: Case, seed: int = 0) -> list[Floats]:
-        """Return the answers to several cases in turn, after preparation for the first."""
-        results = self.raw(*map(copied, cases), seed=seed)
-        return [self.read(case, result) for case, result in zip(cases, results, strict=True)]
+        """Return as an array what the plug-in makes of a case."""
+        answer: Floats = case.read(self.results(case, seed=seed)[0])
+        return answer
 
     def results(self, *cases: Case, seed: int = 0) -> list[Any]:
-        """Return what the plug-in makes of cases, as it is, if it can be read."""
+        """Return what the plug-in makes of several cases in turn, as it is, if it can be read.
+
+        It is prepared for the first and given copies of all arrays.
+        """
         results = self.raw(*map(copied, cases), seed=seed)
         for case, result in zip(cases, results, strict=True):
-            self.read(case, result)
+            try:
+                case.read(result)
+            except ValueError as error:
+                self.fail(case, str(error))
         return results
-
-    def read(self, case: Case, result: object) -> Floats:
-        """Return a result as an array, or fail the check."""
-        try:
-            answer: Floats = case.read(result)
-        except ValueError as error:
-            self.fail(case, str(error))
-        return answer
 
     def raw(self, *cases: Case, seed: int = 0) -> list[object]:
         """Return whatever the plug-in returns for each case, given what it is and no more.
 
-        It is prepared for the first case. Whatever it raises becomes an AssertionError with the
-        line that did.
+        Whatever it raises becomes an AssertionError with the line that did.
         """
         if Knowledge.SIGMA not in self.given:
             cases = tuple(of_each(case, Release.without_sigma) for case in cases)
@@ -262,7 +255,7 @@ def calls_do_not_remember(row: Row) -> None:
     A's pseudonyms and as many samples, lest a cache go by those.
     """
     case, other = row.ordinary, row.another
-    first, after, again = row.answers(case, other, case)
+    first, after, again = map(case.read, row.results(case, other, case))
     hint = "one function serves many releases: keep nothing from one to the next"
     for got, expected, what in (
         (again, first, "asked once more, after another release"),
