@@ -10,12 +10,9 @@ so that ``pytest -k null_stays_at_chance`` runs one of them. From the command li
 
     python -m attacks check my_module:MyAttack
 
-`CHECKS` are those of reconstruction attacks, `LINKAGE_CHECKS` those of linkage attacks; which of
-them an attack gets goes by its kind (`isac_track.protocols.kind_of`). Every check of an attack runs
-once for each adversary that grants it something else (`isac_track.protocols.grants`).
-`MECHANISM_CHECKS` and `PREDICTOR_CHECKS` are for the two others, with
-`parametrize_mechanism_checks` and `parametrize_predictor_checks` for pytest. All draws are seeded:
-a check never flickers.
+`CHECKS` are those of reconstruction attacks, `LINKAGE_CHECKS` those of linkage attacks. Every check
+of an attack runs once for each adversary that grants it something else
+(`isac_track.protocols.grants`). All draws are seeded: a check never flickers.
 """
 
 import dataclasses
@@ -67,23 +64,22 @@ Subject: TypeAlias = "Attack | Mechanism | Predictor"
 
 def _in_every_row(body: engine.Body, subject: Hashable) -> None:
     """Hold the body of a check against every row of a plug-in, or those that it applies to."""
-    exempt, applied = SkipTest("no row"), False
-    for row in _rows(subject):
+    rows, exempt = _rows(subject), []
+    for row in rows:
         try:
             body(row)
-            applied = True
         except SkipTest as reason:
-            exempt = reason
-    if not applied:
-        raise exempt
+            exempt.append(reason)
+    if len(exempt) == len(rows):
+        raise exempt[-1]
 
 
 @lru_cache(maxsize=16)
 def _rows(subject: Hashable) -> list[Row]:
     """Return the rows of a plug-in, weakest adversary first, as all checks but one run them.
 
-    One that touches what it was not granted fails the check about that. In all others it is given
-    everything, or that one mistake would fail them all and hide the next one.
+    One that touches what it was not granted is given everything, or that one mistake would fail
+    all checks and hide the next one.
     """
     world, _ = _KITS[_kind(subject)]
     rows = []
@@ -100,23 +96,22 @@ def _rows(subject: Hashable) -> list[Row]:
 def _granted(subject: Any) -> dict[frozenset[Knowledge], str]:  # noqa: ANN401 - a stranger's
     """Return the adversary of every row that a plug-in makes here, by what it is granted.
 
-    What a linkage attack is granted depends on the task: some show the scene to everyone, the
-    others to nobody, and none gives REPEATS. It makes the rows of both sorts, each once. Another
-    plug-in makes one row, of no adversary.
+    What a linkage attack is granted depends on the task, whether it shows the scene: it makes the
+    rows of both sorts, each once. Another plug-in makes one row, of no adversary.
     """
-    kind, everyday = _kind(subject), (frozenset[Knowledge](), frozenset[Knowledge]())
+    nothing = frozenset[Knowledge]()
     if noun_of(subject) != "attack":
-        return {getattr(subject, "requires", everyday[0]): ""}
-    tasks = [(task.everyone, task.nobody) for task in TASKS.values()]
+        return {getattr(subject, "requires", nothing): ""}
+    tasks = [(nothing, nothing)]
+    if kind_of(subject) == "linkage":
+        tasks = [(task.everyone, task.nobody) for task in TASKS.values()]
     made: dict[frozenset[Knowledge], str] = {}
-    for everyone, nobody in tasks if kind == "linkage" else [everyday]:
+    for everyone, nobody in tasks:
         for adversary, granted in grants(subject, everyone=everyone, nobody=nobody).items():
             made.setdefault(granted, adversary)
     if not made:
-        name, why = type(subject).__name__, "the repeats of a walk would be linked already"
-        raise PluginError(
-            f"attack {name} requires REPEATS, which nobody who links is granted: {why}"
-        )
+        why = "which nobody who links is granted: the repeats of a walk would be linked already"
+        raise PluginError(f"attack {type(subject).__name__} requires REPEATS, {why}")
     return made
 
 
@@ -184,10 +179,10 @@ def run_checks(subject: Subject, *, names: Sequence[str] | None = None) -> tuple
 
     Raises as `checks_for`, and SettingsError for a check that does not exist.
     """
-    checks, attack = checks_for(subject), " attack" * (noun_of(subject) == "attack")
-    kit = f" of a {_kind(subject)}{attack}"
-    known = f"known: {', '.join(checks)}"
-    return tuple(engine.outcomes(engine.select(checks, names, kit=kit, known=known), subject))
+    checks = checks_for(subject)
+    kit = f" of a {_kind(subject)}{' attack' * (noun_of(subject) == 'attack')}"
+    chosen = engine.select(checks, names, kit=kit, known=f"known: {', '.join(checks)}")
+    return tuple(engine.outcomes(chosen, subject))
 
 
 def _parametrized(noun: Noun, subjects: Iterable[Subject]) -> Any:  # noqa: ANN401 - a pytest mark; pytest is not imported here
@@ -205,21 +200,15 @@ parametrize_attack_checks = partial(_parametrized, "attack")
 """Return a pytest decorator that runs a test once per attack and check.
 
 The test takes `attack` and `check`, and calls ``check(attack)``. A check that does not apply to an
-attack is skipped, with the reason. `attacks` are instances; one attack may come several times, with
-different parameters. Raises as `checks_for`, and SettingsError without any attack.
+attack is skipped, with the reason. Attacks are instances. Raises as `checks_for`, and SettingsError
+without any attack. The two below do the same for mechanisms and predictors.
 """
 parametrize_mechanism_checks = partial(_parametrized, "mechanism")
-"""Return the same for mechanisms; the test takes `mechanism` and `check`."""
 parametrize_predictor_checks = partial(_parametrized, "predictor")
-"""Return the same for predictors; the test takes `predictor` and `check`."""
 
 
 def _label(subject: Any) -> str:  # noqa: ANN401 - a frozen dataclass
     """Return the class, with the parameters that differ from their defaults."""
-    changed = [
-        f"{item.name}={getattr(subject, item.name)}"
-        for item in dataclasses.fields(subject)
-        if item.init and repr(getattr(subject, item.name)) != repr(item.default)
-    ]
-    name = type(subject).__name__
-    return f"{name}({','.join(changed)})" if changed else name
+    held = [(one, getattr(subject, one.name)) for one in dataclasses.fields(subject) if one.init]
+    changed = [f"{one.name}={value}" for one, value in held if repr(value) != repr(one.default)]
+    return type(subject).__name__ + (f"({','.join(changed)})" if changed else "")

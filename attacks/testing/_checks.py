@@ -90,11 +90,7 @@ class Row:
     def expect_same(
         self, got: Floats, expected: Floats, *, what: str, hint: str, tolerance: float = SAME
     ) -> None:
-        """Fail if two answers differ by more than rounding, or than chance if the attack draws.
-
-        An attack that draws is compared with itself under another seed: of its draws, a check can
-        only ask that they have the same spread, which the ordinary case says.
-        """
+        """Fail if answers differ by more than rounding, or two seeds of an attack that draws."""
         case = self.ordinary
         gaps = case.gaps(got, expected)
         if gaps.max() <= tolerance:
@@ -222,9 +218,8 @@ def odd_tracks_are_handled(row: Row) -> None:
 def training_without_mates_is_handled(row: Row) -> None:
     """Where a third of the training probes has no mate (-1), nobody is taken for theirs.
 
-    Of every other such probe the gallery track is gone, of the rest it stays as a stranger's. The
-    training gallery is then turned back to front: who takes -1 for the last track learns something
-    else. Who learns may differ by 1 % of the spread.
+    Of every other such probe the gallery track is gone. The training gallery is then turned back to
+    front: who takes -1 for the last track learns something else. Who learns may differ by 1 %.
     """
     train = row.ordinary.train
     mate = train.mate.copy()
@@ -251,8 +246,7 @@ def training_without_mates_is_handled(row: Row) -> None:
 def calls_do_not_remember(row: Row) -> None:
     """What the function from fit answers does not depend on what it was asked before.
 
-    Asked A, B and A again it answers A alike to the last bit, and B as if it had not seen A. B has
-    A's pseudonyms and as many samples, lest a cache go by those.
+    B, asked between A and A again, has A's pseudonyms and as many samples, lest a cache go by them.
     """
     case, other = row.ordinary, row.another
     first, after, again = map(case.read, row.results(case, other, case))
@@ -268,8 +262,8 @@ def calls_do_not_remember(row: Row) -> None:
 def null_stays_at_chance(row: Row) -> None:
     """Where the releases say nothing of the truth, it is hit no more often than by chance.
 
-    The truth is drawn apart from them, each part of it by itself: whatever the attack says, it is
-    hit with the probability `chance` at most, independently of all others.
+    Each part of the truth is drawn by itself: whatever the attack says, it is hit with the
+    probability `chance` at most.
     """
     case = row.ordinary.null()
     hits = case.hits(row.answer(case))
@@ -321,8 +315,7 @@ def nothing_beats_the_optimum(row: Row) -> None:
     """Of walks that follow a model no more leaks than the exact posterior of a genie tells.
 
     Of isotropic errors and of radial ones, whose scales the genie is told. A row with more than one
-    release is exempt. Both means must stay within 4.5 standard errors over the tracks, which of
-    ten thousand sound attacks hardly one would exceed.
+    release is exempt. Of ten thousand sound attacks hardly one exceeds 4.5 standard errors.
     """
     laws: tuple[ErrorLaw, ...] = ("isotropic", "radial")
     for law in laws:

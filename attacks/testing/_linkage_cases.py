@@ -33,9 +33,9 @@ ODD = (
 class LinkageCase(made.Case):
     """P probes, G gallery tracks, and everything that an adversary may know besides.
 
-    Where the scene is hidden, every walk of all four releases comes in a frame and on a clock of
-    its own. Probe and gallery are then two recordings of one walk. Where the scene is shown, all
-    is in one frame and on one clock, and the gallery goes on after `GAP_S` of silence.
+    Where the scene is hidden, every walk comes in a frame and on a clock of its own, and probe and
+    gallery are two recordings of one walk. Where it is shown, all is in one frame and on one clock,
+    and the gallery goes on after `GAP_S` of silence.
     """
 
     asked: ClassVar[tuple[str, ...]] = ("probe", "gallery")
@@ -70,10 +70,7 @@ class LinkageCase(made.Case):
         return f"expected a numpy array of floats, got {type(result).__name__}{of}"
 
     def read(self, result: Any) -> Floats:  # noqa: ANN401 - a stranger's
-        """Return a result as an array, or raise ValueError if it is not one of scores.
-
-        That is a finite real number for each probe and gallery track; the type is another check's.
-        """
+        """Return scores as an array of floats; ValueError if they are not finite real numbers."""
         scores, expected = np.asarray(result), (len(self.probe), len(self.gallery))
         if scores.dtype.kind not in "fiub":
             got = f"{type(result).__name__} of {scores.dtype}"
@@ -172,21 +169,17 @@ def made_up(
 ) -> LinkageCase:
     """Return people who differ in speed, in how evenly they walk and in how they turn.
 
-    People, sampling instants, frames and unit errors depend on `name` and sizes alone, so that two
-    noise levels, of `RAW_SIGMA_M` or more, differ in nothing else. `sizes` are the samples of each
-    track of probe and gallery, which are the same people, and of either release of the training
-    set, which is other people.
+    All but the size of the errors depends on `name` and sizes alone: the samples of each track of
+    probe and gallery, which are the same people, and of either release of the training set.
     """
     mechanism = Fixed(d_sigma=sigma_m - RAW_SIGMA_M, law=law)
 
-    def release(
-        name: tuple[str, ...], people: list[made.Person], sizes: tuple[int, ...]
-    ) -> Release:
+    def release(name: tuple[str, ...], who: list[made.Person], sizes: tuple[int, ...]) -> Release:
         walks = []
         for row, size in enumerate(sizes):
             elapsed = made.instants(draws(*name, row), size, steps_s)
             t = GAP_S + elapsed if scene and name[-1] == "gallery" else elapsed - elapsed[-1]
-            walks.append((t, people[row](t)))
+            walks.append((t, who[row](t)))
         # One motion for all that is in one frame, or one for every walk.
         frames = draws(*(name[:-1] if scene else name), "frames")
         return _moved(made.shared(walks, name, mechanism=mechanism), frames, together=scene)

@@ -145,9 +145,8 @@ def sigma_is_that_of_the_error(row: common.Row) -> None:
         raise SkipTest(wrong or "it declares no sigma")
     truth = (sensed.xy - sensed.sigma_raw[:, None] * sensed.unit_error)[samples]
     squared = np.sum((release.xy - truth) ** 2, axis=1)
-    ratio = np.divide(
-        squared, release.sigma**2, out=np.full_like(squared, np.inf), where=release.sigma > 0
-    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(release.sigma > 0, squared / release.sigma**2, np.inf)
     per_track = np.add.reduceat(ratio, release.offsets[:-1]) / np.diff(release.offsets)
     mean, std_error = per_track.mean(), per_track.std(ddof=1) / np.sqrt(per_track.size)
     if not abs(mean - 1.0) <= SIGMA_ROOM + SIGMA_ERRORS * std_error:
@@ -202,9 +201,8 @@ class PredictorCase(made.Case):
         self, predictor: made.Plugin, _given: frozenset[Knowledge], _rng: Generator, who: str
     ) -> Callable[..., object]:
         """Return what predicts; it knows the mechanism if it is aware."""
-        predict: Callable[..., object] = call(
-            knowing, predictor, self.mechanism, who=f"{who} knowing"
-        ).predict
+        told = call(knowing, predictor, self.mechanism, who=f"{who} knowing")
+        predict: Callable[..., object] = told.predict
         return predict
 
     def read(self, result: object) -> Floats:
@@ -255,9 +253,7 @@ def track_is_causal(row: common.Row) -> None:
     if getattr(row.subject, "track", None) is None:
         raise SkipTest("it has no track")
     for case in (*row.ordinary.odd(), row.ordinary):
-        release = case.release
-        if Knowledge.SIGMA not in row.given:
-            release = release.without_sigma()
+        release = case.release if Knowledge.SIGMA in row.given else case.release.without_sigma()
         who = f"{row}, {case.about}: track"
         track = call(knowing, row.subject, case.mechanism, who=who).track
         first = np.repeat(release.offsets[:-1], np.diff(release.offsets))

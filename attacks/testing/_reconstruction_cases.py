@@ -148,14 +148,8 @@ class ReconstructionCase(made.Case):
             release=release, sensed=sensed, mechanism=mechanism, rng=draws("model", "genie")
         )
         assert errors is not None
-        expected = known_share(
-            t=t,
-            offsets=offsets,
-            errors=errors,
-            q=motion.q,
-            speed_mps=motion.speed_mps,
-            epsilon_m=EPSILON_M,
-        )
+        known = {"q": motion.q, "speed_mps": motion.speed_mps, "epsilon_m": EPSILON_M}
+        expected = known_share(t=t, offsets=offsets, errors=errors, **known)
         return replace(like, release=release, truth=truth, mechanism=mechanism), expected
 
     def null(self) -> ReconstructionCase:
@@ -186,8 +180,7 @@ def made_up(
 ) -> ReconstructionCase:
     """Return walks of people, shared with errors of standard deviation `sigma_m`.
 
-    Walks and unit errors depend on `name` and `sizes` (samples of each track) alone, so that two
-    noise levels, of `RAW_SIGMA_M` or more, differ in nothing else.
+    All but the size of the errors depends on `name` and `sizes` (samples of each track) alone.
     """
     mechanism = Fixed(d_sigma=sigma_m - RAW_SIGMA_M, law=law)
     mine, others = (
@@ -200,7 +193,7 @@ def made_up(
         return made.shared(walked, (name, *words), mechanism=mechanism)
 
     release, beside = share(mine, "release"), share(mine, "beside")
-    first = release.offsets[:-1]
+    first, names = release.offsets[:-1], release.pseudonym
     return ReconstructionCase(
         about=about,
         release=release,
@@ -208,8 +201,6 @@ def made_up(
         mechanism=mechanism,
         train=TrainingSet(share(others, "train"), others_truth),
         repeats=tuple(share(mine, "repeat", row) for row in range(2)),
-        anchor=Release(
-            release.t[first], truth[first], None, np.arange(len(release) + 1), release.pseudonym
-        ),
+        anchor=Release(release.t[first], truth[first], None, np.arange(len(names) + 1), names),
         companions=(replace(beside, xy=beside.xy + 1.0),),
     )

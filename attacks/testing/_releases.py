@@ -93,17 +93,10 @@ def sensed(
     t, xy = (np.concatenate(arrays) for arrays in zip(*walks, strict=True))
     unit = unit_errors(n_samples=t.size, law=law, rng=draws("errors", *name))
     offsets = np.cumsum([0, *(times.size for times, _ in walks)])
-    information = np.full(t.size, RAW_SIGMA_M**-2)
-    return Sensed(
-        t=t,
-        xy=xy + RAW_SIGMA_M * unit,
-        unit_error=unit,
-        sigma_raw=np.full(t.size, RAW_SIGMA_M),
-        information=information,
-        fid=fisher_information_density(information=information, t=t, offsets=offsets),
-        offsets=offsets,
-        law=law,
-    )
+    sigma, information = np.full(t.size, RAW_SIGMA_M), np.full(t.size, RAW_SIGMA_M**-2)
+    fid = fisher_information_density(information=information, t=t, offsets=offsets)
+    noisy = xy + RAW_SIGMA_M * unit
+    return Sensed(t, noisy, unit, sigma, information, fid, offsets, law=law)
 
 
 def frames(rng: np.random.Generator, count: int) -> Floats:
@@ -149,9 +142,8 @@ class Case:
         """Return what is wrong with a result that can be read all the same; empty if nothing."""
         return ""
 
-    def out_of_bounds(self, _answer: Floats) -> str:
-        """Return what is wrong with an answer that flies off; empty if nothing."""
-        return ""
+    out_of_bounds = fault
+    """The same of an answer that flies off."""
 
     def gaps(self, one: Floats, other: Floats) -> Floats:
         """Return how far apart the numbers of two answers are, a row for each sort of number."""
