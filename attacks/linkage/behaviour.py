@@ -42,11 +42,6 @@ simulated crowd, rounded; a blind adversary's metric."""
 class Behaviour:
     """Distance of two walks' features, in a metric that tells people apart.
 
-    The features: level, spread and quantiles of the speed, share of stops, turning (mean and root
-    mean square of the rate, and its mean, whose sign a frame cannot tell from habit), progress
-    along the chord, changes of speed, and how much the body sways to its side in four bands, less
-    what the noise explains of it and the less, the more noise there is.
-
     Blind, each is divided by a fixed scale and the score is minus the squared distance. Informed,
     the score is minus ``x' (W^-1 - T^-1) x`` of the difference x, with W its covariance over mated
     pairs and T over strangers: the log likelihood ratio of two Gaussians, up to a constant. Both
@@ -145,10 +140,9 @@ def features(release: Release) -> Floats:
 def sway(release: Release, walks: Signals) -> Floats:
     """Return the log power of lateral sway in each band, relative to `_SWAY_M2`, (N, 4).
 
-    The second difference of the positions, across the heading: walking straight on or speeding up
-    does not show in it. Its periodogram is divided by the gain of a second difference, and the
-    error variance of a cell's mean is taken off. The logarithm is shrunk to 0 where that variance
-    is above `_SWAY_M2`.
+    Of the second difference of the positions across the heading: its periodogram is divided by the
+    gain of a second difference, and the error variance of a cell's mean is taken off. The logarithm
+    is shrunk to 0 where that variance is above `_SWAY_M2`.
     """
     error_m2 = noise_m2(release) / np.maximum(np.diff(release.offsets) / walks.sizes, 1.0)
     power_m2 = np.zeros((walks.sizes.size, len(_BANDS_HZ)))

@@ -25,24 +25,18 @@ class DTW:
     warped within a Sakoe-Chiba band of `band` of the longer one, and as much at either end may be
     left out (the windows of two releases do not start together). Each step of warping costs
     `penalty` squared. The score is ``-log((d^2 / m + floor) * (L / m)^3)`` of the distance d, the
-    length m of the shorter profile and L, that of 12 s: a monotone function of d between walks of
-    one length.
-
-    Other than `attacks.linkage.alignment.Profile` it forgives changes of pace and knows no lag
-    beyond its band.
+    length m of the shorter profile and L, that of 12 s.
 
     References
     ----------
     Sakoe, Chiba, "Dynamic programming algorithm optimization for spoken word recognition", IEEE
     Trans. ASSP 26(1), 1978, 43-49; for several signals at once: Shokoohi-Yekta et al.,
     "Generalizing DTW to the multi-dimensional case requires an adaptive approach", Data Mining
-    and Knowledge Discovery 31, 2017, 1-31. The tests hold it against dtaidistance, whose loop,
-    pair by pair, takes several times as long as one over all walks of a length at once.
+    and Knowledge Discovery 31, 2017, 1-31.
     """
 
     factor: float | None = None
-    """Of the widths in `attacks.linkage.signals.widths_s`; None: learnt from the training set, or
-    1 without one."""
+    """Of `attacks.linkage.signals.widths_s`; None: learnt from the training set, or 1."""
     turn_m: float = 1.0
     band: float = 0.15
     penalty: float | None = None  # None: learnt, or `DEFAULT_PENALTY`.
@@ -78,10 +72,8 @@ def _score(
     few: Few = EVERYBODY,
 ) -> Floats:
     p, g = motions(probe, gallery, factor, attack.turn_m, few)
-    score: Floats = -np.log(
-        warped_costs(p, g, band=attack.band, penalty=penalty, floor=attack.floor)
-    )
-    return score
+    costs = warped_costs(p, g, band=attack.band, penalty=penalty, floor=attack.floor)
+    return np.asarray(-np.log(costs))
 
 
 def warped_costs(
@@ -89,11 +81,10 @@ def warped_costs(
 ) -> Floats:
     """Return the cost of warping each of P profiles onto each of G, (P, G); see `DTW`."""
     costs = np.empty((probe.sizes.size, gallery.sizes.size))
-    p, g = (
-        Signals(each.values[:, :, ::_STRIDE], -(-each.sizes // _STRIDE))
-        for each in (probe, gallery)
+    sides = (
+        Signals(one.values[:, :, ::_STRIDE], -(-one.sizes // _STRIDE)) for one in (probe, gallery)
     )
-    for rows, columns, part, other in blocks(p, g):
+    for rows, columns, part, other in blocks(*sides):
         shorter, longer = sorted((part.shape[1], other.shape[1]))
         reach = round(band * longer)
         # What is left out at the ends must leave something, and lie within the band.

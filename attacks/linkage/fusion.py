@@ -40,15 +40,12 @@ class Fusion:
 
     Scores of `likelihood_ratio`, `behaviour` and `histogram`, of `shape`, `profile` and `dtw`
     behind `radial_rts`, and minus the squared differences of mean speed, log duration and log
-    error variance. P(mate | probe) is taken as the softmax over the gallery of their weighted sum;
-    the weights maximise the probability of the mates, less ``ridge / 2`` times the squared
-    distance from what they are where only `likelihood_ratio` counts, as it stands. The scores
-    learnt from are those of people from whom the linkers have not learnt: of either half of the
-    mates, by linkers fitted on the other. All linkers are then fitted on everybody.
+    error variance, weighted (`conditional_logit`) and shrunk towards `likelihood_ratio` alone. The
+    scores learnt from are those of people from whom the linkers have not learnt: of either half of
+    the mates, by linkers fitted on the other. All linkers are then fitted on everybody.
 
-    Before they are weighted scores are cut off at a low quantile of strangers' and, but for
-    `likelihood_ratio`'s, divided by their spread, both of the training set: a pair's score hangs
-    on nobody else.
+    Before, scores are cut off at a low quantile of strangers' and, but for `likelihood_ratio`'s,
+    divided by their spread, both of the training set: a pair's score hangs on nobody else.
 
     References
     ----------
@@ -84,9 +81,8 @@ class Fusion:
         scale = _scale(found, mates)
         alone = np.zeros(found[0].shape[2])
         alone[0] = 1.0
-        weights = conditional_logit(
-            [_scaled(one, scale) for one in found], mates, prior=alone, ridge=self.ridge
-        )
+        scaled = [_scaled(one, scale) for one in found]
+        weights = conditional_logit(scaled, mates, prior=alone, ridge=self.ridge)
         members = _fitted(context, train)
 
         def fused(probe: Release, gallery: Release) -> Floats:
@@ -141,19 +137,14 @@ def _summary(release: Release) -> Floats:
     starts, ends = release.offsets[:-1], release.offsets[1:] - 1
     lasts_s = release.t[ends] - release.t[starts]
     speed = features(release)[:, list(FEATURES).index("mean speed")]
-    return np.column_stack(
-        [speed, np.log(lasts_s + 1.0), np.log(np.maximum(noise_m2(release), _LEAST_M2))]
-    )
+    noise = np.log(np.maximum(noise_m2(release), _LEAST_M2))
+    return np.column_stack([speed, np.log(lasts_s + 1.0), noise])
 
 
 def _scale(found: Sequence[Floats], mates: Sequence[Ints]) -> _Scale:
     """Return the scale of what was found of strangers; the likelihood ratio keeps its own."""
-    strangers = np.concatenate(
-        [
-            one[mate[:, None] != np.arange(one.shape[1])]
-            for one, mate in zip(found, mates, strict=True)
-        ]
-    )
+    each = zip(found, mates, strict=True)
+    strangers = np.concatenate([x[mate[:, None] != np.arange(x.shape[1])] for x, mate in each])
     least = np.quantile(strangers, _WEAKEST, axis=0)
     spread = np.maximum(strangers, least).std(axis=0)
     spread[0] = 1.0

@@ -23,9 +23,8 @@ class Histogram:
     """Likelihood that two walks' speeds and turning rates are drawn from one distribution.
 
     Every quarter of a second of a walk counts for a cell of speed and signed turning rate, split
-    among the four nearest centres, so that nothing hangs on the side of an edge it lies on. With
-    counts a and b in the cells and f(x) = x log x, the score is the generalised log likelihood
-    ratio of "one multinomial" to "two":
+    among the four nearest centres. With counts a and b in the cells and f(x) = x log x, the score
+    is the generalised log likelihood ratio of "one multinomial" to "two":
 
         sum_k [f(a_k + b_k) - f(a_k) - f(b_k)] - [f(A + B) - f(A) - f(B)],   A = sum a, B = sum b
 
@@ -41,8 +40,7 @@ class Histogram:
     """
 
     factor: float | None = None
-    """Of the widths in `attacks.linkage.signals.widths_s`; None: learnt from the training set, or
-    1 without one."""
+    """Of `attacks.linkage.signals.widths_s`; None: learnt from the training set, or 1."""
     speeds: int | None = None  # Centres from 0 to 2.2 m/s; None: learnt, or `DEFAULT_SPEEDS`.
 
     kind: ClassVar[str] = "linkage"
@@ -82,13 +80,10 @@ def counts_of(motion: Signals, *, speeds: int) -> Floats:
     low_turn, share_turn = _between(turn, _TURNS_RAD_S)
     size = speeds * _TURNS_RAD_S.size
     cell = owner * size + low_speed * _TURNS_RAD_S.size + low_turn
-    corners = [
-        (cell, (1.0 - share_speed) * (1.0 - share_turn)),
-        (cell + 1, (1.0 - share_speed) * share_turn),
-        (cell + _TURNS_RAD_S.size, share_speed * (1.0 - share_turn)),
-        (cell + _TURNS_RAD_S.size + 1, share_speed * share_turn),
-    ]
-    index, share = (np.concatenate(each) for each in zip(*corners, strict=True))
+    corners = [0, 1, _TURNS_RAD_S.size, _TURNS_RAD_S.size + 1]
+    index = np.concatenate([cell + corner for corner in corners])
+    along, across = (1.0 - share_speed, share_speed), (1.0 - share_turn, share_turn)
+    share = np.concatenate([one * other for one in along for other in across])
     counts: Floats = np.bincount(index, share, n_tracks * size).astype(np.float64)
     return counts.reshape(n_tracks, size)
 

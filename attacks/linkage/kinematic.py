@@ -27,14 +27,10 @@ class Kinematic:
     """Likelihood that a gallery walk starts in the state that a probe's has got to by then.
 
     A constant-velocity filter runs along every probe and, back in time, along every gallery walk.
-    The probe's last state, predicted across the gap, differs from the gallery's first by an error
-    of both covariances and the process noise of the gap; the score is the log density of the
-    difference in position and velocity. Density in place of a Gaussian's: Student's t with five
-    degrees of freedom, whose tail is a gate that never closes.
-
-    A walk that begins before another has ended is predicted back in time, with process noise all
-    the same. Nothing is left out of account for "no match": that is the business of whoever
-    assigns.
+    The probe's last state, predicted across the gap (back in time, too, with process noise all the
+    same), differs from the gallery's first by an error of both covariances and the process noise of
+    the gap; the score is the log density of the difference in position and velocity: Student's t
+    with five degrees of freedom, whose tail is a gate that never closes.
 
     References
     ----------
@@ -44,12 +40,10 @@ class Kinematic:
     *Estimation with Applications to Tracking and Navigation*, 2001, ch. 6.2.
     """
 
-    q: float | None = None
-    """m^2/s^3, of the walk and of the gap; None: learnt from the training set, or `DEFAULT_Q`
-    without one."""
+    q: float | None = None  # m^2/s^3; None: learnt from the training set, or `DEFAULT_Q`.
     floor_m2: float | None = None
-    """m^2, least error variance per axis: a smoother's errors are correlated and do not show
-    in the innovations. None: learnt, or `DEFAULT_FLOOR_M2`."""
+    """Least error variance per axis: a smoother's errors are correlated and do not show in the
+    innovations. None: learnt, or `DEFAULT_FLOOR_M2`."""
 
     kind: ClassVar[str] = "linkage"
     requires: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.SCENE})
@@ -76,10 +70,9 @@ class Kinematic:
 
 
 def rivals(train: LinkageTrainingSet) -> tuple[float, float]:
-    """Return the least and the longest gap, s, of a pair of a training set that may be mates.
+    """Return the least and the longest gap, s, of pairs of a training set that may be mates.
 
-    Of a recording whose pseudonyms rotated more than once, only those pairs compete for whom the
-    gap is that of one rotation.
+    Where pseudonyms rotated more than once only those compete whose gap is that of one rotation.
     """
     rows = mated(train)
     begun_s = train.gallery.t[train.gallery.offsets[train.mate[rows]]]

@@ -72,12 +72,10 @@ def learn(
 ) -> tuple[Any, ...]:
     """Return a value for each of some parameters, chosen one after the other by `log_rank`.
 
-    All combinations would cost their product in place of their sum, and be more likely to find one
-    that is best by chance. Another value than the default, the first of a parameter's `options`, is
-    taken if it gains `MARGIN`; where the context teaches nothing, none is. `scores` goes from the
-    training set, and who of either side counts, to what turns a value for each parameter into their
-    scores, (P, G). Learnt from are at the `most` so many mated pairs and nobody else: many
-    candidates on all would cost more than the attack.
+    Another value than the default, the first of a parameter's `options`, is taken if it gains
+    `MARGIN`; where the context teaches nothing, none is. `scores` goes from the training set, and
+    who of either side counts, to what turns a value for each parameter into their scores, (P, G).
+    Learnt from are at the `most` so many mated pairs and nobody else.
     """
     best = tuple(values[0] for values in options)
     if not teaches(context) or all(len(values) == 1 for values in options):
@@ -98,11 +96,7 @@ def learn(
 
 
 def log_rank(scores: Floats, *, mate: Ints) -> float:
-    """Return the mean log of the rank of each mate among all candidates, 0 if all come first.
-
-    Unlike the share of first ranks it sees how near a miss was, and unlike the mean rank it does
-    not go by the hopeless. Ties count half.
-    """
+    """Return the mean log of the rank of each mate among all candidates; ties count half."""
     rows = np.flatnonzero(mate >= 0)
     own, among = scores[rows, mate[rows]][:, None], scores
     if rows.size < len(scores):

@@ -17,8 +17,8 @@ from isac_track.protocols import AttackContext, Reconstructor
 from isac_track.types import Complexes, Floats, Ints, Knowledge, Reconstruction, Release
 
 _EDGES_S = np.geomspace(0.05, 3.0, 6) * np.sqrt(1.01)
-"""Of the stretches whose means are looked at, to either side of a sample: short nearby. No clock of
-round steps has a sample just there, which rounding would let in or out."""
+"""Of the stretches whose means are looked at, to either side of a sample. No clock of round steps
+has a sample just there, which rounding would let in or out."""
 _REACH_S = 0.503  # To either side: where a walk heads for, and how fast.
 _STILL_M = 1e-3
 """Who moves no farther heads nowhere, and is corrected the less the less they move."""
@@ -35,13 +35,11 @@ _LEAST_GAIN = 1e-3  # Of `exposure_loss`.
 class Corrector:
     """A learnt correction on top of `RadialRTS`.
 
-    Around every sample it looks at what the smoother left over, where the smoothed walk goes, how
-    much each sample tells, how noisy the track is (by its innovations, and as declared if that is
-    granted) and how sure the smoother is, all in the frame of the walk's direction. Boosted trees
-    were taught on other people's walks, shared by the same mechanism, what to add along and
-    across. How many trees, and what share of what they say, is decided by walks that they were not
-    grown on, whole ones; where these gain nothing, or fewer than five walks are known, this is the
-    smoother alone. The claimed standard deviation is always the smoother's.
+    Boosted trees are taught on other people's walks, shared by the same mechanism, what to add
+    along and across, by what `_looked_at` sees around every sample. How many trees, and what share
+    of what they say, is decided by whole walks that they were not grown on; where these gain
+    nothing, or fewer than five walks are known, this is the smoother alone. The claimed standard
+    deviation is always the smoother's.
 
     References
     ----------

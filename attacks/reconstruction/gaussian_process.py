@@ -19,11 +19,10 @@ TREND_STD = (100.0, 10.0)
 class GaussianProcess:
     """A Matern-3/2 process about a straight line, one per axis and track; noise as estimated.
 
-    The line starts at the first shared position plus an offset, and has a slope; both have vague
-    Gaussian priors (`TREND_STD`) and are estimated along with the process, so that neither
-    place nor speed of a walk is pulled to a mean. Line and process are written as one linear
-    stochastic differential equation, and a Kalman filter and a Rauch-Tung-Striebel smoother run
-    over all tracks at once.
+    Offset from the first shared position and slope of the line have vague Gaussian priors
+    (`TREND_STD`), so that neither place nor speed of a walk is pulled to a mean. Line and process
+    are one linear stochastic differential equation, and a Kalman filter and a Rauch-Tung-Striebel
+    smoother run over all tracks at once.
 
     References
     ----------
@@ -32,8 +31,9 @@ class GaussianProcess:
     Learning*, 2006: sections 2.2, 4.2.1.
     """
 
-    length_s: float | None = None
-    """s; None, together with `scale_m`: learnt from the training set, or `DEFAULT` without one."""
+    length_s: float | None = (
+        None  # None, with `scale_m`: learnt from the training set or `DEFAULT`.
+    )
     scale_m: float | None = None  # m, standard deviation of the process about the line.
 
     slow: ClassVar[bool] = True
@@ -123,10 +123,7 @@ def _model(step_s: Floats, *, kernel: tuple[float, float]) -> tuple[Floats, Floa
 
 
 def _by_step(offsets: Ints) -> tuple[Ints, Ints]:
-    """Return samples ordered by step, (M,), and where each step begins, (K + 1,).
-
-    Within a step the longest tracks come first: those that go on are the first ones of it.
-    """
+    """Return samples by step, the longest tracks first, (M,), and where steps begin, (K + 1,)."""
     sizes = np.diff(offsets)
     step = np.arange(offsets[-1]) - np.repeat(offsets[:-1], sizes)
     rows = np.lexsort((np.repeat(-sizes, sizes), step))  # stable: of equals the first

@@ -23,8 +23,7 @@ _LEAST_M = 1e-9
 class KalmanRTS:
     """Constant velocity, white-noise acceleration; exact for Gaussian errors of known variance."""
 
-    q: float | None = None
-    """m^2/s^3; None: learnt from the training set, or `DEFAULT_Q` without one."""
+    q: float | None = None  # m^2/s^3; None: learnt from the training set, or `DEFAULT_Q`.
 
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
     uses: ClassVar[frozenset[Knowledge]] = TOLD
@@ -46,8 +45,7 @@ class RadialRTS:
     shows it (`looks_radial`). If it is another, one pass is left: `KalmanRTS`.
     """
 
-    q: float | None = None
-    """m^2/s^3; None: learnt from the training set, or `DEFAULT_Q` without one."""
+    q: float | None = None  # As of `KalmanRTS`.
     passes: int | None = None
     """Smoothers; None: learnt from the training set, 1, `USUAL_PASSES` or twice as many; without
     one `USUAL_PASSES` if the errors look radial, else 1. Twice as many gain 1.3 to 2.3 points of
@@ -100,9 +98,7 @@ class ImmRTS:
     J. Machine Learning Research 7, 2006, 2515-2540.
     """
 
-    q: float | None = None
-    """m^2/s^3 while walking on; None, together with `q_turn`: learnt from the training set, or
-    `DEFAULT_Q` without one."""
+    q: float | None = None  # m^2/s^3 while walking on; None, with `q_turn`: learnt or `DEFAULT_Q`.
     q_turn: float | None = None  # m^2/s^3 while stopping or turning.
     walk_s: float = 4.0  # Mean time of walking on.
     turn_s: float = 1.5  # Mean time of stopping or turning.

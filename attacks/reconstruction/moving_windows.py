@@ -26,8 +26,7 @@ class MovingAverage:
     """
 
     width_s: float | None = None
-    """s, at errors of 0.5 m per axis; None: learnt from the training set, or `DEFAULT_WIDTH_S`
-    without one."""
+    """At errors of 0.5 m per axis; None: learnt from the training set, or `DEFAULT_WIDTH_S`."""
 
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
     uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})

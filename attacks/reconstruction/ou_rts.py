@@ -1,10 +1,9 @@
 """An adversary who reckons with an error that changes slowly: it is smoothed as a state of its own.
 
 Who knows the mechanism is told how large and how slow the error is; everybody else finds out from
-the release. Where nothing slow is added it is `radial_rts`.
-
-Repeats are averaged before they are smoothed; one known position is a sample without an error; who
-walks along is laid on the walk and averaged with it.
+the release. Where nothing slow is added it is `radial_rts`. Repeats are averaged before they are
+smoothed; one known position is a sample without an error; who walks along is laid on the walk and
+averaged with it.
 """
 
 from collections.abc import Sequence
@@ -48,8 +47,7 @@ class _Choice(NamedTuple):
 class OuRTS:
     """Constant velocity behind an Ornstein-Uhlenbeck error; the rest is white, radial or not."""
 
-    q: float | None = None
-    """m^2/s^3; None: learnt from the training set, or `DEFAULT_Q` without one."""
+    q: float | None = None  # m^2/s^3; None: learnt from the training set, or `DEFAULT_Q`.
     std_m: float | None = None
     """Per axis, of the slow error; None, with `tau_s`: as the mechanism says, or fitted."""
     tau_s: float | None = None
@@ -144,9 +142,9 @@ class _Beyond(NamedTuple):
     def averaged(self, release: Release, std_m: float) -> tuple[Release, Floats]:
         """Return the mean of all that shows a walk, and of how many reports each sample is, (M,).
 
-        Who walks along counts where they are there at the same time, moved to where the two
-        are together on average, and by what the slow error, of `std_m`, is of all that moves
-        between them: without one for nothing. The declared std is not that of a mean: it goes.
+        Who walks along counts where they are there at the same time, moved to where the two are
+        together on average, by the share of the slow error, of `std_m`, in all that moves between
+        them. The declared std is not that of a mean: it goes.
         """
         xy = np.mean([one.xy for one in (release, *self.repeats)], axis=0)
         n = np.full(release.t.size, 1.0 + len(self.repeats))
@@ -221,12 +219,10 @@ def _rest(release: Release, error: SlowError) -> Floats:
 def fitted(release: Release, q: float) -> tuple[float, float]:
     """Return std, m, and tau, s, of the slow error under which a release is likeliest.
 
-    0 and 0 if it gains less than `_LEAST_GAIN` a track over none. A grid, then a search about the
-    best of it, over tracks spread evenly over the release.
+    0 and 0 if it gains less than `_LEAST_GAIN` a track over none.
     """
     rows = np.unique(np.linspace(0, len(release) - 1, min(_N_FITTED, len(release))).astype(int))
-    some = release.tracks(rows)
-    some = derived(some, sigma=None)
+    some = derived(release.tracks(rows), sigma=None)
 
     def likelihood(std_m: float, tau_s: float) -> float:
         error = SlowError(std_m, tau_s)

@@ -31,10 +31,9 @@ class Posterior:
     Both are Gaussian with a scale of its own for every sample. In turn the scales are drawn given
     the walk, and the walk given the scales: the smoother of what was shared less a walk and errors
     from the prior, plus that walk. Who knows a mechanism that adds independently draws what part of
-    an error it added, too. The estimate is where most draws lie within epsilon: PLR asks for no
-    more. Exact in the long run for walks of its motion and errors as large as it takes them to be;
-    where the release shows neither law it is `RadialRTS`. Slow: a reference for what smoothers
-    leave, about a point (docs/attacks.md).
+    an error it added, too. The estimate is where most draws lie within epsilon. Exact in the long
+    run for walks of its motion and errors as large as it takes them to be; where the release shows
+    neither law it is `RadialRTS`. Slow: a reference for what smoothers leave (docs/attacks.md).
 
     References
     ----------
@@ -127,8 +126,7 @@ def _where_most_are(draws: Floats, epsilon_m: float) -> Reconstruction:
     for _ in range(_SHIFTS):
         near = np.square(draws - point).sum(axis=2) < epsilon_m**2
         count = near.sum(axis=0)
-        is_better = count > most
-        best = np.where(is_better[:, None], point, best)
+        best = np.where((count > most)[:, None], point, best)
         most = np.maximum(count, most)
         inside = (draws * near[:, :, None]).sum(axis=0)
         point = np.where(count[:, None] > 0, inside / np.maximum(count, 1)[:, None], point)

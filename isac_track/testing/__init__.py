@@ -11,8 +11,7 @@ or with pytest, where every check becomes a test of its own::
     def test_metrics(check):
         check()
 
-A package rather than one file, so that ``python -m`` and an import see one `Metrics` class. What
-this kit shares with the attack kit is in `isac_track.testing.engine`.
+A package rather than one file, so that ``python -m`` and an import see one `Metrics` class.
 """
 
 from collections.abc import Iterator, Sequence
@@ -55,8 +54,7 @@ def run_checks(metrics: Metrics, *, names: Sequence[str] | None = None) -> Itera
 def parametrize_metric_checks(metrics: Metrics, *, names: Sequence[str] | None = None) -> Any:  # noqa: ANN401 - a pytest mark; pytest is not imported here
     """Return a pytest decorator that runs a test once per check, with ``check`` to call.
 
-    All checks, or those called `names`; those of functions that are not offered are skipped, with
-    the reason.
+    All checks, or those called `names`; those of functions that are not offered are skipped.
     """
     cases = ((one.name, (partial(one, metrics),)) for one in select_checks(names))
     return engine.parametrize("check", cases)

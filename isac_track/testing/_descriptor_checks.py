@@ -1,8 +1,7 @@
 """Checks of PLR (eq. plr_definition), of AEL and MEL (the text below it), and of batches.
 
-Most are held against trajectories whose leakage pattern is known. A pattern is text, one character
-a sample, "1" for leaked: its segments are what remains between the zeros. This is the brute-force
-oracle of the suite; it is meant to be read.
+Most are held against trajectories whose leakage pattern is known: text, one character a sample, "1"
+for leaked. Its segments are what remains between the zeros.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -20,7 +19,7 @@ from isac_track.testing.engine import statement_of
 from isac_track.types import Bools, ErrorLaw, Floats
 
 EPSILON_M = 0.3
-EPSILONS_M = np.linspace(0.02, 1.5, 25)
+EPSILONS_M = np.linspace(0.02, 1.5, 25).tolist()
 STANDARD_ERRORS = 5.0
 """Width of the Monte Carlo tolerances; the draws are seeded, so that they never flicker."""
 _NAMES = {"plr": "PLR", "ael_s": "AEL", "mel_s": "MEL"}
@@ -61,9 +60,9 @@ def text_of(leaked: Bools) -> str:
 
 
 def lasting_s(t: Sequence[float]) -> list[float]:
-    """Return how long every sample lasts: half the interval before it and half the one after.
+    """Return how long every sample lasts: half of either interval beside it, at an end all of it.
 
-    At either end that is the one interval there is; a single sample has none.
+    A single sample has none.
     """
     steps = [after - before for before, after in pairwise(t)]
     if not steps:
@@ -101,9 +100,8 @@ def random_tracks(
 ) -> Iterator[Track]:
     """Yield seeded, irregularly sampled random walks with errors in all directions.
 
-    Those of few samples come first, so that the first counterexample is a small one. Segments are
-    neither all short nor all long. No error lies within 2 % of epsilon, drawn if not given, so that
-    rounding cannot flip a sample.
+    Those of few samples come first. No error lies within 2 % of epsilon, drawn if not given, so
+    that rounding cannot flip a sample.
     """
     for index in range(count):
         rng, size = stream(0, "testing", name, index), least + index // 6
@@ -273,10 +271,9 @@ def _monotone_in_epsilon(function: Function) -> None:
     """{of} never falls when epsilon grows."""
     name = _NAMES[function.__name__]
     for track in random_tracks(f"{name.lower()}_monotone_in_epsilon", count=48, least=2):
-        values = [of(function, replace(track, epsilon_m=one_m)) for one_m in EPSILONS_M.tolist()]
+        values = [of(function, replace(track, epsilon_m=one_m)) for one_m in EPSILONS_M]
         rising = all(low <= high for low, high in pairwise(values))
-        case = f"epsilon {EPSILONS_M.tolist()} m"
-        expect_that(rising, what=f"{name} falls: {values}", case=case)
+        expect_that(rising, what=f"{name} falls: {values}", case=f"epsilon {EPSILONS_M} m")
 
 
 @check
@@ -284,11 +281,8 @@ def ael_may_fall_as_epsilon_grows(ael_s: Function) -> None:
     """AEL is not monotone: a wider epsilon may add a short segment and lower the mean."""
     walk, errors_m = plain_track("00000"), [0.1, 0.1, 0.1, 0.9, 0.5]
     shared_xy = walk.true_xy + np.outer(errors_m, [0.0, 1.0])
-    for epsilon_m, pattern, value in (
-        (0.3, "11100", 0.75),
-        (0.6, "11101", 0.5),
-        (1, "1" * 5, 1.25),
-    ):
+    examples = (0.3, "11100", 0.75), (0.6, "11101", 0.5), (1.0, "11111", 1.25)
+    for epsilon_m, pattern, value in examples:
         expect_of(ael_s, Track(pattern, walk.t, walk.true_xy, shared_xy, epsilon_m), value)
 
 
@@ -310,8 +304,8 @@ def mel_is_at_least_ael(ael_s: Function, mel_s: Function) -> None:
     """The longest segment lasts at least as long as the mean one."""
     for track in random_tracks("mel_is_at_least_ael", least=2):
         mean, longest = of(ael_s, track), of(mel_s, track)
-        holds = longest >= mean - 1e-9 * abs(mean)
-        expect_that(holds, what=f"MEL {longest!r} s is below AEL {mean!r} s", case=track)
+        what = f"MEL {longest!r} s is below AEL {mean!r} s"
+        expect_that(longest >= mean - 1e-9 * abs(mean), what=what, case=track)
 
 
 @check
@@ -381,13 +375,9 @@ def exposure_order_of_tracks(exposure: Function) -> None:
 
 
 def _of_batch(exposure: Function, tracks: list[Track]) -> Floats:
-    found: Floats = exposure(
-        np.concatenate([track.shared_xy for track in tracks]),
-        np.concatenate([track.true_xy for track in tracks]),
-        np.concatenate([track.t for track in tracks]),
-        np.cumsum([0, *(len(track.pattern) for track in tracks)]),
-        tracks[0].epsilon_m,
-    )
+    each = zip(*((one.shared_xy, one.true_xy, one.t) for one in tracks), strict=True)
+    offsets = np.cumsum([0, *(len(track.pattern) for track in tracks)])
+    found: Floats = exposure(*map(np.concatenate, each), offsets, tracks[0].epsilon_m)
     what = f"PLR, AEL and MEL have the shape {found.shape}, expected (3, {len(tracks)})"
     expect_that(found.shape == (3, len(tracks)), what=what, case=f"{len(tracks)} tracks")
     return found

@@ -1,8 +1,6 @@
 """The engine of the conformance kits: named checks, run one by one on a stranger's code.
 
-A kit is a dictionary of `Check`s by name. What its checks are held against (functions, an attack as
-each adversary runs it) is the kit's own; the engine selects, catches, reports, and hands over to
-pytest.
+A kit is a dictionary of `Check`s by name. What its checks are held against is the kit's own.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -82,8 +80,8 @@ def select(
 ) -> tuple[Check, ...]:
     """Return the checks called `names`, each once, or all.
 
-    For a name that does not exist, it is a SettingsError with the nearest one that does, of which
-    `kit` it is none, and how to learn what there is, `known`.
+    For a name that does not exist it is a SettingsError with the nearest one that does, or how to
+    learn what there is, `known`.
     """
     for name in names or ():
         if name not in checks:
@@ -111,7 +109,7 @@ def report(found: Iterable[Outcome], *, line: Callable[[Outcome], str]) -> bool:
     for outcome in found:
         counts[outcome.status] += 1
         print(line(outcome).rstrip(), flush=True)  # noqa: T201 - a command's output
-    print(", ".join(f"{count} {status}" for status, count in counts.items()))  # noqa: T201 - what the command shows
+    print(", ".join(f"{count} {status}" for status, count in counts.items()))  # noqa: T201 - as above
     return not counts["failed"]
 
 
