@@ -102,7 +102,11 @@ def what_would_help(recorded: Tracks, *, settings: StageSettings, used: int = 0)
         if len(durations) >= people and durations[-people] >= least_s:
             value = np.floor(10.0 * durations[-people]) / 10.0
             return f"{longest}; --set resample.min_duration_s={value:g} takes {people} or more"
-    return f"{longest}; record longer: {wanted[-1]} tracks of {least_s:.1f} s or more are needed"
+    which = "longer" if len(durations) >= wanted[-1] else "more people"
+    return (
+        f"{longest}; record {which}: {wanted[-1]} tracks of {settings.resample.min_duration_s:g} s "
+        f"are needed, or of {least_s:.1f} s with --set resample.min_duration_s={least_s:.1f}"
+    )
 
 
 def history_samples(*, n_samples: int, ratio: float) -> int:
