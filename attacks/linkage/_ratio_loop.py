@@ -11,7 +11,7 @@ import numpy as np
 from isac_track.compiling import compiled, part_of_loop, read, together, written
 from isac_track.types import Floats, Ints
 
-_NEAR = 64  # Gallery walks at a time: all that is made of them stays in the cache.
+_NEAR = 128  # Gallery walks at a time: all that is made of them stays in the cache.
 _Walks: TypeAlias = tuple[Floats, Floats, Floats, Ints]
 _NOTHING = 40.0  # A lag less likely by this factor's exponential adds nothing to a double.
 _BESSEL = 3.75  # Where one approximation gives way to the other.
@@ -31,6 +31,8 @@ def tell(  # noqa: C901 - moments, a sample at a time
     t, xy, weight, offsets = walks
     rank = information.shape[2]
     q, moments, sums = np.empty(rank + 1), np.empty((rank + 1, rank + 1)), np.empty((rank + 1, 2))
+    degree = np.arange(2.0, rank + 1.0)
+    slope, back = (2.0 * degree - 1.0) / degree, (degree - 1.0) / degree  # of Legendre's recursion
     for at in range(len(segments_s)):
         start_s, end_s = segments_s[at]
         middle_s, half_s = (start_s + end_s) / 2.0, (end_s - start_s) / 2.0
@@ -42,8 +44,8 @@ def tell(  # noqa: C901 - moments, a sample at a time
                 if u < -1.0 or u > 1.0:
                     continue
                 q[0], q[1] = 1.0, u
-                for d in range(2, rank + 1):  # Legendre's recursion
-                    q[d] = ((2 * d - 1) * u * q[d - 1] - (d - 1) * q[d - 2]) / d
+                for d in range(2, rank + 1):
+                    q[d] = slope[d - 2] * u * q[d - 1] - back[d - 2] * q[d - 2]
                 for a in range(rank + 1):
                     own = weight[k] * q[a]
                     for axis in range(2):
@@ -61,19 +63,24 @@ def tell(  # noqa: C901 - moments, a sample at a time
 
 
 @part_of_loop
-def _log_i0(x: float) -> float:
-    """Return the log of the modified Bessel function I0 (Abramowitz, Stegun, 9.8.1 and 9.8.2)."""
-    if x < _BESSEL:
-        y = (x / _BESSEL) ** 2
-        total = 0.0360768 + y * 0.0045813
-        for factor in (0.2659732, 1.2067492, 3.0899424, 3.5156229, 1.0):
-            total = factor + y * total
-        return log(total)
-    y = _BESSEL / x
-    total = -0.01647633 + y * 0.00392377
-    for factor in (0.02635537, -0.02057706, 0.00916281, -0.00157565, 0.00225319, 0.01328592):
-        total = factor + y * total
-    return x - 0.5 * log(x) + log(0.39894228 + y * total)
+def _average_over_turns(turned: Floats, factor: Floats, exponent: Floats, n: int) -> None:
+    """Multiply factor times e to the exponent by I0(turned), n times.
+
+    The modified Bessel function by Abramowitz and Stegun, 9.8.1 and 9.8.2.
+    """
+    for j in range(n):
+        x = turned[j]
+        is_small = x < _BESSEL
+        far = max(x, _BESSEL)
+        y, z = (x / _BESSEL) ** 2, _BESSEL / far
+        near = 0.0360768 + y * 0.0045813
+        near = 3.5156229 + y * (3.0899424 + y * (1.2067492 + y * (0.2659732 + y * near)))
+        beyond = 0.00916281 + z * (
+            -0.02057706 + z * (0.02635537 + z * (-0.01647633 + z * 0.00392377))
+        )
+        beyond = 0.39894228 + z * (0.01328592 + z * (0.00225319 + z * (-0.00157565 + z * beyond)))
+        factor[j] *= 1.0 + y * near if is_small else beyond / sqrt(far)
+        exponent[j] += 0.0 if is_small else x
 
 
 @compiled(_TOLD, _TOLD, read(2), read(1), written(2))
@@ -88,64 +95,66 @@ def ratios(  # noqa: C901, PLR0912 - a Cholesky factor of many pairs at a time
     """
     (p_known, p_pull, p_alone), (g_known, g_pull, g_alone) = probe, gallery
     n_lags, rank = prior.shape
-    root, scale = np.empty((rank, rank, _NEAR)), np.empty((rank, _NEAR))
-    own, other = np.empty((rank, 2, _NEAR)), np.empty((rank, 2, _NEAR))
-    volume, best, total = np.empty(_NEAR), np.empty(_NEAR), np.empty(_NEAR)
+    # M = L D L', of which is kept L and, beside it, L D.
+    lower, scaled = np.empty((2, rank, rank, _NEAR))
+    inverse, pulls = np.empty((rank, _NEAR)), np.empty((4, rank, _NEAR))
+    turned, factor, exponent, best, total = np.empty((5, _NEAR))
+    along, across = np.empty((2, _NEAR))
     for i in range(out.shape[0]):
         for begin in range(0, out.shape[1], _NEAR):
             n = min(_NEAR, out.shape[1] - begin)
             best[:], total[:] = -np.inf, 0.0
             for at in range(n_lags):
-                volume[:] = 1.0
+                factor[:] = 1.0
                 for a in range(rank):
                     for b in range(a + 1):
                         entry = a * (a + 1) // 2 + b
-                        here, mine = root[a, b], p_known[at, entry, i]
-                        if a == b:
-                            mine += prior[at, a]
-                        theirs = g_known[at, entry]
+                        mine = p_known[at, entry, i] + (prior[at, a] if a == b else 0.0)
                         for j in range(n):
-                            here[j] = mine + theirs[begin + j]
+                            scaled[a, b, j] = mine + g_known[at, entry, begin + j]
                         for c in range(b):
-                            left, right = root[a, c], root[b, c]
                             for j in range(n):
-                                here[j] -= left[j] * right[j]
-                        if a == b:
+                                scaled[a, b, j] -= scaled[a, c, j] * lower[b, c, j]
+                        if a > b:
                             for j in range(n):
-                                volume[j] *= here[j]
-                                scale[a, j] = 1.0 / sqrt(here[j])
-                        else:
-                            for j in range(n):
-                                here[j] *= scale[b, j]
+                                lower[a, b, j] = scaled[a, b, j] * inverse[b, j]
+                    for j in range(n):
+                        inverse[a, j] = 1.0 / scaled[a, a, j]
+                    for j in range(n):
+                        factor[j] *= inverse[a, j]
                     for axis in range(2):
-                        mine, theirs = p_pull[at, 2 * a + axis, i], g_pull[at, 2 * a + axis]
+                        mine = p_pull[at, 2 * a + axis, i]
                         for j in range(n):
-                            own[a, axis, j] = mine
-                            other[a, axis, j] = theirs[begin + j]
+                            pulls[axis, a, j] = mine
+                        for j in range(n):
+                            pulls[2 + axis, a, j] = g_pull[at, 2 * a + axis, begin + j]
                         for c in range(a):
                             for j in range(n):
-                                own[a, axis, j] -= root[a, c, j] * own[c, axis, j]
-                                other[a, axis, j] -= root[a, c, j] * other[c, axis, j]
-                        for j in range(n):
-                            own[a, axis, j] *= scale[a, j]
-                            other[a, axis, j] *= scale[a, j]
+                                pulls[axis, a, j] -= lower[a, c, j] * pulls[axis, c, j]
+                            for j in range(n):
+                                pulls[2 + axis, a, j] -= lower[a, c, j] * pulls[2 + axis, c, j]
                 for j in range(n):
-                    square, along, across = 0.0, 0.0, 0.0
-                    for a in range(rank):
-                        x, y, u, v = own[a, 0, j], own[a, 1, j], other[a, 0, j], other[a, 1, j]
-                        square += x * x + y * y + u * u + v * v
-                        along += x * u + y * v
-                        across += x * v - y * u
-                    found = log_lag[at] + p_alone[at, 0, i] + g_alone[at, 0, begin + j]
-                    found += 0.5 * square - log(volume[j])
-                    turned = sqrt(along * along + across * across)
-                    if found + turned < best[j] - _NOTHING:  # I0(x) is less than exp(x)
-                        continue
-                    found += _log_i0(turned)
-                    if found > best[j]:
-                        total[j] = total[j] * exp(best[j] - found) + 1.0
-                        best[j] = found
-                    else:
-                        total[j] += exp(found - best[j])
+                    exponent[j] = log_lag[at] + p_alone[at, 0, i] + g_alone[at, 0, begin + j]
+                along[:n], across[:n] = 0.0, 0.0
+                for a in range(rank):
+                    for j in range(n):
+                        x, y, u, v = pulls[0, a, j], pulls[1, a, j], pulls[2, a, j], pulls[3, a, j]
+                        exponent[j] += 0.5 * inverse[a, j] * (x * x + y * y + u * u + v * v)
+                    for j in range(n):
+                        x, y, u, v = pulls[0, a, j], pulls[1, a, j], pulls[2, a, j], pulls[3, a, j]
+                        along[j] += inverse[a, j] * (x * u + y * v)
+                    for j in range(n):
+                        x, y, u, v = pulls[0, a, j], pulls[1, a, j], pulls[2, a, j], pulls[3, a, j]
+                        across[j] += inverse[a, j] * (x * v - y * u)
+                for j in range(n):
+                    turned[j] = sqrt(along[j] * along[j] + across[j] * across[j])
+                _average_over_turns(turned, factor, exponent, n)
+                for j in range(n):
+                    less = exponent[j] - best[j]
+                    if less > 0.0:
+                        total[j] = total[j] * exp(-less) + factor[j]
+                        best[j] = exponent[j]
+                    elif less > -_NOTHING or factor[j] > total[j]:
+                        total[j] += factor[j] * exp(less)
             for j in range(n):
                 out[i, begin + j] = best[j] + log(total[j])
