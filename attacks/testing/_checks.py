@@ -29,6 +29,7 @@ SPREADS = 3.0
 SURPRISE = 1e-6  # Probability with which chance alone would fail an attack.
 LEAK_ERRORS = 4.5
 STANDARD_ERRORS = 2.5  # One-sided 99 % for 24 people (Student's t).
+_LEAKS = "does the truth reach the attack by a way other than its context?"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -128,27 +129,19 @@ def same_seed_same_result(row: Row) -> None:
     first, second = row.answer(case), row.answer(case)
     if first.tobytes() != second.tobytes():
         changed = case.gaps(first, second).max(axis=0) > 0
-        row.fail(
-            case,
-            f"two runs with one seed differ in {np.count_nonzero(changed)} of {changed.size} "
-            f"{case.compared}; draw from the rng that is given and from nothing else, and keep "
-            "nothing from run to run",
-        )
+        many = f"{np.count_nonzero(changed)} of {changed.size} {case.compared}"
+        hint = "draw from the rng that is given and from nothing else, and keep nothing from run"
+        row.fail(case, f"two runs with one seed differ in {many}; {hint} to run")
 
 
 def inputs_are_not_mutated(row: Row) -> None:
     """What a plug-in is given, an attack's context too, is left as it came."""
     case = row.ordinary
-    changed = [
-        f"context{path}" if path.startswith((".train", ".repeats")) else path.removeprefix(".")
-        for path in changed_by(row.raw, case)
-    ]
-    if changed:
-        row.fail(
-            case,
-            f"changed {', '.join(changed)}; others read the same arrays: "
-            f"work on a copy, as in xy = {case.asked[0]}.xy.copy()",
-        )
+    if paths := changed_by(row.raw, case):
+        of_context = ("train", "repeats")
+        changed = ", ".join("context." * path.startswith(of_context) + path for path in paths)
+        hint = f"work on a copy, as in xy = {case.asked[0]}.xy.copy()"
+        row.fail(case, f"changed {changed}; others read the same arrays: {hint}")
 
 
 def only_granted_knowledge_is_touched(row: Row) -> None:
@@ -209,10 +202,8 @@ def odd_tracks_are_handled(row: Row) -> None:
     """With tracks of one to three samples and steps from 1 ms to 30 s answers stay in bounds."""
     for case in row.ordinary.odd():
         if wrong := case.out_of_bounds(row.answer(case)):
-            hint = (
-                "does a window or a fit get too few samples, or is anything divided by a time step?"
-            )
-            row.fail(case, f"{wrong}; {hint}")
+            hint = "does a window or a fit get too few samples, or is anything divided by a time"
+            row.fail(case, f"{wrong}; {hint} step?")
 
 
 def training_without_mates_is_handled(row: Row) -> None:
@@ -270,11 +261,8 @@ def null_stays_at_chance(row: Row) -> None:
     found, chance = float(hits.sum()), case.chance
     # The survival function counts what exceeds its argument.
     if found >= 1 and bdtrc(int(found) - 1, hits.size, chance) < SURPRISE:
-        row.fail(
-            case,
-            f"{found:.4g} of {hits.size} {case.hit}, expected about {chance * hits.size:.3g} by "
-            "chance; does the truth reach the attack by a way other than its context?",
-        )
+        expected = f"expected about {chance * hits.size:.3g} by chance"
+        row.fail(case, f"{found:.4g} of {hits.size} {case.hit}, {expected}; {_LEAKS}")
 
 
 def easy_case_beats_chance(row: Row) -> None:
@@ -283,11 +271,9 @@ def easy_case_beats_chance(row: Row) -> None:
     hits = case.hits(row.answer(case))
     found, needed = hits.sum(), case.easy_share * hits.size
     if found < needed:
-        row.fail(
-            case,
-            f"{found:.4g} of {hits.size} {case.hit}, expected at least {needed:g}; chance "
-            f"brings {case.chance * hits.size:.3g} ({case.easy_hint})",
-        )
+        by_chance = f"chance brings {case.chance * hits.size:.3g} ({case.easy_hint})"
+        expected = f"expected at least {needed:g}; {by_chance}"
+        row.fail(case, f"{found:.4g} of {hits.size} {case.hit}, {expected}")
 
 
 def success_falls_with_noise(row: Row) -> None:
@@ -303,12 +289,10 @@ def success_falls_with_noise(row: Row) -> None:
         fall = low - high
         needed = STANDARD_ERRORS * float(fall.std(ddof=1) / np.sqrt(fall.size))
         if not fall.mean() > needed:
-            row.fail(
-                world.noisy(more, "isotropic"),
-                f"{world.achieved} is {low.mean():.3f} at {less:g} m of noise and "
-                f"{high.mean():.3f} at {more:g} m, expected a fall of more than {needed:.3f}; what "
-                "does the attack take the noise for?",
-            )
+            found = f"{low.mean():.3f} at {less:g} m of noise and {high.mean():.3f} at {more:g} m"
+            wanted = f"a fall of more than {needed:.3f}; what does the attack take the noise for?"
+            case = world.noisy(more, "isotropic")
+            row.fail(case, f"{world.achieved} is {found}, expected {wanted}")
 
 
 def nothing_beats_the_optimum(row: Row) -> None:
@@ -323,12 +307,9 @@ def nothing_beats_the_optimum(row: Row) -> None:
         gap = case.success(row.answer(case)) - expected
         limit = LEAK_ERRORS * float(gap.std(ddof=1) / np.sqrt(gap.size))
         if gap.mean() > limit and not row.given & OF_WALKS:
-            row.fail(
-                case,
-                f"PLR {(gap + expected).mean():.3f}, where the exact posterior comes to "
-                f"{expected.mean():.3f}, expected no more than {limit:.3f} above ("
-                "does the truth reach the attack by a way other than its context?)",
-            )
+            posterior = f"where the exact posterior comes to {expected.mean():.3f}"
+            found = f"PLR {(gap + expected).mean():.3f}, {posterior}"
+            row.fail(case, f"{found}, expected no more than {limit:.3f} above ({_LEAKS})")
 
 
 _FIRST = by_name(

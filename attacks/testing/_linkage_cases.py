@@ -77,15 +77,13 @@ class LinkageCase(made.Case):
             raise ValueError(f"expected real numbers of shape (P, G) = {expected}, got {got}")
         if scores.shape != expected:
             turned = " (turned round?)" if scores.shape == expected[::-1] else ""
+            rows = f"a row for every probe, a column for every gallery track{turned}"
             raise ValueError(
-                f"scores of shape {scores.shape}, expected (P, G) = {expected}: "
-                f"a row for every probe, a column for every gallery track{turned}"
+                f"scores of shape {scores.shape}, expected (P, G) = {expected}: {rows}"
             )
         if lost := np.count_nonzero(~np.isfinite(scores)):
-            raise ValueError(
-                f"{lost} of {scores.size} scores are not finite; who cannot tell gives all "
-                "candidates the same score"
-            )
+            hint = "who cannot tell gives all candidates the same score"
+            raise ValueError(f"{lost} of {scores.size} scores are not finite; {hint}")
         return scores.astype(np.float64)
 
     def gaps(self, one: Floats, other: Floats) -> Floats:
@@ -123,12 +121,9 @@ class LinkageCase(made.Case):
         about, scene = "P = 7, G = 9, noise of 0.3 m", Knowledge.SCENE in granted
         case = made_up("ordinary", about=about, sizes=sizes, scene=scene)
         other = made_up("another", about=f"{about}, of others", sizes=sizes, scene=scene)
-        return case, replace(
-            other,
-            probe=replace(other.probe, pseudonym=case.probe.pseudonym),
-            gallery=replace(other.gallery, pseudonym=case.gallery.pseudonym),
-            train=case.train,
-        )
+        probe = replace(other.probe, pseudonym=case.probe.pseudonym)
+        gallery = replace(other.gallery, pseudonym=case.gallery.pseudonym)
+        return case, replace(other, probe=probe, gallery=gallery, train=case.train)
 
     def noisy(self, sigma_m: float, law: ErrorLaw) -> LinkageCase:
         """Return the same 24 people against each other, with the same errors times `sigma_m`."""

@@ -77,10 +77,10 @@ class MechanismCase(made.Case):
         )
         rows = np.minimum(np.searchsorted(known, shared), known.size - 1)
         strange = shared[known[rows] != shared]
-        return rows, "" if strange.size == 0 else (
-            f"in track {strange[0].real:g} nothing was sensed at {strange[0].imag:.12g} s; samples "
-            "may be left out, not moved in time or added"
-        )
+        if strange.size == 0:
+            return rows, ""
+        what = f"in track {strange[0].real:g} nothing was sensed at {strange[0].imag:.12g} s"
+        return rows, f"{what}; samples may be left out, not moved in time or added"
 
     def reordered(self) -> tuple[MechanismCase, Callable[[Floats], Floats]]:
         """Return the case with its tracks in another order, and how an answer follows."""
@@ -150,12 +150,10 @@ def sigma_is_that_of_the_error(row: common.Row) -> None:
     per_track = np.add.reduceat(ratio, release.offsets[:-1]) / np.diff(release.offsets)
     mean, std_error = per_track.mean(), per_track.std(ddof=1) / np.sqrt(per_track.size)
     if not abs(mean - 1.0) <= SIGMA_ROOM + SIGMA_ERRORS * std_error:
-        row.fail(
-            row.ordinary,
-            f"the error's variance is {mean:.3g} times what is declared ({std_error:.2g} standard "
-            "error); sigma is that of the whole error, raw and added. If it adds no error of a "
-            "standard deviation, say adds_error = False",
-        )
+        times = f"{mean:.3g} times what is declared ({std_error:.2g} standard error)"
+        hint = "If it adds no error of a standard deviation, say adds_error = False"
+        whole = f"sigma is that of the whole error, raw and added. {hint}"
+        row.fail(row.ordinary, f"the error's variance is {times}; {whole}")
 
 
 def another_rng_another_release(row: common.Row) -> None:

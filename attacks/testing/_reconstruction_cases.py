@@ -65,10 +65,8 @@ class ReconstructionCase(made.Case):
         if not isinstance(found, Reconstruction):
             raise ValueError(f"expected a Reconstruction, got {type(result).__name__}")  # noqa: TRY004 - of a stranger's
         if found.xy.shape != self.release.xy.shape:
-            raise ValueError(
-                f"positions of shape {found.xy.shape}, expected {self.release.xy.shape}: one for "
-                "every sample of the release, in its order"
-            )
+            wanted = f"expected {self.release.xy.shape}: one for every sample of the release"
+            raise ValueError(f"positions of shape {found.xy.shape}, {wanted}, in its order")
         return found.xy if found.std is None else np.column_stack([found.xy, found.std])
 
     def hits(self, answer: Floats) -> Bools:
@@ -90,10 +88,9 @@ class ReconstructionCase(made.Case):
         if (away_m <= limit_m).all():
             return ""
         worst = int(np.argmax(away_m / limit_m))
-        return (
-            f"an answer lies {away_m[worst]:.0f} m from the middle of track {worst}, expected at "
-            f"most {limit_m[worst]:.0f} m ({EXTENTS:g} times its extent and {EXTRA_M:g} m)"
-        )
+        room = f"{limit_m[worst]:.0f} m ({EXTENTS:g} times its extent and {EXTRA_M:g} m)"
+        away = f"{away_m[worst]:.0f} m from the middle of track {worst}"
+        return f"an answer lies {away}, expected at most {room}"
 
     def reordered(self) -> tuple[ReconstructionCase, Callable[[Floats], Floats]]:
         """Return the ordinary case with its tracks in another order, and how an answer follows."""

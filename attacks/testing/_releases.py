@@ -208,4 +208,4 @@ def changed_by(run: Callable[[Holder], object], given: Holder) -> list[str]:
     run(own)
     after = arrays_of(own)
     paths = arrays_of(given).items()
-    return [path for path, before in paths if before.tobytes() != after[path].tobytes()]
+    return [path[1:] for path, before in paths if before.tobytes() != after[path].tobytes()]
