@@ -8,6 +8,7 @@ away by a side door, and what an attack achieves there is no measure of anything
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -125,6 +126,11 @@ def _frame(release: Release) -> Floats:
     return np.column_stack([(early + late) / 2.0, heading])
 
 
+def _lasts_s(release: Release) -> Floats:
+    return np.asarray(release.t[release.offsets[1:] - 1] - release.t[release.offsets[:-1]])
+
+
+_Times = partial(Control, sees_times_only=True)
 CONTROLS: Final[Mapping[str, Control]] = {
     "random": Control(
         "random scores",
@@ -132,33 +138,20 @@ CONTROLS: Final[Mapping[str, Control]] = {
         is_audit=False,
     ),
     "shuffled": Control("an attack's scores with shuffled mates", None, is_audit=False),
-    "duration": Control(
-        "how long a release lasts",
-        _alike(lambda one: one.t[one.offsets[1:] - 1] - one.t[one.offsets[:-1]]),
-        sees_times_only=True,
-    ),
-    "sample_count": Control(
-        "how many samples it has", _alike(lambda one: np.diff(one.offsets)), sees_times_only=True
-    ),
-    "sampling_times": Control(
-        "how its sampling steps vary", _alike(_sampling_times), sees_times_only=True
-    ),
+    "duration": _Times("how long a release lasts", _alike(_lasts_s)),
+    "sample_count": _Times("how many samples it has", _alike(lambda one: np.diff(one.offsets))),
+    "sampling_times": _Times("how its sampling steps vary", _alike(_sampling_times)),
     "noise_level": Control(
-        "the standard deviations declared with it",
-        _alike(_noise),
-        in_scene=_alike(_over_neighbours),
+        "the standard deviations declared with it", _alike(_noise), _alike(_over_neighbours)
     ),
     "frame": Control("where it lies and heads in its frame", _alike(_frame), hides_in_scene=True),
-    "clock": Control(
+    "clock": _Times(
         "when it starts on its clock",
         _alike(lambda one: one.t[one.offsets[:-1]]),
         hides_in_scene=True,
-        sees_times_only=True,
     ),
     **{
-        name: Control(
-            f"the {name.replace('_', ' ')} alone", None, sees_times_only=True, circumstance=columns
-        )
+        name: _Times(f"the {name.replace('_', ' ')} alone", None, circumstance=columns)
         for name, columns in COLUMNS.items()
     },
 }

@@ -22,7 +22,6 @@ class Task:
     about: str
     shows_scene: bool = False  # Whether the releases come in the true frame and on the true clock.
     gap_s: float = 0.0  # Silence before all pseudonyms rotate.
-    is_one_walk: bool = True  # Whether probe and gallery show one walk of one session.
     comes_back: bool = False
     """Whether it needs people who are in two sessions of a recording: so few that an adversary
     learns leaving one person out."""
@@ -36,6 +35,11 @@ class Task:
         Tasks that differ in the gap alone share their draws.
         """
         return self.name.partition("-")[0]
+
+    @property
+    def is_one_walk(self) -> bool:
+        """Whether probe and gallery show one walk of one session."""
+        return not (self.simulated or self.comes_back)
 
     @property
     def everyone(self) -> frozenset[Knowledge]:
@@ -66,18 +70,8 @@ TASKS: Final[Mapping[str, Task]] = {
             )
             for gap_s in (1.0, 2.0, 5.0)
         ),
-        Task(
-            "new_traversal",
-            "the same person on another day, simulated",
-            is_one_walk=False,
-            simulated=True,
-        ),
-        Task(
-            "cross_session",
-            "the same real person in another session",
-            is_one_walk=False,
-            comes_back=True,
-        ),
+        Task("new_traversal", "the same person on another day, simulated", simulated=True),
+        Task("cross_session", "the same real person in another session", comes_back=True),
     )
 }
 

@@ -172,25 +172,25 @@ _READ: dict[str, Callable[[Any], object]] = {
 def _guarded(name: str, function: Function) -> Function:
     """Wrap a function: whatever goes wrong inside it is a failed check, not a crash."""
 
-    def call(*arguments: object) -> object:
+    def guarded(*arguments: object) -> object:
         # Copies: a function that changes its input must not spoil the case for the next one.
         given = [one.copy() if isinstance(one, np.ndarray) else one for one in arguments]
+        case = _call(name, arguments)
         try:
             result = function(*given)
         except (Exception, SystemExit) as error:
-            wrong = f"{name} raised {told(error)}; {_call(name, arguments)}"
-            raise AssertionError(wrong) from error
+            raise AssertionError(f"{name} raised {told(error)}; {case}") from error
         for before, after in zip(arguments, given, strict=True):
             if isinstance(after, np.ndarray) and after.tobytes() != np.asarray(before).tobytes():
-                raise AssertionError(f"{name} changed its input; {_call(name, arguments)}")
+                raise AssertionError(f"{name} changed its input; {case}")
         try:
             return _READ.get(name, float)(result)
         except (TypeError, ValueError) as error:
             wrong = f"{name} returned {result!r}, which cannot be read as its result: {error}"
-            raise AssertionError(f"{wrong}; {_call(name, arguments)}") from error
+            raise AssertionError(f"{wrong}; {case}") from error
 
-    call.__name__ = name
-    return call
+    guarded.__name__ = name
+    return guarded
 
 
 def _call(name: str, arguments: tuple[object, ...]) -> str:
