@@ -1,7 +1,5 @@
 """``python -m attacks``: list the attacks, check a plug-in, or begin one of your own."""
 
-from __future__ import annotations
-
 import keyword
 import re
 import shlex
@@ -11,13 +9,10 @@ from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
 from isac_track.errors import IsacTrackError, SettingsError
-
-if TYPE_CHECKING:
-    import argparse
 
 TEMPLATES = {
     "test_{name}.py": "test_plugin.py.tmpl",
@@ -69,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return exit_code(run)
 
 
-def parser() -> argparse.ArgumentParser:
+def parser() -> Parser:
     """Return the command line."""
     command = Parser(
         prog="python -m attacks",

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 from scipy.optimize import minimize
@@ -25,13 +25,6 @@ _MEMBERS = (LikelihoodRatio(), Behaviour(), Histogram())
 _SMOOTHED_MEMBERS = (Shape(), Profile(), DTW())  # Behind `radial_rts` they find far more.
 _LEAST_M2 = 1e-4  # Of an error variance, whose logarithm is compared.
 _WEAKEST = 0.01  # Quantile of strangers' scores below which a score says no more.
-
-
-class _Scale(NamedTuple):
-    """What scores of pairs are divided by, after what lies below `least` is cut off."""
-
-    least: Floats  # (K,)
-    spread: Floats  # (K,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,15 +71,15 @@ class Fusion:
             for one, other in (halves, halves[::-1])
         ]
         mates = [half.mate for half in halves]
-        scale = _scale(found, mates)
+        scaled = _scaler(found, mates)
         alone = np.zeros(found[0].shape[2])
         alone[0] = 1.0
-        scaled = [_scaled(one, scale) for one in found]
-        weights = conditional_logit(scaled, mates, prior=alone, ridge=self.ridge)
+        seen = [scaled(one) for one in found]
+        weights = conditional_logit(seen, mates, prior=alone, ridge=self.ridge)
         members = _fitted(context, train)
 
         def fused(probe: Release, gallery: Release) -> Floats:
-            return np.asarray(_scaled(_stacked(members, probe, gallery), scale) @ weights)
+            return np.asarray(scaled(_stacked(members, probe, gallery)) @ weights)
 
         return fused
 
@@ -141,18 +134,18 @@ def _summary(release: Release) -> Floats:
     return np.column_stack([speed, np.log(lasts_s + 1.0), noise])
 
 
-def _scale(found: Sequence[Floats], mates: Sequence[Ints]) -> _Scale:
-    """Return the scale of what was found of strangers; the likelihood ratio keeps its own."""
+def _scaler(found: Sequence[Floats], mates: Sequence[Ints]) -> Callable[[Floats], Floats]:
+    """Return what cuts scores off and divides them by their spread, both as found of strangers.
+
+    The likelihood ratio keeps its own scale.
+    """
     each = zip(found, mates, strict=True)
     strangers = np.concatenate([x[mate[:, None] != np.arange(x.shape[1])] for x, mate in each])
     least = np.quantile(strangers, _WEAKEST, axis=0)
     spread = np.maximum(strangers, least).std(axis=0)
     spread[0] = 1.0
-    return _Scale(least, np.where(spread > 0.0, spread, 1.0))
-
-
-def _scaled(found: Floats, scale: _Scale) -> Floats:
-    return np.asarray(np.maximum(found, scale.least) / scale.spread)
+    spread = np.where(spread > 0.0, spread, 1.0)
+    return lambda scores: np.asarray(np.maximum(scores, least) / spread)
 
 
 def conditional_logit(

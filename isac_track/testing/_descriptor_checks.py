@@ -70,16 +70,11 @@ def lasting_s(t: Sequence[float]) -> list[float]:
     return [(a + b) / 2 for a, b in zip([steps[0], *steps], [*steps, steps[-1]], strict=True)]
 
 
-def segments_s(track: Track) -> list[float]:
-    """Return how long every leaked segment lasts."""
+def by_definition(track: Track) -> dict[str, float]:
+    """Return PLR, AEL (s) and MEL (s) by function: share, mean and longest of the segments."""
     samples = zip(track.pattern, lasting_s(track.t.tolist()), strict=True)
     runs = groupby(samples, key=lambda sample: sample[0])
-    return [sum(seconds for _, seconds in run) for leaks, run in runs if leaks == "1"]
-
-
-def by_definition(track: Track) -> dict[str, float]:
-    """Return PLR, AEL (s) and MEL (s) by function."""
-    runs_s = segments_s(track)
+    runs_s = [sum(seconds for _, seconds in run) for leaks, run in runs if leaks == "1"]
     return {
         "plr": track.pattern.count("1") / len(track.pattern),
         "ael_s": sum(runs_s) / len(runs_s) if runs_s else 0.0,

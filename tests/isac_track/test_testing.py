@@ -25,10 +25,10 @@ from isac_track.testing import (
 )
 from isac_track.testing.__main__ import main
 from isac_track.testing._descriptor_checks import (
+    by_definition,
     longest_run_expected,
     plain_track,
     random_tracks,
-    segments_s,
 )
 
 DOCS = ROOT / "docs" / "metrics.md"
@@ -84,12 +84,12 @@ class TestMistakesAreCaught:
 class TestTheOracleOfTheSuite:
     """The suite and `oracles.py` were written apart; here they meet."""
 
-    def test_segments(self):
+    def test_descriptors(self):
         t = [0.0, 0.5, 1.25, 3.0, 3.25, 7.0]
         for pattern in map("".join, product("01", repeat=6)):
             leaked = [sample == "1" for sample in pattern]
-            expected = oracles.segments_s(leaked, oracles.own_s(t))
-            assert segments_s(plain_track(pattern, t=t)) == pytest.approx(expected)
+            found = list(by_definition(plain_track(pattern, t=t)).values())
+            assert found == pytest.approx(oracles.exposure(leaked=leaked, t=t)[:3])
 
     def test_random_tracks_cover_what_matters_and_are_what_the_coordinates_say(self):
         patterns = []
