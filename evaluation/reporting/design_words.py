@@ -215,9 +215,13 @@ def sentence(choice: design.Choice) -> str:
 
 def _failing(schemes: Sequence[design.Scheme]) -> str:
     """Return in a phrase what a mechanism fails under some rule; empty: it meets everything."""
-    rules = [one.adding for one in schemes if one.chosen is None]
-    under = f" with {rules[0]} adding" if 0 < len(rules) < len(schemes) else ""
-    why = [f"no level meets the targets{under}"] * bool(rules)
+    without = [one for one in schemes if one.chosen is None]
+    under = f" with {without[0].adding} adding" if 0 < len(without) < len(schemes) else ""
+    unknown = [check.why_unknown for one in without for check in one.missed]
+    found_none = "no level meets the targets"
+    if unknown and all(unknown):
+        found_none = f"cannot be judged ({unknown[0]})"
+    why = [f"{found_none}{under}"] * bool(without)
     found: dict[str, str] = {}
     for status, text in _UNMET.items():
         for check in (check for one in schemes for check in one.checks):
@@ -243,7 +247,7 @@ def notes(choice: design.Choice) -> list[str]:
     dataset, schemes = choice.manifest["dataset"], choice.schemes
     silent = [one for one in schemes if one.name not in choice.answers]
     undeclared = ", ".join(dict.fromkeys(one.name for one in schemes if not one.family.adding))
-    raw_misses = "; ".join(_reasons(choice.raw_checks))
+    raw_misses = "; ".join(reason(one) for one in choice.raw_checks if one.status == "not met")
     limit, closed = choice.limits.given.get(EXPOSURE, 0.0), ""
     if 0.0 < limit < 1.0 and not choice.limits.as_shared:
         usual = {"q": steady.Q_M2_PER_S3, "dt_s": steady.INTERVAL_S}

@@ -25,7 +25,7 @@ from evaluation.experiment.fingerprint import code_hash
 from evaluation.runs.files import content_of, from_csv
 from evaluation.runs.manifest import read_manifest
 from isac_track.errors import DataError, SettingsError, did_you_mean
-from isac_track.intervals import Estimate
+from isac_track.intervals import LEAST_CLUSTERS, Estimate
 
 TARGETS: Final = ("missed", "false_alarm")  # What chooses a level.
 METRIC_OF: Final = {
@@ -131,8 +131,11 @@ class Check:
     @property
     def why_unknown(self) -> str:
         """Why it cannot be said; empty if it can."""
-        known = self.missing or math.isfinite(self.measured.ci_high)
-        return self.missing if known else "the value or its interval is unknown"
+        if self.missing or math.isfinite(self.measured.ci_high):
+            return self.missing
+        if math.isnan(self.measured.value):
+            return "the value is unknown"
+        return f"so few people have no interval; {LEAST_CLUSTERS:g} groups have"
 
     @property
     def status(self) -> str:

@@ -139,6 +139,15 @@ class TestLimits:
         assert not answer.met
         assert "cannot be judged by PLR" in sentence(answer)
 
+    def test_of_a_dozen_people_without_an_interval_cannot_be_said(self, made):
+        out = made()
+        edited(out, "summary.csv", lambda frame: frame.assign(ci_low="", ci_high=""))
+        answer = linear(out, plr=0.99)
+        assert not answer.met
+        why = "cannot be judged (so few people have no interval; 15 groups have)"
+        assert sentence(answer).startswith(f"No: {why}: fid")
+        assert not any("miss the targets themselves" in one for one in notes(answer))
+
     @pytest.mark.parametrize(
         ("name", "limit", "message"),
         [
@@ -221,7 +230,7 @@ class TestRank1:
             ({"invalid": "noise_level"}, "a shortcut (noise_level) gives people away"),
             ({"rank1": np.nan}, "no attack was run at this level"),
             (None, "no attack was run at this level"),
-            ({"ci_high": np.nan}, "the value or its interval is unknown"),
+            ({"ci_high": np.nan}, "so few people have no interval; 15 groups have"),
         ],
     )
     def test_cannot_be_said_from_what_is_no_measure(self, made, row, reason):
