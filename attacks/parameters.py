@@ -1,6 +1,10 @@
-"""What every attack checks of its parameters."""
+"""What every attack checks of its parameters, and tries where none is given."""
 
+from collections.abc import Sequence
 from math import isfinite
+from typing import TypeVar
+
+_Value = TypeVar("_Value")
 
 
 def positive(**values: float | None) -> None:
@@ -8,3 +12,8 @@ def positive(**values: float | None) -> None:
     for name, value in values.items():
         if value is not None and not (isfinite(value) and value > 0):
             raise ValueError(f"{name} must be positive, got {value}")
+
+
+def tried(given: _Value | None, candidates: Sequence[_Value]) -> Sequence[_Value]:
+    """Return what is tried of a parameter: what was given, or else the candidates."""
+    return candidates if given is None else (given,)

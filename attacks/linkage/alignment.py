@@ -10,9 +10,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import EVERYBODY, Few, learn, linker, tried
+from attacks.linkage.learning import EVERYBODY, Few, learn, linker
 from attacks.linkage.signals import FACTORS, aligned_costs, motions, on_grid
-from attacks.parameters import positive
+from attacks.parameters import positive, tried
 from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 from isac_track.types import Floats, Knowledge, Release
 

@@ -6,9 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import EVERYBODY, Few, learn, linker, tried
+from attacks.linkage.learning import EVERYBODY, Few, learn, linker
 from attacks.linkage.signals import EXPONENT, FACTORS, FULL_CELLS, Signals, blocks, loops, motions
-from attacks.parameters import positive
+from attacks.parameters import positive, tried
 from isac_track.protocols import AttackContext, Linker
 from isac_track.types import Floats, Knowledge, Release
 

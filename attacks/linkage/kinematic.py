@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import Few, learn, linker, mated, tried
+from attacks.linkage.learning import Few, learn, linker, mated
 from attacks.linkage.signals import loops
-from attacks.parameters import positive
+from attacks.parameters import positive, tried
 from attacks.remembered import noise_m2, remembered, whole
 from isac_track.kalman import Batch, kalman_last
 from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -13,7 +13,6 @@ from isac_track.types import Floats, Ints, Knowledge, Release, read_only
 Rows: TypeAlias = Ints | slice
 Few: TypeAlias = tuple[Rows, Rows]  # Which walks of the probe and of the gallery are compared.
 EVERYBODY: Few = (slice(None), slice(None))
-_Value = TypeVar("_Value")
 
 _MOST_PAIRS = 2**19
 """Of which all scores of a level are remembered, 4 MB for each linker and adversary."""
@@ -56,11 +55,6 @@ def mated(train: LinkageTrainingSet) -> Ints:
 def teaches(context: AttackContext) -> bool:
     """Return whether there is a training set with `LEAST_MATES` mated pairs or more."""
     return Knowledge.TRAIN in context.granted and mated(context.train).size >= LEAST_MATES
-
-
-def tried(given: _Value | None, candidates: Sequence[_Value]) -> Sequence[_Value]:
-    """Return what is tried of a parameter: what was given, or else the candidates."""
-    return candidates if given is None else (given,)
 
 
 def learn(

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from attacks.parameters import positive
+from attacks.parameters import positive, tried
 from attacks.reconstruction.learning import TOLD, around, smoother
 from isac_track.protocols import AttackContext, Reconstructor
 from isac_track.types import Floats, Ints, Knowledge, Reconstruction, Release
@@ -50,12 +50,9 @@ class GaussianProcess:
     def fit(self, context: AttackContext) -> Reconstructor:
         """Return the regression of releases like those in the training set."""
         length_s, scale_m = self.length_s, self.scale_m
-        return smoother(
-            context,
-            smooth,
-            given=None if length_s is None or scale_m is None else (length_s, scale_m),
-            candidates=[(self.DEFAULT[0], one) for one in around(self.DEFAULT[1], factor=2.0)],
-        )
+        given = None if length_s is None or scale_m is None else (length_s, scale_m)
+        others = [(self.DEFAULT[0], one) for one in around(self.DEFAULT[1], factor=2.0)]
+        return smoother(context, smooth, candidates=tried(given, others))
 
 
 def smooth(release: Release, variance: Floats, kernel: tuple[float, float]) -> Reconstruction:

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from attacks.parameters import positive
+from attacks.parameters import positive, tried
 from attacks.reconstruction.learning import TOLD, around, smoothed, smoother
 from attacks.remembered import noise_m2, remembered
 from isac_track.kalman import Batch, Moods, imm_smoother, smooth_positions
@@ -72,12 +72,11 @@ class RadialRTS:
             linear = KalmanRTS(self.q).fit(context)
             return lambda release: (radial if looks_radial(release) else linear)(release)
         q = self.DEFAULT_Q if self.q is None else self.q
-        numbers = (1, usual, 2 * usual) if self.passes is None else (self.passes,)
-        densities = around(q, factor=4.0) if self.q is None else (q,)
+        numbers = tried(self.passes, (1, usual, 2 * usual))
+        densities = tried(self.q, around(q, factor=4.0))
         return smoother(
             context,
             _smooth,
-            given=None,
             candidates=[(q, number, self.anneal) for number in numbers],
             then=lambda best: [(density, *best[1:]) for density in densities],
         )
@@ -118,8 +117,8 @@ class ImmRTS:
         """Return the smoother of releases like those in the training set."""
         given = None if self.q is None or self.q_turn is None else (self.q, self.q_turn)
         walking, turning = (around(density, factor=4.0) for density in self.DEFAULT_Q)
-        candidates = list(zip(walking, turning, strict=True))
-        return smoother(context, self._smooth, given=given, candidates=candidates)
+        candidates = tried(given, list(zip(walking, turning, strict=True)))
+        return smoother(context, self._smooth, candidates=candidates)
 
     def _smooth(
         self, release: Release, variance: Floats, density: tuple[float, float]

@@ -61,6 +61,8 @@ def choose(
     """
     if Knowledge.TRAIN not in context.granted:
         return default
+    if len(candidates) == 1:
+        return candidates[0]
     release, truth = context.train.release, context.train.truth
     losses = [
         exposure_loss(
@@ -78,30 +80,24 @@ def smoother(
     context: AttackContext,
     smooth: Callable[[Release, Floats, _Choice], Reconstruction],
     *,
-    given: _Choice | None,
     candidates: Sequence[_Choice],
-    then: Callable[[_Choice], Sequence[_Choice]] | None = None,
+    then: Callable[[_Choice], Sequence[_Choice]] = lambda best: (best,),
 ) -> Reconstructor:
     """Return what smooths releases like those in the training set, by the noise of each sample.
 
-    `smooth` takes a release, the error variance per axis, (M,) m^2, and a choice: the one that was
-    given or, if that is None, the candidate that reconstructs the training set best (of equals the
-    first), or without one the middle one, as from `around`. `then` makes further candidates of that
-    one.
+    `smooth` takes a release, the error variance per axis, (M,) m^2, and a choice: the candidate
+    that reconstructs the training set best (of equals the first), or without one the middle one, as
+    from `around`. `then` makes further candidates of that one.
     """
     variance = learn_variance(context)
-    choice = given
-    if choice is None:
 
-        @cache
-        def reconstruct(one: _Choice, release: Release) -> Floats:
-            return smooth(release, variance(release), one).xy
+    @cache
+    def reconstruct(one: _Choice, release: Release) -> Floats:
+        return smooth(release, variance(release), one).xy
 
-        middle = candidates[len(candidates) // 2]
-        choice = choose(context, default=middle, candidates=candidates, reconstruct=reconstruct)
-        if then is not None:
-            further = then(choice)
-            choice = choose(context, default=choice, candidates=further, reconstruct=reconstruct)
+    choice = candidates[len(candidates) // 2]
+    choice = choose(context, default=choice, candidates=candidates, reconstruct=reconstruct)
+    choice = choose(context, default=choice, candidates=then(choice), reconstruct=reconstruct)
     if variance is _estimated:  # two adversaries may well choose alike
         return lambda release: smoothed(release, smooth, choice)
     return lambda release: smooth(release, variance(release), choice)

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from attacks.parameters import positive
+from attacks.parameters import positive, tried
 from attacks.reconstruction.learning import around, smoother
 from isac_track.protocols import AttackContext, Reconstructor
 from isac_track.types import Floats, Ints, Knowledge, Reconstruction, Release
@@ -37,8 +37,8 @@ class MovingAverage:
 
     def fit(self, context: AttackContext) -> Reconstructor:
         """Return the filter of releases like those in the training set."""
-        candidates = around(self.DEFAULT_WIDTH_S, factor=2.0)
-        return smoother(context, self.smooth, given=self.width_s, candidates=candidates)
+        widths_s = tried(self.width_s, around(self.DEFAULT_WIDTH_S, factor=2.0))
+        return smoother(context, self.smooth, candidates=widths_s)
 
     @staticmethod
     def smooth(release: Release, variance: Floats, width_s: float) -> Reconstruction:

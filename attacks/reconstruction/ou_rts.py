@@ -12,7 +12,7 @@ from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
-from attacks.parameters import positive
+from attacks.parameters import positive, tried
 from attacks.reconstruction.kalman_rts import PRIOR_STD, RadialRTS, looks_radial
 from attacks.reconstruction.learning import RADIAL_PER_AXIS, TOLD, around, choose
 from attacks.remembered import noise_m2, remembered
@@ -70,7 +70,7 @@ class OuRTS:
             return RadialRTS(self.q).fit(context)
         white = None if beyond else RadialRTS(self.q).fit(context)
         if Knowledge.TRAIN in context.granted and told != (0.0, 0.0):
-            best = self._learnt(context, told, around(q, factor=4.0) if self.q is None else (q,))
+            best = self._learnt(context, told, tried(self.q, around(q, factor=4.0)))
             if white:
                 return white if best.std_m == 0.0 else lambda release: smooth(release, best)
             q = best.q

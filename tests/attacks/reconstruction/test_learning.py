@@ -30,7 +30,7 @@ def chosen(candidates, reconstruct):
         return Reconstruction(reconstruct(candidate, release))
 
     known = context(TrainingSet(release, truth), epsilon_m=EPSILON_M)
-    smoother(known, smooth, given=None, candidates=candidates)(release)
+    smoother(known, smooth, candidates=candidates)(release)
     assert tried[:-1] == list(candidates)
     return tried[-1]
 
