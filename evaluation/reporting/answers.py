@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+import numpy as np
+
 from evaluation.analysis.families import ADDING_RULES, CLEAN, RAW, SWEPT
 from evaluation.analysis.keys import Where
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE
@@ -187,21 +189,25 @@ def _chosen(of: Headline) -> str:
 def _choice(of: Headline, options: Mapping[Where, tuple[Estimate, Estimate]]) -> str:
     """Return what to choose of some levels, each with what it costs and what is left to attacks."""
     limit = f"attacked PLR below {100 * LIMIT:g} %"
-    kept = {at: one for at, one in options.items() if one[1].ci_high <= LIMIT}
+    is_known = any(np.isfinite(left.ci_high) for _, left in options.values())
+    by = "" if is_known else "by the values alone, since so few people have no interval, "
+    kept = {
+        at: (cost, left)
+        for at, (cost, left) in options.items()
+        if (left.ci_high if is_known else left.value) <= LIMIT
+    }
     if not kept:
         at, (cost, left) = min(options.items(), key=lambda one: one[1][1].value)
         least = f"{_value(left)} at {of.name(at)}, which misses {_value(cost)} of the conflicts"
-        return f"no level keeps {limit}; the least is {least}"
+        return f"{by}no level keeps {limit}; the least is {least}"
     at, (cost, left) = min(kept.items(), key=lambda one: one[1][0].value)
     again = [
         f"; found again {_how(one)}: {_value(found)}"
         for one in of.linked[-1:]
         if (found := of.at(at, one))
     ]
-    return (
-        f"of the levels that keep {limit}, {of.name(at)} misses fewest conflicts: {_value(cost)} "
-        f"at {_value(left)}" + "".join(again)
-    )
+    fewest = f"{of.name(at)} misses fewest conflicts: {_value(cost)} at {_value(left)}"
+    return f"{by}of the levels that keep {limit}, {fewest}" + "".join(again)
 
 
 def _how(one: Shown) -> str:

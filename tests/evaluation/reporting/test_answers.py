@@ -106,6 +106,15 @@ def test_the_fourth_answer_says_what_was_decided_and_how_wide_it_is(decision, ev
     assert sentence.endswith("1 not testable.") or decision == "not testable"
 
 
+def test_of_a_dozen_people_without_intervals_the_values_alone_choose_a_level():
+    at = levels(rules=("",), others=())
+    few = make_summary(at).assign(ci_low=np.nan, ci_high=np.nan)
+    few.loc[(few["mechanism"] == "fixed") & (few["metric"] == "plr"), "value"] = 0.4
+    said = answers(make_run(summary=few))[4].sentence
+    expected = "By the values alone, since so few people have no interval, of the levels that keep"
+    assert said.startswith(f"{expected} attacked PLR below 50 %, fixed:")
+
+
 def test_what_leaks_is_told_under_both_error_laws_and_tabled():
     run = make_run()
     other = run.summary.assign(dataset="students03:law=isotropic")
