@@ -107,12 +107,13 @@ def test_the_fourth_answer_says_what_was_decided_and_how_wide_it_is(decision, ev
 
 
 def test_of_a_dozen_people_without_intervals_the_values_alone_choose_a_level():
-    at = levels(rules=("",), others=())
-    few = make_summary(at).assign(ci_low=np.nan, ci_high=np.nan)
-    few.loc[(few["mechanism"] == "fixed") & (few["metric"] == "plr"), "value"] = 0.4
+    few = make_summary([("raw", np.nan), ("fixed", 1.0)]).assign(ci_low=np.nan, ci_high=np.nan)
+    few.loc[few["metric"] == "plr", "value"] = np.where(few["mechanism"] == "raw", 0.9, 0.4)[
+        few["metric"] == "plr"
+    ]
     said = answers(make_run(summary=few))[4].sentence
     expected = "By the values alone, since so few people have no interval, of the levels that keep"
-    assert said.startswith(f"{expected} attacked PLR below 50 %, fixed:")
+    assert said.startswith(f"{expected} attacked PLR below 50 %, fixed:1 misses")
 
 
 def test_what_leaks_is_told_under_both_error_laws_and_tabled():
