@@ -22,12 +22,9 @@ from evaluation.analysis.metrics import (
 from evaluation.analysis.strongest import HEADLINE
 from evaluation.reporting import table as make
 from evaluation.reporting.result_tables import laplace_notes
-from evaluation.reporting.rows import (
-    Results,
-    family_of,
-    mechanism_columns,
-)
+from evaluation.reporting.rows import Results, family_of, mechanism_columns
 from evaluation.reporting.table import Cell, Column, Table
+from evaluation.verdict import rules
 
 CRITERIA = {
     MISSED: "equal rise of missed conflicts",
@@ -42,25 +39,6 @@ _EFFECTS = {
     "correlation": (1.0, 2, ""),
     "ratio": (1.0, 2, "times"),
 }
-SECTIONS: Final = {
-    "validity": (
-        "Do the descriptors tell how linkable a person is?",
-        "Across mechanisms, controls among them: where the descriptor is equal, is linkability?",
-    ),
-    "within": (
-        "And whether this very person is linked?",
-        "Within a level, among tracks alike in length, speed and noise: is who leaks more linked?",
-    ),
-    "claim": (
-        "Is FID-controlled noise better than fixed noise?",
-        "Where both cost the same, or show the same PLR; negative effects are in favour of FID.",
-    ),
-    "inflation": (
-        "How much more is left than the descriptor says?",
-        "The descriptor after attack, how many times the same as shared.",
-    ),
-}
-"""By the name of a section in `verdict.json`: its question, and what is asked."""
 _ASPECTS: Final = ("descriptor", "task", "criterion")
 
 
@@ -236,7 +214,7 @@ def _power(item: Mapping[str, Any]) -> str:
 
 def _by_section(items: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
     """Return the items by section: those that are known first, in their order."""
-    found: dict[str, list[Mapping[str, Any]]] = {name: [] for name in SECTIONS}
+    found: dict[str, list[Mapping[str, Any]]] = {name: [] for name in rules.SECTIONS}
     for item in items:
         found.setdefault(str(item["section"]), []).append(item)
     return {name: of for name, of in found.items() if of}

@@ -23,10 +23,7 @@ LIMIT: Final = 0.5
 _HELD: Final = "as far as these attacks go"
 _MATTERS: Final = 0.05
 _UNTESTED: Final = "not tested: "
-_EVIDENCE: Final = {
-    "attacks": _HELD,
-    "shown": "shown by linking more",
-}
+_EVIDENCE: Final = {"attacks": _HELD, "shown": "shown by linking more"}
 _LEADS: Final = {
     rules.DOES_NOT: "no",
     rules.TRACKS: "yes",

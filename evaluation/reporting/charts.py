@@ -150,7 +150,7 @@ def rows_chart(
                 continue
             y = middle + 4.5 * (turn - 0.5 * (len(series) - 1))
             x, *ends = at(_shares([one]))
-            chart.lines.append((f"bar k{look.place}", _bar(ends, at=y)))
+            chart.lines.append((f"bar k{look.place}", bar(ends, at=y)))
             chart.marks.append((look.css, look.path(x, y), f"{row}: {name} {share(one)}"))
     for look, value in across:
         if np.isfinite(value):
@@ -192,7 +192,7 @@ def plane_chart(
         chart.lines.append(("front", _line([*way, (_RIGHT, way[-1][1])])))
     for one in points:
         (x, *x_ends), (y, *y_ends) = at_x(_shares([one.x])), at_y(_shares([one.y]))
-        path = _bar(x_ends, at=y) + _bar(y_ends, at=x, upright=True)
+        path = bar(x_ends, at=y) + bar(y_ends, at=x, upright=True)
         chart.lines.append((f"bar k{one.look.place}", path))
         name = f"{one.name}: {_axis_word(x_label)} {share(one.x)}, "
         name += f"{_axis_word(y_label)} {share(one.y)}"
@@ -228,8 +228,8 @@ def curves_chart(
         bars = zip(places, *ends, strict=True)
         kind = f"k{one.look.place}"
         chart.lines.append((f"curve {kind}", _line(way)))
-        bar = "".join(_bar(pair, at=at, upright=True) for at, *pair in bars)
-        chart.lines.append((f"bar {kind}", bar))
+        path = "".join(bar(pair, at=at, upright=True) for at, *pair in bars)
+        chart.lines.append((f"bar {kind}", path))
         marks = "".join(one.look.path(*at) for at in way)
         chart.marks.append((one.look.css, marks, one.name))
     for look, at, value, name in marked:
@@ -239,7 +239,7 @@ def curves_chart(
     return chart
 
 
-def _bar(ends: Sequence[float], *, at: float, upright: bool = False) -> str:
+def bar(ends: Sequence[float], *, at: float, upright: bool = False) -> str:
     """Return the path of an interval; empty without one."""
     if not np.isfinite(ends).all():
         return ""
@@ -283,11 +283,10 @@ def _axis(
             return ends[0] + length * (np.log10(np.maximum(of, 10.0**low)) - low) / (high - low)
 
         return place, [(float(place(one)), _short(one)) for one in ticks]
-    ticks = _ticks(float(known.max(initial=0.0)))
-    unit = length / ticks[-1]
-    return lambda of: ends[0] + unit * of, [
-        (ends[0] + unit * one, level_text(one)) for one in ticks
-    ]
+    ticks = _ticks(float(known.min(initial=0.0)), float(known.max(initial=0.0)))
+    unit = length / (ticks[-1] - ticks[0])
+    of_tick = [(ends[0] + unit * (one - ticks[0]), level_text(one)) for one in ticks]
+    return lambda of: ends[0] + unit * (of - ticks[0]), of_tick
 
 
 def _short(value: float) -> str:
@@ -298,10 +297,10 @@ def _short(value: float) -> str:
     return level_text(value)
 
 
-def _ticks(most: float) -> list[float]:
-    """Return the ticks of an axis from zero that reaches a value."""
-    least = max(most, 1e-9) / _MOST_STEPS
+def _ticks(low: float, high: float) -> list[float]:
+    """Return the ticks of an axis with zero on it that reaches from a value to another."""
+    least = max(high - low, 1e-9) / _MOST_STEPS
     unit = 10.0 ** np.floor(np.log10(least))
     step = next(one * unit for one in _STEPS if least <= one * unit * (1.0 + 1e-9))
-    n = max(1, int(np.ceil(most / step - 1e-9)))
-    return [step * place for place in range(n + 1)]
+    first, last = int(np.floor(low / step + 1e-9)), int(np.ceil(high / step - 1e-9))
+    return [step * place for place in range(first, max(first + 1, last) + 1)]

@@ -1,17 +1,15 @@
 """A finished run, read from its tables: `evaluation.load`."""
 
 import json
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pandas as pd
 
-from evaluation.analysis.keys import Key, rows_of
 from evaluation.analysis.metrics import EXPOSURE, SUCCESS
 from evaluation.analysis.strongest import strongest
-from evaluation.reporting.rows import Results
+from evaluation.reporting.rows import Results, keys_of
 from evaluation.runs.files import FRAMES, content_of, from_csv
 from evaluation.runs.manifest import read_manifest
 from isac_track.errors import DataError
@@ -43,12 +41,8 @@ def load(out: Path | str) -> Results:
             raise DataError(f"{out / name} cannot be read ({error}); {again}") from None
     found["flags"] = pd.DataFrame(found["flags"]["flags"], columns=found["flags"].get("columns"))
     results = Results(out=out, manifest=manifest, **found)
-    rows = results.measured.summary
-    ranked = rows_of(rows[rows["metric"].isin([EXPOSURE, SUCCESS]) & (rows["knowledge"] != "")])
-    known = {}
-    for row in ranked:
-        level = None if math.isnan(row["level"]) else row["level"]
-        key = Key(row["mechanism"], level, row["consumer"], row["metric"], row["knowledge"])
-        known[key] = _Known(row["value"])
+    rows = results.measured
+    rows = rows[rows["metric"].isin([EXPOSURE, SUCCESS]) & (rows["knowledge"] != "")]
+    known = dict(zip(keys_of(rows), map(_Known, rows["value"]), strict=True))
     best = strongest(known, results.families)
     return replace(results, strongest={task: source.attack for task, source in best.items()})

@@ -19,7 +19,7 @@ from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE, SUCCESS, SUCCESS_
 from evaluation.analysis.strongest import by_task, strongest, strongest_of
 from evaluation.experiment.constants import OTHER_LAW_WORLD
 from evaluation.reporting import table as make
-from evaluation.reporting.rows import HEADLINE, family_of
+from evaluation.reporting.rows import HEADLINE, estimates, family_of
 from evaluation.reporting.table import Cell, Column, Table
 from isac_track.intervals import Estimate
 from isac_track.linkability import GALLERY
@@ -104,7 +104,7 @@ def headline(
     rows = summary[summary["metric"].isin(_METRICS)]
     world = worlds_of(rows)
     own = rows[world == ""]
-    found, known = _estimates(own), families_in(own)
+    found, known = estimates(own), families_in(own)
     if attacks is None:
         attacks = {task: one.attack for task, one in strongest(found, known).items()}
     able = own.loc[own["metric"] == MISSED_RATE, "consumer"].unique()
@@ -112,7 +112,7 @@ def headline(
     return Headline(
         known=known,
         found=found | _own_strongest(found, known, attacks),
-        other_law=_estimates(rows[world == OTHER_LAW_WORLD]),
+        other_law=estimates(rows[world == OTHER_LAW_WORLD]),
         gaps=gaps(summary),
         robots=[
             Shown(_MISSED, ROBOTS.get(name, name).split()[-1], Measure(name, MISSED_RATE))
@@ -153,21 +153,8 @@ def _own_strongest(
     return mine
 
 
-def _estimates(rows: pd.DataFrame) -> dict[Key, Estimate]:
-    """Return the rows of a summary by what they are about."""
-    texts = rows["knowledge"].astype(object).fillna("")
-    columns = [*(rows[name] for name in ("mechanism", "level", "consumer", "metric")), texts]
-    ends = (rows[name] for name in ("value", "ci_low", "ci_high"))
-    return {
-        Key(name, None if math.isnan(at) else at, *of): Estimate(value, low, high)
-        for name, at, *of, value, low, high in zip(*columns, *ends, strict=True)
-    }
-
-
 def _linked(
-    attacks: Mapping[str, Source],
-    found: Mapping[Key, Estimate],
-    linkability: pd.DataFrame | None,
+    attacks: Mapping[str, Source], found: Mapping[Key, Estimate], linkability: pd.DataFrame | None
 ) -> list[Shown]:
     """Return a column for each task that is shown, of the run's tasks if it has none of these."""
     values = {key.measure: one.value for key, one in found.items() if math.isfinite(one.value)}

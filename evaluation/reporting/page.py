@@ -11,7 +11,6 @@ from typing import Final
 from attacks.tasks.task_list import TASKS
 from evaluation.analysis import weak_attacks
 from evaluation.reporting.announcements import command, data_notices, scenes_text
-from evaluation.reporting.answer_tables import SECTIONS as QUESTIONS
 from evaluation.reporting.answers import answers, headline_of
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.gallery import panels
@@ -36,28 +35,6 @@ SECTIONS: Final = {
     "again": "Run it again",
 }
 """Of the page below the answers, in order."""
-GLOSSARY: Final = {
-    "FID": "Fisher information density: how well a point of the ground can be located, in "
-    "1/(m² s). The mechanism fid adds the more noise, the more it exceeds a threshold η.",
-    "PLR": "Privacy leakage ratio: share of positions that are closer to the truth than ε.",
-    "AEL, MEL": "Average and mean maximum exposure length: how many seconds positions leak "
-    "without a break, on average and at most.",
-    "raw, clean": "What was sensed with nothing added; and without any error at all.",
-    "linear, independent": "How added noise joins that of sensing: standard deviations add up, or "
-    "variances do.",
-    "missed conflicts": "Share of the conflicts with a person that a robot does not foresee; the "
-    "paper's line predicts by least squares, the other by a Kalman filter.",
-    "after attack": "The same of positions that a reconstruction attack has filtered: the "
-    "strongest of the run, short of one that is told everything.",
-    "rank 1": "Share of people whose other release comes first among the candidates; chance is one "
-    "in so many.",
-    "rerelease": "One walk, shared twice: an upper bound of what can be linked.",
-    "handover": "All pseudonyms rotate after some seconds of silence, in one true frame.",
-    "split, new_traversal": "Two windows of one walk that do not touch; the same person on another "
-    "day, simulated.",
-    "blind, informed, oracle": "What an adversary is told: nothing, the mechanism and examples of "
-    "others, everything.",
-}
 
 
 def write(run: Results, *, figures: Sequence[Figure]) -> Path:
@@ -80,8 +57,6 @@ def render(run: Results, *, figures: Sequence[Figure] = ()) -> str:
         planes=planes(of),
         gallery=[] if run.gallery is None else panels(run.gallery),
         epsilon_m=f"{run.manifest['settings']['stages']['privacy.epsilon_m']:g}",
-        glossary=GLOSSARY,
-        questions=QUESTIONS,
         decision=decision,
         figures=figures,
         tables=page_tables(run),

@@ -107,11 +107,7 @@ def _chosen(of: Headline) -> Picture | None:
 
 
 def _points(
-    of: Headline,
-    x: Measure,
-    y: Measure,
-    looks: Mapping[str, Look],
-    among: Iterable[Where] = (),
+    of: Headline, x: Measure, y: Measure, looks: Mapping[str, Look], among: Iterable[Where] = ()
 ) -> list[list[Point]]:
     """Return the levels of each mechanism at which both are known, levels rising.
 

@@ -11,14 +11,7 @@ import pandas as pd
 
 from attacks.tasks.controls import CONTROLS
 from evaluation.analysis.families import CLEAN, LEVEL_UNITS, families_in
-from evaluation.analysis.keys import (
-    AS_SHARED,
-    ORACLE,
-    Source,
-    is_attack,
-    level_text,
-    rows_of,
-)
+from evaluation.analysis.keys import AS_SHARED, ORACLE, Source, is_attack, level_text, rows_of
 from evaluation.analysis.linkability import INVALID, REMARKS, LinkedTask, remarks
 from evaluation.analysis.metrics import (
     DESCRIPTORS,
@@ -87,7 +80,7 @@ def _by_level(
 ) -> Table:
     """Return a table with a row for each mechanism level."""
     records = [
-        {"mechanism": mechanism, "level": at, "of": picked.sources_at(of)}
+        {"mechanism": mechanism, "level": at, "of": of}
         for (mechanism, at), of in picked.by_level(rows).items()
     ]
     columns = [*picked.mechanism_columns(families_in(rows)), *columns]
@@ -102,8 +95,8 @@ def _column(source: Source, metric: str, name: str) -> Column:
 
 def _cell(source: Source, metric: str, level: Mapping[str, Any]) -> Cell:
     """Return the cell of a metric of some positions at a level with its rows."""
-    row = level["of"].get(source, {}).get(metric)
-    return make.amount(metric, row["value"], row["ci_low"], row["ci_high"]) if row else Cell()
+    one = level["of"].get(source, {}).get(metric)
+    return make.estimated(metric, one) if one else Cell()
 
 
 def after_attack(summary: pd.DataFrame) -> pd.DataFrame:
@@ -116,8 +109,8 @@ def after_attack(summary: pd.DataFrame) -> pd.DataFrame:
 
 def sources_of(rows: pd.DataFrame) -> list[Source]:
     """Return whose positions the rows are of, in the order of the run."""
-    first = rows.drop_duplicates(["consumer", "knowledge"])
-    return list(picked.sources_at(rows_of(first)))
+    first = rows[["consumer", "knowledge"]].drop_duplicates()
+    return [Source(*one) for one in first.itertuples(index=False)]
 
 
 def exposure_table(summary: pd.DataFrame, *, slow: Collection[str] = ()) -> Table:
@@ -151,8 +144,8 @@ def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
     title = "As shared" if only == AS_SHARED else title
     told = []
     for where in picked.telling(blocks, known) if only is None else blocks:
-        found = picked.sources_at(blocks[where])
-        told += [{"mechanism": where[0], "level": where[1]} | row for row in _merged(found)]
+        about = {"mechanism": where[0], "level": where[1]}
+        told += [about | row for row in _merged(blocks[where])]
     columns = [
         *picked.mechanism_columns(known),
         *map(make.said, ("positions", "adversary")),

@@ -5,22 +5,27 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property, partial, reduce
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from evaluation.analysis.families import ADDING_RULES, FID, FIXED, Family, families_in
-from evaluation.analysis.keys import Source, Where, level_text, rows_of
+import numpy as np
+import pandas as pd
+
+from evaluation.analysis.families import ADDING_RULES, FID, FIXED, LEVEL_UNITS, Family, families_in
+from evaluation.analysis.keys import Key, Source, Where, level_text
+from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS
 from evaluation.experiment.presets import DISSOCIATION, SHARED
-from evaluation.reporting import frames
 from evaluation.reporting.table import Column, level, said
+from isac_track.errors import SettingsError, did_you_mean
+from isac_track.types import Floats
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.axes import Axes
 
     from evaluation.analysis.linkability import LinkedTask
+    from isac_track.intervals import Estimate
 
 CONTROLS: Final = frozenset(spec.partition(":")[0] for spec in DISSOCIATION)
 """Families that are there to tear a descriptor and linkability apart."""
@@ -34,6 +39,12 @@ _KNOWN: Final = {
     FIXED: ("fixed added error", "Added error Δσ (m)", False),
 }
 ENDS: Final = ["value", "ci_low", "ci_high"]  # Columns of an estimate.
+STRONGEST: Final = "strongest"
+AFTER: Final = "_after"  # Ends the name of a descriptor after the strongest attack.
+SHORT: Final = {"missed": MISSED_RATE, "false_alarm": "false_alarm_rate"}
+"""Names of metrics that are long to type."""
+_AT: Final = ["family", "level", "adding"]
+_MOST_SHOWN = 14
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -61,11 +72,10 @@ class Results:
     """Sample tracks, as in `gallery.parquet`; None without, and as `load` reads a run."""
 
     @property
-    def measured(self) -> frames.Measured:
-        """What frames and plots are made of: all but what holds under other assumptions."""
-        # Another error law, say, has a data set of its own, named after this one.
-        is_other = self.summary["dataset"].str.startswith(f"{self.dataset}:")
-        return frames.Measured(self.summary[~is_other], self.families, self.strongest)
+    def measured(self) -> pd.DataFrame:
+        """The summary without what holds under other assumptions, such as another error law."""
+        # That has a data set of its own, named after this one.
+        return self.summary[~self.summary["dataset"].str.startswith(f"{self.dataset}:")]
 
     def __repr__(self) -> str:
         """Return what run it is, in a line."""
@@ -78,8 +88,20 @@ class Results:
         return f"<Results {self.out}: {told}{failed}>"
 
     def _repr_html_(self) -> str:
+        """Return a table of what tells most, and the verdict's answers."""
+        shown = []
+        for name in ("missed", EXPOSURE, f"{EXPOSURE}{AFTER}", SUCCESS):
+            try:
+                one = self._scaled(name)
+            except SettingsError:  # the run has none
+                continue
+            shown.append(one[[*_AT, "value"]].rename(columns={"value": one.attrs["title"]}))
+        both = reduce(lambda left, right: left.merge(right, on=_AT, how="left"), shown)
+        table = both.head(_MOST_SHOWN).to_html(
+            index=False, border=0, float_format="{:.4g}".format, na_rep=""
+        )
         said = "".join(f"<li>{escape(str(one))}</li>" for one in self.verdict.get("answer", ()))
-        return f"<p>{escape(repr(self)[1:-1])}</p>{frames.html(self.measured)}<ul>{said}</ul>"
+        return f"<p>{escape(repr(self)[1:-1])}</p>{table}<ul>{said}</ul>"
 
     def frame(
         self, metric: str, *, after: str = "", task: str = "", robot: str = ""
@@ -101,7 +123,48 @@ class Results:
 
         What adds nothing (raw, clean) has level 0. SettingsError for what the run does not have.
         """
-        return frames.frame(self.measured, metric, after=after, task=task, robot=robot)
+        name = SHORT.get(metric, metric)
+        if name not in METRICS:
+            listed = f"; known: {', '.join(METRICS)}"
+            hint = did_you_mean(metric, [*METRICS, *SHORT], quote="'") or listed
+            raise SettingsError(f"unknown metric {metric!r}{hint}")
+        rows = self.measured
+        rows = rows[rows["metric"] == name]
+        place = METRICS[name].measured
+        tasks = rows["consumer"].map(lambda one: Source(one).task)
+        task = task or next(iter(tasks), "")
+        rows = rows[tasks == task]
+        if place == "predictor":
+            who = robot or next(iter(rows["consumer"]), "")
+        elif place == "descriptor" and not after:
+            who = SHARED
+        elif after in ("", STRONGEST):
+            best = self.strongest.get(task, Source(""))
+            who = f"{task}/{best.consumer}" if task else best.consumer
+            rows = rows[rows["knowledge"] == best.knowledge]
+        else:
+            who = f"{task}/{after}" if task else after
+        found = rows[rows["consumer"] == who]
+        if found.empty:
+            there = ", ".join(dict.fromkeys(rows["consumer"])) or "nobody in this task"
+            raise SettingsError(
+                f"the run has no {name} of {who or after!r}; it has that of {there}"
+            )
+        known = found["mechanism"].map(self.families)
+        levels = found["level"].where(known.map(lambda one: one.is_added), 0.0)
+        adding = [one.adding for one in known]
+        columns = {"family": [one.name for one in known], "level": levels, "adding": adding}
+        is_attack = found["knowledge"] != ""
+        columns["attack"] = found["consumer"].where(is_attack, "").str.removeprefix(f"{task}/")
+        table = pd.DataFrame(columns | {one: found[one] for one in ("knowledge", *ENDS)})
+        knowledge = found["knowledge"].unique()
+        label = Source(who, knowledge[0] if len(knowledge) == 1 else "").label
+        if who == SHARED:
+            label = "as shared"
+        elif place in ("descriptor", "reconstruction"):
+            label = f"after {label}"
+        table.attrs["title"] = f"{METRICS[name].title}, {label}"
+        return table.reset_index(drop=True)
 
     def plot(
         self, *, x: str, y: str, task: str = "", robot: str = "", ax: Axes | None = None
@@ -111,7 +174,33 @@ class Results:
         `x` and `y` are metrics as in `frame`, or `plr_after`: after the strongest attack; `x` may
         be `level`. `ax` are the axes to draw on, else new ones.
         """
-        return frames.plot(self.measured, x=x, y=y, task=task, robot=robot, ax=ax)
+        from matplotlib import pyplot as plt  # noqa: PLC0415 - slow to import, and seldom needed
+
+        of_y = self._scaled(y, task=task, robot=robot)
+        of_x = of_y.assign(value=of_y["level"], ci_low=math.nan, ci_high=math.nan)
+        of_x.attrs["title"] = "; ".join(
+            ["level", *(f"{name} {unit}" for name, unit in LEVEL_UNITS.items())]
+        )
+        if x != "level":
+            of_x = self._scaled(x, task=task, robot=robot)
+        both = of_x.merge(of_y, on=_AT, suffixes=("_x", "_y"))
+        ax = plt.subplots()[1] if ax is None else ax
+        for (family, adding), rows in both.groupby(["family", "adding"], sort=False):
+            ordered = rows.sort_values("level")
+            (x_at, x_error), (y_at, y_error) = (_bars(ordered, one) for one in "xy")
+            name = f"{family} {adding}".rstrip()
+            ax.errorbar(x_at, y_at, y_error, x_error, marker="o", capsize=2, label=name)
+        ax.set(xlabel=of_x.attrs["title"], ylabel=of_y.attrs["title"])
+        ax.legend()
+        return ax
+
+    def _scaled(self, name: str, *, task: str = "", robot: str = "") -> pd.DataFrame:
+        """Return a metric as it is shown; after the strongest attack if it ends in `AFTER`."""
+        metric = name.removesuffix(AFTER)
+        after = STRONGEST if metric != name else ""
+        found = self.frame(metric, after=after, task=task, robot=robot)
+        found[ENDS] *= METRICS[SHORT.get(metric, metric)].scale
+        return found
 
     @cached_property
     def dataset(self) -> str:
@@ -137,6 +226,12 @@ class Results:
         return linked_tasks(self.linkability[self.linkability["dataset"] == expected])
 
 
+def _bars(rows: pd.DataFrame, side: str) -> tuple[Floats, Floats]:
+    """Return values, (R,), and what the ends of their intervals lie below and above, (2, R)."""
+    at, low, high = (rows[f"{name}_{side}"].to_numpy() for name in ENDS)
+    return at, np.maximum([at - low, high - at], 0.0)
+
+
 def family_of(known: Mapping[str, Family], mechanism: str) -> Family:
     """Return what is known of a mechanism; of one that is not, its name."""
     return known.get(mechanism, Family(mechanism, mechanism, ""))
@@ -156,23 +251,35 @@ def mechanism_columns(known: Mapping[str, Family]) -> list[Column]:
     ]
 
 
-def by_level(frame: pd.DataFrame) -> dict[Where, list[dict[str, Any]]]:
-    """Return the rows of each mechanism level, levels rising, mechanisms as in the run."""
-    found: dict[str, dict[Where, list[dict[str, Any]]]]
+def keys_of(rows: pd.DataFrame) -> list[Key]:
+    """Return what the rows of a summary are about."""
+    texts = rows["knowledge"].astype(object).fillna("")
+    columns = [*(rows[name] for name in ("mechanism", "level", "consumer", "metric")), texts]
+    return [
+        Key(name, None if math.isnan(at) else at, *of)
+        for name, at, *of in zip(*columns, strict=True)
+    ]
+
+
+def estimates(rows: pd.DataFrame) -> dict[Key, Estimate]:
+    """Return the rows of a summary by what they are about."""
+    from isac_track.intervals import Estimate  # noqa: PLC0415 - see `load`
+
+    return dict(zip(keys_of(rows), map(Estimate, *(rows[one] for one in ENDS)), strict=True))
+
+
+def by_level(frame: pd.DataFrame) -> dict[Where, dict[Source, dict[str, Estimate]]]:
+    """Return the rows of a summary by level, by whose positions they are of, and by metric.
+
+    Levels rise, mechanisms stand as in the run.
+    """
+    found: dict[str, dict[Where, dict[Source, dict[str, Estimate]]]]
     found = {name: {} for name in frame["mechanism"].unique()}
-    for row in rows_of(frame.sort_values("level", kind="stable", na_position="first")):
-        name, at = row["mechanism"], None if math.isnan(row["level"]) else float(row["level"])
-        found[name].setdefault((name, at), []).append(row)
-    return {where: rows for of in found.values() for where, rows in of.items()}
-
-
-def sources_at(rows: Iterable[Mapping[Any, Any]]) -> dict[Source, dict[str, Mapping[Any, Any]]]:
-    """Return rows of a summary by whose positions they are of, then by metric."""
-    found: dict[Source, dict[str, Mapping[Any, Any]]] = {}
-    for row in rows:
-        knowledge = row["knowledge"] if isinstance(row["knowledge"], str) else ""
-        found.setdefault(Source(row["consumer"], knowledge), {})[row["metric"]] = row
-    return found
+    ordered = frame.sort_values("level", kind="stable", na_position="first")
+    for key, one in estimates(ordered).items():
+        at = found[key.mechanism].setdefault(key.where, {})
+        at.setdefault(key.measure.source, {})[key.metric] = one
+    return {where: of for level in found.values() for where, of in level.items()}
 
 
 def of_source(frame: pd.DataFrame, source: Source) -> pd.DataFrame:

@@ -1,13 +1,12 @@
 """`study.html`: the five questions over several recordings, a forest plot for each."""
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from evaluation.analysis.pooled import FEWEST, QUESTIONS, Answered
-from evaluation.reporting.charts import CHARACTER, PERCENT, WIDTH, Chart, Look
+from evaluation.reporting.charts import CHARACTER, PERCENT, Chart, Look, bar
 from evaluation.reporting.markup import HTML
 
 SET_CONSTANTS: Final = "students03"
@@ -61,34 +60,14 @@ def forest_chart(rows: Sequence[tuple[str, float, float, float]]) -> Chart:
     left = min(150.0, 10.0 + CHARACTER * longest)
     chart = Chart("points", 12.0 + _STEP * len(rows) + 30.0, left)
     values = PERCENT * np.array([ends for _, *ends in rows], dtype=np.float64)
-    low, high = float(np.nanmin(values, initial=0.0)), float(np.nanmax(values, initial=0.0))
-    step = _tick(max(high - low, 1e-9))
-    low, high = step * math.floor(low / step), step * math.ceil(high / step)
-    unit = (WIDTH - 12.0 - left) / (high - low)
-    chart.x_ticks = [
-        (left + unit * (at - low), f"{at:g}")
-        for at in np.round(np.arange(low, high + 0.5 * step, step), 9).tolist()
-    ]
-    chart.grid = "".join(f"M{at:.1f} 6V{chart.bottom:.1f}" for at, _ in chart.x_ticks)
-    zero = left - unit * low
-    chart.lines.append(("across k6", f"M{zero:.1f} 6V{chart.bottom:.1f}"))
-    for place, ((name, *_), (value, ci_low, ci_high)) in enumerate(
-        zip(rows, values.tolist(), strict=True)
-    ):
+    at = chart.x_axis(values)
+    chart.lines.append(("across k6", f"M{at(0.0):.1f} 6V{chart.bottom:.1f}"))
+    for place, ((name, *_), of) in enumerate(zip(rows, values, strict=True)):
         y = 8.0 + _STEP * (place + 0.5)
         look = Look(1 if name in ("pooled", _PREDICTED) else 0, hollow=name.endswith("(simulated)"))
         chart.y_ticks.append((y, name))
-        x, *ends = (left + unit * (one - low) for one in (value, ci_low, ci_high))
-        if all(map(math.isfinite, ends)):
-            chart.lines.append((f"bar k{look.place}", f"M{ends[0]:.1f} {y:.1f}H{ends[1]:.1f}"))
-        told = f"{name}: {value:+.1f} [{ci_low:.1f}, {ci_high:.1f}]"
+        x, *ends = at(of)
+        chart.lines.append((f"bar k{look.place}", bar(ends, at=y)))
+        told = "{}: {:+.1f} [{:.1f}, {:.1f}]".format(name, *of)
         chart.marks.append((look.css, look.path(x, y), told))
     return chart
-
-
-def _tick(span: float) -> float:
-    """Return the distance of ticks of which a span has at most six."""
-    unit = 10.0 ** math.floor(math.log10(span / 6.0))
-    return next(
-        step * unit for step in (1.0, 2.0, 5.0, 10.0) if span / 6.0 <= step * unit * 1.000001
-    )

@@ -21,12 +21,7 @@ from rich.text import Text
 from evaluation.analysis import weak_attacks
 from evaluation.analysis.families import families_in
 from evaluation.analysis.keys import INFORMED, Source, worlds_of
-from evaluation.analysis.metrics import (
-    RECONSTRUCTION,
-    SUCCESS,
-    SUCCESS_OF_100,
-    UTILITY,
-)
+from evaluation.analysis.metrics import RECONSTRUCTION, SUCCESS, SUCCESS_OF_100, UTILITY
 from evaluation.reporting import answer_tables as answers
 from evaluation.reporting import result_tables as measured
 from evaluation.reporting import terminal
@@ -36,8 +31,8 @@ from evaluation.reporting.bounds import bound_table, linked_bound_table
 from evaluation.reporting.first_screen import TABLES, data_line, first_screen
 from evaluation.reporting.headline import headline, headline_table
 from evaluation.reporting.markup import latex, markdown
-from evaluation.reporting.rows import ENDS, Results, by_level, sources_at, telling
-from evaluation.reporting.table import Cell, Table, amount, built, held, said
+from evaluation.reporting.rows import Results, by_level, telling
+from evaluation.reporting.table import Cell, Table, built, estimated, held, said
 from evaluation.reporting.terminal import Part
 from evaluation.runs.files import to_csv, write_whole
 from evaluation.runs.pieces import failed_lines
@@ -148,11 +143,11 @@ def _linkage(summary: pd.DataFrame) -> Table:
         one, level = known[where[0]], "" if where[1] is None else f" {where[1]:g}"
         heading = f"{one.name}{level}{', ind.' * (one.adding == 'independent')}"
         columns.append(held(heading, f"{where}"))
-        for source, of in sources_at(found[where]).items():
+        for source, of in found[where].items():
             about = {"task": source.task, "linker": source.attack.consumer}
-            about["chance"] = f"{100 * of['chance']['value']:.1f}"
+            about["chance"] = f"{100 * of['chance'].value:.1f}"
             rank = of.get(SUCCESS)
-            cell = amount(SUCCESS, *(rank[end] for end in ENDS)) if rank else Cell()
+            cell = estimated(SUCCESS, rank) if rank else Cell()
             records.setdefault(source, about)[f"{where}"] = cell
     return built("linkage", "Rank 1 (%) of every linker; 95 % intervals", records.values(), columns)
 
