@@ -1,16 +1,11 @@
 """Refit the free constants of the sensing model: `python -m evaluation.calibrate`."""
 
-from __future__ import annotations
-
+import argparse
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from isac_track.command_line import DONE, Parser, exit_code
 from isac_track.errors import SettingsError
-
-if TYPE_CHECKING:
-    import argparse
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,14 +1,13 @@
 """`python -m evaluation.matrix`: a thin shell over `evaluation.run`."""
 
-from __future__ import annotations
-
+import argparse
 import gc
 import sys
 import tomllib
 import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from evaluation.experiment.presets import PRESETS
 from evaluation.experiment.settings import Settings
@@ -24,9 +23,6 @@ from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
 from isac_track.config import StageSettings
 from isac_track.errors import SettingsError
 from isac_track.protocols import ADVERSARIES, USUAL
-
-if TYPE_CHECKING:
-    import argparse
 
 _EXIT = """\
 exit codes: 0 done, 2 wrong usage or data, 3 some cells failed (the others are done),

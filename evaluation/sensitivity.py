@@ -6,21 +6,17 @@ about. OUT/sensitivity.csv holds what becomes of every item; docs/sensitivity.md
 it.
 """
 
-from __future__ import annotations
-
+import argparse
 import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from evaluation.experiment.variants import BASE, Variant, chosen, settings_of
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, check_interrupt, exit_code
 from isac_track.errors import DataError, IsacTrackError, SettingsError
-
-if TYPE_CHECKING:
-    import argparse
 
 _EXIT = """\
 exit codes: 0 done, 2 wrong usage or data, 3 a variant failed (the others are done), 130 interrupted

@@ -3,22 +3,18 @@
 A run folder for each recording, seed and law, and over all of them `study.csv` and `study.html`.
 """
 
-from __future__ import annotations
-
+import argparse
 import sys
 import warnings
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from evaluation.experiment.presets import PRESETS
 from evaluation.experiment.settings import Settings
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
 from isac_track.config import StageSettings
-
-if TYPE_CHECKING:
-    import argparse
 
 LAWS = ("radial", "isotropic")
 _EXIT = """\

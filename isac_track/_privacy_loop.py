@@ -1,14 +1,9 @@
 """Compiled loop of the descriptors: see `isac_track.privacy.described`."""
 
-from __future__ import annotations
-
 from math import nan, sqrt
-from typing import TYPE_CHECKING
 
 from isac_track.compiling import FLOAT, compiled, read, together, written
-
-if TYPE_CHECKING:
-    from isac_track.types import Floats, Ints
+from isac_track.types import Floats, Ints
 
 
 @compiled(

@@ -12,11 +12,9 @@ Scale mixtures: Andrews, Mallows, J. R. Statist. Soc. B 36(1), 1974, 99-102; the
 posterior holds most within epsilon: Anderson, Proc. Amer. Math. Soc. 6, 1955, 170-176.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.random import Generator
@@ -27,9 +25,7 @@ from isac_track.kalman.slow_errors import SlowError, smooth_tracks
 from isac_track.protection import Laplace, Ou, OuFid
 from isac_track.sharing import Clean, Fid, Fixed, Raw
 from isac_track.sharing_controls import Thin
-
-if TYPE_CHECKING:
-    from isac_track.types import ErrorLaw, Floats, Ints, Release, Sensed, Tracks
+from isac_track.types import ErrorLaw, Floats, Ints, Release, Sensed, Tracks
 
 _LAG_S: Final = 1.0  # Over which acceleration is measured: what a smoother averages over.
 _EVERY = 4  # Of them within one lag.

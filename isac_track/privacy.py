@@ -4,18 +4,13 @@ All work on flat ragged arrays (see `isac_track.types`): one value per trajector
 They describe the samples as shared; they say nothing of what an adversary can rebuild.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from isac_track.config import IntervalsOf, PrivacySettings
 from isac_track.types import Bools, Floats, Ints
-
-if TYPE_CHECKING:
-    from isac_track.config import IntervalsOf, PrivacySettings
 
 
 @dataclass(frozen=True, eq=False, slots=True)

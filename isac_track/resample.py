@@ -1,18 +1,13 @@
 """Cubic interpolation of recorded tracks and sampling at an adaptive 8-16 Hz rate."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.random import Generator
 
+from isac_track.config import ResampleSettings
 from isac_track.rng import stream
 from isac_track.types import Floats, Tracks
-
-if TYPE_CHECKING:
-    from isac_track.config import ResampleSettings
 
 
 def walk(track: Tracks) -> Callable[[Floats], Floats]:

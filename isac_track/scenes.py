@@ -4,22 +4,17 @@ Conflict and conflict-free scenes alternate (even and odd index). A track keeps 
 timing and speed; it is only shifted.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.random import Generator
 
+from isac_track.config import ConflictSettings, StageSettings
 from isac_track.conflict import is_conflict, minimum_separation, prediction_grid, robot_path
 from isac_track.errors import DataError
 from isac_track.resample import resample, walk
 from isac_track.rng import stream
 from isac_track.types import TRACK, Floats, Ints, Scenes, Tracks, end_to_end, runs_of, stretches
-
-if TYPE_CHECKING:
-    from isac_track.config import ConflictSettings, StageSettings
 
 _FEW_REDRAWS = 16
 FEW_PEOPLE = 20  # With fewer nothing is decided.

@@ -4,20 +4,15 @@ The chain is: link budget -> beta -> Fisher information (eq. swarm_fi) -> Cramer
 sigma_raw, and Fisher information density (eq. swarm_fid). Two-way (monostatic) radar.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.random import Generator
 
+from isac_track.config import SensingSettings
 from isac_track.rng import stream
 from isac_track.types import ErrorLaw, Floats, Ints, Scenes, Sensed, read_only
-
-if TYPE_CHECKING:
-    from isac_track.config import SensingSettings
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0
 

@@ -6,11 +6,9 @@ H are written out, H is set once, x stays one-dimensional, Q is that of continuo
 (which composes over steps), M is row-stochastic, a rejected sample never reaches `update`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from filterpy.common import Q_continuous_white_noise
@@ -18,10 +16,8 @@ from filterpy.kalman import IMMEstimator, KalmanFilter
 from scipy.linalg import block_diag, expm
 
 from isac_track.kalman import MAX_REJECTIONS, Batch, Moods
+from isac_track.kalman.slow_errors import SlowError
 from isac_track.types import Floats
-
-if TYPE_CHECKING:
-    from isac_track.kalman.slow_errors import SlowError
 
 
 def last_states(

@@ -1,7 +1,5 @@
 """The answer of `evaluation.design`: words, tables, JSON, and the command that looks closer."""
 
-from __future__ import annotations
-
 import math
 import shlex
 import textwrap
@@ -9,8 +7,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import partial
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
+from rich.console import Console
 from rich.text import Text
 
 from evaluation.analysis.families import FID, FIXED, LEVEL_UNITS
@@ -27,9 +26,6 @@ from evaluation.reporting.table import Cell, Column, Table
 from evaluation.verdict import choose_level as design
 from isac_track.intervals import Estimate
 from isac_track.kalman import steady
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 _Row: TypeAlias = "tuple[str, str, str, design.Level | None]"
 """Adding rule, mechanism, level, and what it comes to."""

@@ -5,8 +5,6 @@ the format of `sha256sum`. What was cut short, garbled or put there by somebody 
 and is computed again.
 """
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import errno
@@ -19,8 +17,9 @@ import stat
 from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
+import pandas as pd
 from pandas.api.types import is_numeric_dtype
 
 from isac_track.errors import DataError, SettingsError
@@ -30,8 +29,6 @@ try:
 except ImportError:  # pragma: no cover - Windows has no flock
     fcntl = None  # type: ignore[assignment]  # a module, where there is one
 
-if TYPE_CHECKING:
-    import pandas as pd
 
 FOLDER: Final = "cells"
 SUBFOLDERS: Final = (FOLDER, "tables", "figures")

@@ -1,24 +1,20 @@
 """The trial call of every stranger's plug-in that a run is to compute with, before it begins."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from evaluation.cells.adversary import declared
 from evaluation.cells.trial import Fault, Trial, attempted, defined_at
 from evaluation.experiment.fingerprint import has_strangers, is_strange
+from evaluation.experiment.plan import Plan, Unit
 from evaluation.runs.files import PLUGIN_ERROR, write_whole
 from evaluation.runs.folder import usable
 from evaluation.runs.pieces import unfinished
 from evaluation.runs.workers import spread
 from isac_track.errors import PluginError
-
-if TYPE_CHECKING:
-    from evaluation.experiment.plan import Plan, Unit
 
 MOST_S: Final = 60.0  # A call that takes longer is given up, and says nothing about the plug-in.
 

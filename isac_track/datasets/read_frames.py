@@ -1,22 +1,18 @@
 """Readers of the formats that count frames: obsmat, social-gan, pedpy, and trajnet's JSON lines."""
 
-from __future__ import annotations
-
 import json
 import re
 import warnings
 from array import array
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from isac_track.datasets import recording
+from isac_track.datasets.recording import Repair, Rows
 from isac_track.errors import DataError
-
-if TYPE_CHECKING:
-    from isac_track.datasets.recording import Repair, Rows
 
 COLUMNS = {
     # Of OpenTraj; height and velocities are not used.

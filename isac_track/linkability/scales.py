@@ -6,29 +6,23 @@ Pairs of resampled clusters: Snijders and Borgatti, Connections 22(2), 1999; Owe
 Statistics 1(2), 2007.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from isac_track.linkability.ranks import Search
 from isac_track.linkability.scores import (
     Calibration,
     default_bins,
     inner_edges,
     is_refused,
 )
-from isac_track.linkability.significance import import_loops, mated_probes
+from isac_track.linkability.significance import People, import_loops, mated_probes
 from isac_track.types import Floats, Ints
-
-if TYPE_CHECKING:
-    from isac_track.linkability.ranks import Search
-    from isac_track.linkability.significance import People
 
 SCORE_REPLICATES = 200
 """Bootstrap replicates of score metrics; one visits every pair, where a rank metric visits every

@@ -7,12 +7,10 @@ References
 Intervals: Davison and Hinkley, Bootstrap Methods, 1997.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +47,9 @@ from isac_track.linkability.scales import (
     over_scales,
     score_scale,
 )
+from isac_track.linkability.scores import Calibration
 from isac_track.linkability.significance import (
+    People,
     add_shuffles,
     check_searches,
     companions_of,
@@ -64,10 +64,6 @@ from isac_track.linkability.significance import (
     shuffled_mates,
 )
 from isac_track.types import Floats, Ints
-
-if TYPE_CHECKING:
-    from isac_track.linkability.scores import Calibration
-    from isac_track.linkability.significance import People
 
 RANK_METRICS = ("rank1", "rank1_assigned", "mrr", "chance", "rank1_g100", "false_link_rate")
 """Means over probes: `ProbeRanks.values`."""
