@@ -1,19 +1,9 @@
-"""Compiled loops of plain means: of repeats, and over windows that slide along a track."""
+"""Compiled loops over windows that slide along a track: of means and of parabolas."""
 
 import numpy as np
 
 from isac_track.compiling import compiled, part_of_loop, read, written
 from isac_track.types import Floats, Ints
-
-
-@compiled(read(2), read(1), written(2), written(1))
-def add_weighed(xy: Floats, sigma: Floats, total: Floats, weight: Floats) -> None:
-    """Add positions to `total`, each weighed by its declared variance, and to `weight` that."""
-    for k in range(weight.size):
-        trust = 1.0 / max(sigma[k] * sigma[k], 1e-12)
-        total[k, 0] += trust * xy[k, 0]
-        total[k, 1] += trust * xy[k, 1]
-        weight[k] += trust
 
 
 @compiled(read(1), read(2), read(1, "int64"), read(1, "int64"), written(2))

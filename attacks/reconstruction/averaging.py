@@ -1,7 +1,6 @@
 """Adversaries with no model of a walk: what was shared, at its word, or the mean of its repeats."""
 
 from dataclasses import dataclass
-from importlib import import_module
 from typing import ClassVar
 
 import numpy as np
@@ -36,14 +35,12 @@ class Averaging:
         repeats = context.repeats
 
         def reconstruct(release: Release) -> Reconstruction:
-            total, weight = np.zeros((release.t.size, 2)), np.zeros(release.t.size)
-            loops = import_module("attacks.reconstruction._window_loops")
+            total, weight = np.zeros_like(release.xy), np.zeros((release.t.size, 1))
             for one in (release, *repeats):
                 sigma_m = np.ones_like(one.t) if one.sigma is None else one.sigma
-                arrays = np.ascontiguousarray(one.xy), np.ascontiguousarray(sigma_m)
-                loops.add_weighed(*arrays, total, weight)
-            # As complex numbers: an innermost loop over two would take three times as long.
-            total.view(np.complex128)[:, 0] /= weight
-            return Reconstruction(total)
+                trust = 1.0 / np.maximum(sigma_m**2, 1e-12)[:, None]
+                total += trust * one.xy
+                weight += trust
+            return Reconstruction(total * (1.0 / weight))
 
         return reconstruct
