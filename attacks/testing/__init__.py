@@ -43,19 +43,9 @@ from isac_track.testing.engine import Check
 from isac_track.testing.engine import Outcome as CheckResult
 from isac_track.types import Knowledge
 
-__all__ = [
-    "CHECKS",
-    "LINKAGE_CHECKS",
-    "MECHANISM_CHECKS",
-    "PREDICTOR_CHECKS",
-    "CheckResult",
-    "adversaries_of",
-    "checks_for",
-    "parametrize_attack_checks",
-    "parametrize_mechanism_checks",
-    "parametrize_predictor_checks",
-    "run_checks",
-]
+__all__ = ["CHECKS", "LINKAGE_CHECKS", "MECHANISM_CHECKS", "PREDICTOR_CHECKS", "CheckResult"]
+__all__ += ["adversaries_of", "checks_for", "parametrize_attack_checks", "run_checks"]
+__all__ += ["parametrize_mechanism_checks", "parametrize_predictor_checks"]
 
 Noun: TypeAlias = Literal["attack", "mechanism", "predictor"]
 Attack: TypeAlias = "ReconstructionAttack | LinkageAttack"

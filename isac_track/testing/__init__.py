@@ -23,16 +23,8 @@ from isac_track.testing import _conflict_checks, _descriptor_checks, _metrics, e
 from isac_track.testing._metrics import OWN, Metrics
 from isac_track.testing.engine import Check, Outcome
 
-__all__ = [
-    "CHECKS",
-    "OWN",
-    "Check",
-    "Metrics",
-    "Outcome",
-    "parametrize_metric_checks",
-    "run_checks",
-    "select_checks",
-]
+__all__ = ["CHECKS", "OWN", "Check", "Metrics", "Outcome"]
+__all__ += ["parametrize_metric_checks", "run_checks", "select_checks"]
 
 CHECKS: tuple[Check, ...] = tuple(_metrics.CHECKS.values())
 """All checks, in the order in which they run."""
