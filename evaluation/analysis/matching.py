@@ -245,7 +245,8 @@ def with_ends(names: tuple[str, str, str], values: Floats, can_say: Bools) -> di
     drawn = values[1:].T.copy()
     has_ends = can_say & (np.isfinite(drawn).sum(axis=1) >= MIN_DEFINED * drawn.shape[1])
     ends = np.where(has_ends & np.isfinite(values[0]), percentile_intervals(drawn), np.nan)
-    return dict(zip(names, (values[0], *ends), strict=True))
+    # A copy: a view would keep all replicates in memory.
+    return dict(zip(names, (values[0].copy(), *ends), strict=True))
 
 
 def at_changes(
