@@ -177,18 +177,19 @@ def flag_table(run: Results) -> Table:
     return make.built("flags", "All flags", rows_of(texts), columns, n_keys=6)
 
 
-_EFFECT: Final = Column("effect", partial(effect, signed=True))
-
-
 def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
     """Return the items of the verdict, a table for each section."""
     found = {}
-    for section, of in _by_section(items).items():
+    sections = dict.fromkeys([*rules.SECTIONS, *(str(one["section"]) for one in items)])
+    for section in sections:
+        of = [one for one in items if one["section"] == section]
+        if not of:
+            continue
         aspects = [key for key in _ASPECTS if any(one[key] for one in of)]
         columns = [
             make.decided("decision"),
             replace(make.said("what it says"), is_long=True),
-            _EFFECT,
+            Column("effect", partial(effect, signed=True)),
             make.said("adding"),
             *map(make.said, aspects),
             make.said("about", "subject"),
@@ -208,16 +209,7 @@ def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
 
 
 def _power(item: Mapping[str, Any]) -> str:
-    """Return how probable each decision was."""
     return ", ".join(f"{what} {100 * one:.0f} %" for what, one in item["power"].items())
-
-
-def _by_section(items: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
-    """Return the items by section: those that are known first, in their order."""
-    found: dict[str, list[Mapping[str, Any]]] = {name: [] for name in rules.SECTIONS}
-    for item in items:
-        found.setdefault(str(item["section"]), []).append(item)
-    return {name: of for name, of in found.items() if of}
 
 
 def _told(item: Mapping[str, Any]) -> dict[str, Any]:

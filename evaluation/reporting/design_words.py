@@ -119,8 +119,7 @@ def reason(check: design.Check) -> str:
 def reasons(scheme: design.Scheme) -> list[str]:
     """Return how the level was chosen, why not a stricter one, and which limits do not hold."""
     extreme, opposite = ("smallest", "largest") if scheme.falls else ("largest", "smallest")
-    symbol = _LEVEL_NAMES.get(scheme.family.family, "level")
-    chosen, failed = _at(scheme, scheme.chosen), ""
+    symbol, chosen, failed = _symbol(scheme), _at(scheme, scheme.chosen), ""
     if scheme.stricter is not None:
         failed = f"{_at(scheme, scheme.stricter)} does not ({'; '.join(_reasons(scheme.missed))})"
     if scheme.chosen is None:
@@ -182,8 +181,11 @@ def _reasons(checks: Iterable[design.Check]) -> list[str]:
 
 
 def _at(scheme: design.Scheme, level: design.Level | None) -> str:
-    symbol = _LEVEL_NAMES.get(scheme.family.family, "level")
-    return f"{symbol} = {level_text(level.level) or 'none'}" if level else ""
+    return f"{_symbol(scheme)} = {level_text(level.level) or 'none'}" if level else ""
+
+
+def _symbol(scheme: design.Scheme) -> str:
+    return _LEVEL_NAMES.get(scheme.family.family, "level")
 
 
 def sentence(choice: design.Choice) -> str:

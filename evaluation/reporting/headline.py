@@ -14,12 +14,12 @@ import pandas as pd
 
 from evaluation.analysis.bounds import Gap, gaps
 from evaluation.analysis.families import CLEAN, SWEPT, Family, families_in
-from evaluation.analysis.keys import AS_SHARED, Key, Measure, Source, Where, level_text, worlds_of
+from evaluation.analysis.keys import AS_SHARED, Key, Measure, Source, Where, worlds_of
 from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE, SUCCESS, SUCCESS_OF_100
 from evaluation.analysis.strongest import by_task, strongest, strongest_of
 from evaluation.experiment.constants import OTHER_LAW_WORLD
 from evaluation.reporting import table as make
-from evaluation.reporting.rows import HEADLINE, estimates, family_of
+from evaluation.reporting.rows import HEADLINE, estimates, family_of, short_name
 from evaluation.reporting.table import Cell, Column, Table
 from isac_track.intervals import Estimate
 from isac_track.linkability import GALLERY
@@ -75,9 +75,7 @@ class Headline:
 
     def name(self, where: Where) -> str:
         """Return a level as it is asked for, its rule short and last."""
-        one = family_of(self.known, where[0])
-        values = ",".join(filter(None, [level_text(where[1]), one.parameters]))
-        return f"{one.family}:{values}".rstrip(":") + " ind." * (one.adding == "independent")
+        return short_name(self.known, where)
 
     def twin(self, where: Where) -> Where:
         """Return the same level under the other adding rule, which the run may not have."""

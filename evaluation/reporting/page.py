@@ -19,10 +19,9 @@ from evaluation.reporting.pictures import pictures, planes
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import decision
 from evaluation.reporting.tables import page_tables
-from evaluation.runs.files import write_whole
+from evaluation.runs.files import PAGE, write_whole
 from evaluation.runs.pieces import failed_lines
 
-PAGE: Final = "report.html"
 SECTIONS: Final = {
     "level": "Which level",
     "gallery": "Tracks",

@@ -41,7 +41,7 @@ def pictures(of: Headline) -> list[Picture | None]:
 
 def planes(of: Headline) -> dict[str, list[Picture]]:
     """Return missed conflicts against what is left, for each robot: all mechanisms of the run."""
-    robots = [one.consumer for one in _measures(of) if one.metric == MISSED_RATE]
+    robots = [key.consumer for key in of.found if key.metric == MISSED_RATE]
     looks = _looks(of)
     found: dict[str, list[Picture]] = {}
     for robot in dict.fromkeys(robots):
@@ -162,7 +162,3 @@ def _left(one: Shown) -> tuple[str, str]:
 
 def _robot(consumer: str) -> str:
     return ROBOTS.get(consumer, consumer)
-
-
-def _measures(of: Headline) -> Sequence[Measure]:
-    return list(dict.fromkeys(key.measure for key in of.found))

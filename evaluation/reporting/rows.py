@@ -237,6 +237,13 @@ def family_of(known: Mapping[str, Family], mechanism: str) -> Family:
     return known.get(mechanism, Family(mechanism, mechanism, ""))
 
 
+def short_name(known: Mapping[str, Family], where: Where) -> str:
+    """Return a level as it is asked for, its rule short and last."""
+    one = family_of(known, where[0])
+    values = ",".join(filter(None, [level_text(where[1]), one.parameters]))
+    return f"{one.family}:{values}".rstrip(":") + " ind." * (one.adding == "independent")
+
+
 def is_control(one: Family) -> bool:
     """Whether a mechanism is there to tear a descriptor and linkability apart."""
     return one.family in CONTROLS

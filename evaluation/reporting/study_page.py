@@ -1,13 +1,14 @@
 """`study.html`: the five questions over several recordings, a forest plot for each."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from evaluation.analysis.pooled import FEWEST, QUESTIONS, Answered
 from evaluation.reporting.charts import CHARACTER, PERCENT, Chart, Look, bar
 from evaluation.reporting.markup import HTML
+from evaluation.reporting.rows import ENDS
 
 SET_CONSTANTS: Final = "students03"
 """The recording that the constants of the sensing model were fitted on."""
@@ -35,34 +36,25 @@ def render(of: Sequence[Answered], *, simulated: frozenset[str], runs: Iterable[
 
 
 def _forest(one: Answered, simulated: frozenset[str]) -> Forest:
-    rows = [
-        (_name(row, simulated), row["value"], row["ci_low"], row["ci_high"]) for row in one.rows
-    ]
-    if one.pooled is not None:
-        told = one.pooled
-        rows += [("pooled", told.value, told.ci_low, told.ci_high)]
-        rows += [(_PREDICTED, told.value, told.predicted_low, told.predicted_high)]
-    return Forest(f"{one.adding} adding, {one.law} error", one.sentence, forest_chart(rows))
-
-
-def _name(row: Mapping[str, Any], simulated: frozenset[str]) -> str:
-    name: str = row["recording"]
-    marks = " (simulated)" * (name in simulated) + " *" * (name == SET_CONSTANTS)
-    return name + marks
-
-
-def forest_chart(rows: Sequence[tuple[str, float, float, float]]) -> Chart:
-    """Return a row for each name with its value and interval, fractions shown in points.
+    """Return a row for each recording with its value and interval, fractions shown in points.
 
     The axis reaches below zero where a number does; zero is a line.
     """
-    longest = max(len(name) for name, *_ in rows)
-    left = min(150.0, 10.0 + CHARACTER * longest)
+    rows = {
+        row["recording"]
+        + " (simulated)" * (row["recording"] in simulated)
+        + " *" * (row["recording"] == SET_CONSTANTS): [row[end] for end in ENDS]
+        for row in one.rows
+    }
+    if pooled := one.pooled:
+        rows["pooled"] = [pooled.value, pooled.ci_low, pooled.ci_high]
+        rows[_PREDICTED] = [pooled.value, pooled.predicted_low, pooled.predicted_high]
+    left = min(150.0, 10.0 + CHARACTER * max(map(len, rows)))
     chart = Chart("points", 12.0 + _STEP * len(rows) + 30.0, left)
-    values = PERCENT * np.array([ends for _, *ends in rows], dtype=np.float64)
+    values = PERCENT * np.array([*rows.values()], dtype=np.float64)
     at = chart.x_axis(values)
     chart.lines.append(("across k6", f"M{at(0.0):.1f} 6V{chart.bottom:.1f}"))
-    for place, ((name, *_), of) in enumerate(zip(rows, values, strict=True)):
+    for place, (name, of) in enumerate(zip(rows, values, strict=True)):
         y = 8.0 + _STEP * (place + 0.5)
         look = Look(1 if name in ("pooled", _PREDICTED) else 0, hollow=name.endswith("(simulated)"))
         chart.y_ticks.append((y, name))
@@ -70,4 +62,4 @@ def forest_chart(rows: Sequence[tuple[str, float, float, float]]) -> Chart:
         chart.lines.append((f"bar k{look.place}", bar(ends, at=y)))
         told = "{}: {:+.1f} [{:.1f}, {:.1f}]".format(name, *of)
         chart.marks.append((look.css, look.path(x, y), told))
-    return chart
+    return Forest(f"{one.adding} adding, {one.law} error", one.sentence, chart)
