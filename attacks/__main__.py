@@ -116,8 +116,8 @@ def _list() -> int:
     for line in lines:
         padded = zip(line, widths, strict=True)
         print("  ".join(f"{text:<{width}}" for text, width in padded if width).rstrip())
-    for wrong in skipped:
-        print(wrong, file=sys.stderr)
+    if skipped:
+        print(*skipped, sep="\n", file=sys.stderr)
     return DONE
 
 
@@ -146,8 +146,7 @@ def _check(spec: str) -> int:
 
 
 def _new(name: str, *, kind: str, into: Path) -> int:
-    class_name = "".join(part.capitalize() for part in name.split("_"))
-    folder = into / name
+    class_name, folder = "".join(map(str.capitalize, name.split("_"))), into / name
     words = KINDS[kind]
     noun = words["noun"]
     _reject_taken(name, class_name=class_name, folder=folder, noun=noun)
@@ -157,8 +156,8 @@ def _new(name: str, *, kind: str, into: Path) -> int:
         "pytest": f"pytest {shown.removeprefix('./')}",
         "matrix": f"python -m evaluation.matrix --preset smoke {words['beside']}--{noun} {name}",
     }
-    of_what = f"{kind} attack" if noun == "attack" else noun
-    words = words | commands | {"is": of_what, "name": name, "class_name": class_name}
+    is_what = f"{kind} attack" if noun == "attack" else noun
+    words = words | commands | {"is": is_what, "name": name, "class_name": class_name}
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for target, source in {"{name}.py": f"{kind}.py.tmpl", **TEMPLATES}.items():
@@ -168,9 +167,9 @@ def _new(name: str, *, kind: str, into: Path) -> int:
     except OSError as error:
         raise SettingsError(f"cannot write {error.filename}: {error.strerror}") from error
     works = f"a{'n' * (noun == 'attack')} {noun} that works"
-    print(f"wrote {folder}: {works}; edit {folder / name}.py, then:")
-    for line in commands.values():
-        print(f"  {line}")
+    print(
+        f"wrote {folder}: {works}; edit {folder / name}.py, then:", *commands.values(), sep="\n  "
+    )
     return DONE
 
 

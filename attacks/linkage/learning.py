@@ -33,18 +33,15 @@ def linker(score: Callable[..., Floats], *chosen: object) -> Linker:
     return linked
 
 
-@remembered
-def _scored(
+def _anew(
     probe: Release, gallery: Release, score: Callable[..., Floats], *chosen: object
 ) -> Floats:
     return read_only(score(probe, gallery, *chosen))
 
 
-@lru_cache(maxsize=2)  # one of each half of the people: all of a level would not fit into memory
-def _scored_last(
-    probe: Release, gallery: Release, score: Callable[..., Floats], *chosen: object
-) -> Floats:
-    return read_only(score(probe, gallery, *chosen))
+_scored = remembered(_anew)
+# One of each half of the people: all of a level would not fit into memory.
+_scored_last = lru_cache(maxsize=2)(_anew)
 
 
 def mated(train: LinkageTrainingSet) -> Ints:

@@ -133,10 +133,10 @@ def _turned(xy: Floats, by: Complexes) -> Floats:
 def _looked_at(release: Release, found: Reconstruction) -> tuple[Floats, Complexes]:
     """Return what is known about each sample, (M, F), and where its walk heads for, (M,).
 
-    In its frame, over each of the stretches about it, means of what the smoother left over and of
-    where it puts the walk, and the logarithm of the information there; speed, how far it is to
-    either end, and how noisy and how sure all that is. The heading has the length 1, or less where
-    nobody moves.
+    In the frame of its heading, over each of the stretches about it, means of what the smoother
+    left over and of where it puts the walk, and the logarithm of the information there; speed, how
+    far it is to either end, and how noisy and how sure all that is. The heading has the length 1,
+    or less where nobody moves.
     """
     assert found.std is not None
     offsets = release.offsets

@@ -128,10 +128,10 @@ def learn_variance(context: AttackContext) -> Callable[[Release], Floats]:
         share = RADIAL_PER_AXIS
         if Knowledge.TRAIN in context.granted:
             release, truth = context.train.release, context.train.truth
-            declared_m2 = float((_declared(release) ** 2).sum())
+            declared_m2 = float(_declared_m2(release).sum())
             if declared_m2 > 0.0:
                 share = float(((release.xy - truth) ** 2).sum()) / 2.0 / declared_m2
-        return lambda release: np.maximum(share * _declared(release) ** 2, MIN_VARIANCE_M2)
+        return lambda release: np.maximum(share * _declared_m2(release), MIN_VARIANCE_M2)
     knows = {Knowledge.MECHANISM, Knowledge.TRAIN} <= context.granted
     if knows and isinstance(context.mechanism, Fid):
         return _learn_fid(context.train, context.mechanism)
@@ -142,9 +142,9 @@ def _estimated(release: Release) -> Floats:
     return np.repeat(noise_m2(release), np.diff(release.offsets))
 
 
-def _declared(release: Release) -> Floats:
+def _declared_m2(release: Release) -> Floats:
     assert release.sigma is not None  # granted
-    return release.sigma
+    return release.sigma**2
 
 
 @remembered

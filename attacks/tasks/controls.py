@@ -85,8 +85,7 @@ def _sampling_times(release: Release) -> Floats:
 def _noise(release: Release) -> Floats:
     """Return the mean logarithm of each track's declared noise, (N, 1).
 
-    The level alone: how far it ranges within a track tells how far the person walked, which is no
-    shortcut but the walk.
+    How far it ranges within a track tells how far the person walked, which is no shortcut.
     """
     if release.sigma is None:
         return np.zeros((len(release), 1))
@@ -96,8 +95,8 @@ def _noise(release: Release) -> Floats:
 def _over_neighbours(release: Release) -> Floats:
     """Return each track's noise level less the mean of its nearest few, (N, 1), of one release.
 
-    Where the true frame shows, so does the place, and noise grows with the distance from the base
-    station: that is no shortcut but the place once more.
+    Where the true frame shows, noise that grows with the distance from the base station is no
+    shortcut but the place once more.
     """
     from scipy.spatial import cKDTree  # noqa: PLC0415 - heavy, and used here alone
 

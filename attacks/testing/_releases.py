@@ -176,10 +176,7 @@ def copied(case: Holder) -> Holder:
 
 
 def renamed(case: Holder) -> Holder:
-    """Return the case with other pseudonyms, whose alphabetical order is another one, too.
-
-    Releases share their pseudonyms then, but not with whom they belong together.
-    """
+    """Return the case with other pseudonyms, whose alphabetical order is another one, too."""
 
     def change(release: Release) -> Release:
         backwards = sorted(release.pseudonym, reverse=True)
