@@ -1,17 +1,16 @@
 """The stage *sharing*: the descriptors as shared, and what every predictor makes of a release."""
 
-from typing import Final
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from evaluation.cells.adversary import showing
 from evaluation.cells.sharing import guarded, handed
 from evaluation.cells.tables import Rows, descriptors, track_columns, track_means
-from evaluation.experiment.axes import Consumer
-from isac_track.config import StageSettings
 from isac_track.conflict import conflict_probability, is_conflict, minimum_separation
 from isac_track.errors import PluginError, SettingsError
-from isac_track.plugins import Plugin
 from isac_track.privacy import leakage_indicator
 from isac_track.protocols import knowing
 from isac_track.scenes import robot_positions
@@ -24,6 +23,11 @@ from isac_track.types import (
     end_to_end,
     runs_of,
 )
+
+if TYPE_CHECKING:
+    from evaluation.experiment.axes import Consumer
+    from isac_track.config import StageSettings
+    from isac_track.plugins import Plugin
 
 LOGGED_SCENES: Final = 500
 """Of how many scenes a robot's own estimate of every sample is held against the truth."""

@@ -6,18 +6,18 @@ score metrics visit every pair, and are kept, but not of controls: each is held 
 permutation test, and nobody pairs two.
 """
 
+from __future__ import annotations
+
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pyarrow as pa
 from numpy.random import Generator
 
-from attacks.tasks.controls import Control
-from evaluation.cells.link_setup import Pairing, SensedSessions
 from evaluation.cells.tables import ROWS, Tables, names_column
 from isac_track import linkability
 from isac_track.intervals import Estimate, cluster_sums, exact_binomial, ratio_estimates
@@ -25,6 +25,10 @@ from isac_track.linkability.scoring import RANK_METRICS, Drawn, draw, scorecard_
 from isac_track.linkability.significance import People, people_of
 from isac_track.rng import stream
 from isac_track.types import Bools, Floats, Ints
+
+if TYPE_CHECKING:
+    from attacks.tasks.controls import Control
+    from evaluation.cells.link_setup import Pairing, SensedSessions
 
 WITHOUT_GROUPS, WITHOUT_FROZEN = "without_groups", "without_frozen"
 """Without people who walk in a group, and move alike; without nearly frozen annotations."""

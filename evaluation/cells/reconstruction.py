@@ -4,10 +4,12 @@ People are split into two halves, whole groups at a time. An attack that learns 
 other half; every attack prepares anew for every mechanism level.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -24,19 +26,21 @@ from evaluation.cells.adversary import (
     view_of,
 )
 from evaluation.cells.tables import Rows, described_rows, track_columns, track_means
-from evaluation.experiment.axes import Consumer
 from evaluation.experiment.constants import MOST_SCENES
 from isac_track import privacy
-from isac_track.config import StageSettings
 from isac_track.errors import DataError, PluginError
 from isac_track.kalman import Batch, smooth_positions
 from isac_track.model_world import Motion, errors_of, fitted_motion, known_share, simulated
-from isac_track.plugins import Plugin
 from isac_track.protocols import OF_WALKS, AttackContext, TrainingSet
 from isac_track.rng import stream
 from isac_track.scenes import Cut, make_scenes
 from isac_track.sensing import draw_channel, sense, sense_scenes, walk_numbers
 from isac_track.types import Floats, Ints, Knowledge, Release, Scenes, Sensed, derived
+
+if TYPE_CHECKING:
+    from evaluation.experiment.axes import Consumer
+    from isac_track.config import StageSettings
+    from isac_track.plugins import Plugin
 
 TRAINING_PEOPLE = 20
 """At most so many source tracks train an attack: more would cost time and change little."""

@@ -4,8 +4,10 @@ Cells hold no positions. So the run computes these few once and keeps them in th
 where a redraw finds them.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -13,14 +15,16 @@ import pandas as pd
 from attacks.reconstruction.kalman_rts import RadialRTS
 from evaluation.cells.sharing import copied, guarded, restricted, samples_shared
 from evaluation.experiment.constants import IDENTITY
-from isac_track.config import StageSettings
-from isac_track.plugins import Plugin
 from isac_track.privacy import leakage_indicator
 from isac_track.protocols import AttackContext
 from isac_track.rng import stream
 from isac_track.scenes import Cut, make_scenes, track_order
 from isac_track.sensing import sense_scenes
 from isac_track.types import Release
+
+if TYPE_CHECKING:
+    from isac_track.config import StageSettings
+    from isac_track.plugins import Plugin
 
 COLUMNS = [
     *("track", "source", "mechanism", "attack", "epsilon_m", "t", "x_true", "y_true"),

@@ -4,17 +4,17 @@ What a stranger wrote is called here as everywhere by `guarded`: their mistakes 
 `copied` their hands are kept off our arrays.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import fields
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
 from attacks.tasks.sessions import Windows
-from evaluation.experiment.axes import Consumer
 from isac_track.command_line import check_interrupt, may_be_ctrl_c
 from isac_track.errors import PluginError, raised_at, told
-from isac_track.plugins import Plugin
 from isac_track.rng import stream
 from isac_track.sharing import names_of
 from isac_track.types import (
@@ -28,6 +28,10 @@ from isac_track.types import (
     stretches,
     within,
 )
+
+if TYPE_CHECKING:
+    from evaluation.experiment.axes import Consumer
+    from isac_track.plugins import Plugin
 
 _Batch = TypeVar("_Batch", Release, Scenes, Sensed, Windows)
 OURS = ("isac_track.", "attacks.", "predictors.")  # Where plug-ins come from that are no stranger's

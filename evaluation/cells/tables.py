@@ -1,16 +1,20 @@
 """What a consumer leaves of a unit of work: tables, by name, most of them one called `rows`."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 import pyarrow as pa
 
 from isac_track import privacy
-from isac_track.config import PrivacySettings
-from isac_track.scenes import Cut
 from isac_track.types import Floats, Ints, Scenes
+
+if TYPE_CHECKING:
+    from isac_track.config import PrivacySettings
+    from isac_track.scenes import Cut
 
 Rows: TypeAlias = dict[str, np.ndarray[Any, np.dtype[Any]]]
 Tables: TypeAlias = "dict[str, pa.Table]"

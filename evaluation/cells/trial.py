@@ -3,11 +3,13 @@
 All of it has streams of its own: a run comes out the same with it as without.
 """
 
+from __future__ import annotations
+
 import traceback
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,16 +19,18 @@ from evaluation.cells.forecasts import sharing_rows
 from evaluation.cells.linkage import scores_of
 from evaluation.cells.reconstruction import attack_rows, attacked_block, attacked_level
 from evaluation.cells.where import note
-from evaluation.experiment.axes import Consumer
 from isac_track import plugins
-from isac_track.config import StageSettings
 from isac_track.errors import PluginError, raised_at
-from isac_track.plugins import Plugin
 from isac_track.protocols import AttackContext, LinkageTrainingSet
 from isac_track.rng import stream
 from isac_track.scenes import cut, make_scenes, track_order
 from isac_track.sensing import sense_scenes
 from isac_track.types import Knowledge, Release, Tracks
+
+if TYPE_CHECKING:
+    from evaluation.experiment.axes import Consumer
+    from isac_track.config import StageSettings
+    from isac_track.plugins import Plugin
 
 N_PEOPLE = 12  # At least so many: a plug-in may need some to hide among, or to learn from.
 _SEED = 0

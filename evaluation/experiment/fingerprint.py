@@ -1,5 +1,7 @@
 """What a cell depends on: the code that computes it, its plug-ins, and the keys made of both."""
 
+from __future__ import annotations
+
 import ast
 import hashlib
 import json
@@ -9,11 +11,13 @@ from collections.abc import Iterable
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import isac_track
-from evaluation.experiment.axes import Axes, Consumer
-from isac_track.plugins import Plugin
+
+if TYPE_CHECKING:
+    from evaluation.experiment.axes import Axes, Consumer
+    from isac_track.plugins import Plugin
 
 SHARING, RECONSTRUCTION = "sharing", "reconstruction"
 """Stages of a block of scenes; the others are the linkage tasks, by their names."""
