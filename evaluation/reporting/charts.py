@@ -173,6 +173,7 @@ def plane_chart(
     a share that is marked on the upright axis.
     """
     points = [point for curve in curves for point in curve]
+    words = [label.removesuffix(" (%)") for label in (x_label, y_label)]
     chart = Chart(x_label, 290.0, 40.0, y_label)
     at_x = chart.x_axis(_shares([one.x for one in points]))
     at_y = chart.y_axis(_shares([one.y for one in points]))
@@ -194,8 +195,7 @@ def plane_chart(
         (x, *x_ends), (y, *y_ends) = at_x(_shares([one.x])), at_y(_shares([one.y]))
         path = bar(x_ends, at=y) + bar(y_ends, at=x, upright=True)
         chart.lines.append((f"bar k{one.look.place}", path))
-        name = f"{one.name}: {_axis_word(x_label)} {share(one.x)}, "
-        name += f"{_axis_word(y_label)} {share(one.y)}"
+        name = f"{one.name}: {words[0]} {share(one.x)}, {words[1]} {share(one.y)}"
         chart.marks.append((one.look.css, one.look.path(x, y), name))
     return chart
 
@@ -257,10 +257,6 @@ def _shares(of: Sequence[Estimate]) -> Floats:
     """Return values in % with both ends of their intervals, one after the other."""
     found = np.array([(one.value, one.ci_low, one.ci_high) for one in of], dtype=np.float64)
     return PERCENT * found.reshape(-1)
-
-
-def _axis_word(label: str) -> str:
-    return label.removesuffix(" (%)")
 
 
 def _line(way: Sequence[tuple[float, float]]) -> str:

@@ -11,7 +11,7 @@ from rich.console import Console
 from evaluation.analysis import differences as comparing
 from evaluation.analysis.calibration import FITTED, Calibration
 from evaluation.analysis.families import with_unit
-from evaluation.analysis.keys import Source, level_text
+from evaluation.analysis.keys import Source, level_text, where_text
 from evaluation.analysis.metrics import METRICS
 from evaluation.analysis.paper import PUBLISHED
 from evaluation.experiment.variants import BASE
@@ -183,9 +183,7 @@ def _table(name: str, title: str, shown: pd.DataFrame, keys: Sequence[Column]) -
 
 def _where(row: Mapping[Any, Any]) -> str:
     """Return mechanism and level of A and, if they are not the same, of B."""
-    sides = (
-        f"{row[f'mechanism_{side}']} {level_text(row[f'level_{side}'])}".rstrip() for side in "ab"
-    )
+    sides = (where_text(row[f"mechanism_{side}"], row[f"level_{side}"]) for side in "ab")
     return " -> ".join(dict.fromkeys(sides))
 
 
@@ -227,26 +225,23 @@ def variants_json(
 
     `variants` is what became of those that were asked for.
     """
-    known = rows.astype(object)
     return {
         "out": str(out),
         "variants": variants,
         "counts": sensitivity.counts(rows),
         "changed_sign": turned(rows),
-        "items": known.where(known.notna(), None).to_dict("records"),
+        "items": _plain(rows),
     }
 
 
 def show_variants(rows: pd.DataFrame, *, left_out: Mapping[str, str]) -> None:
     """Print the table, and what changed sign, in words."""
     shown = [section for section in SECTIONS if section in set(rows["section"])]
-    records = []
-    for variant, of in sensitivity.counts(rows).items():
-        changes = {name: of.get(name, {}).items() for name in shown}
-        said = {
-            name: ", ".join(f"{n} {one}" for one, n in found) for name, found in changes.items()
-        }
-        records.append({"variant": variant} | said)
+    records = [
+        {"variant": variant}
+        | {name: ", ".join(f"{n} {one}" for one, n in of.get(name, {}).items()) for name in shown}
+        for variant, of in sensitivity.counts(rows).items()
+    ]
     columns = [make.said(name) for name in ("variant", *shown)]
     lines = turned(rows)
     found = rows.loc[rows["variant"] != BASE, "changed"].value_counts()
@@ -277,13 +272,11 @@ def show_constants(found: Mapping[str, Calibration]) -> None:
     ]
     for mechanism, at, metric, published in PUBLISHED:
         spec = mechanism if at is None else f"{mechanism}:{at:g}"
-        numbers = {"paper": published} | {
-            case: ours[spec, metric] for case, (_, ours) in found.items()
-        }
-        shown, digits = METRICS[metric], 1 if METRICS[metric].is_share else 2
+        numbers = {"paper": published}
+        numbers |= {case: ours[spec, metric] for case, (_, ours) in found.items()}
+        scale, digits = METRICS[metric].scale, 1 if METRICS[metric].is_share else 2
         cells = {
-            case: make.number(one, scale=shown.scale, digits=digits)
-            for case, one in numbers.items()
+            case: make.number(one, scale=scale, digits=digits) for case, one in numbers.items()
         }
         records.append({"constant or number": make.word(f"{spec} {metric}")} | cells)
     columns = [make.held("constant or number", align="left"), *map(make.held, ("paper", *found))]

@@ -45,7 +45,11 @@ def first_screen(run: Results, *, before: int = _BEFORE) -> list[str]:
     most = max(_LEAST_LEVELS, min(MOST_LEVELS, LINES - before - fixed))
     levels, n_left_out = levels_of(of, most=most)
     grid = _grid(screen_table(of, levels)) if levels else []
-    return [*top, *grid, *lines, _where(run, n_left_out=n_left_out), *last]
+    # Where to read on stands in one line: it is there to be copied.
+    page = f"Page: {near(run.out / PAGE)}; " if (run.out / PAGE).exists() else ""
+    more = f" ({n_left_out} more mechanisms)" if n_left_out else ""
+    read_on = f"{page}tables{more}: {TABLES if page else near(run.out / TABLES)}"
+    return [*top, *grid, *lines, printable(read_on), *last]
 
 
 def data_line(manifest: Mapping[str, Any]) -> str:
@@ -103,13 +107,6 @@ def _doubts(run: Results) -> Iterator[str]:
         yield f"{', '.join(linkage['skipped'])} left out"
     if n := sum(1 for _ in notices(run.manifest)):
         yield f"{n} notice{'s' * (n > 1)}"
-
-
-def _where(run: Results, *, n_left_out: int) -> str:
-    """Return where to read on, in one line: it is there to be copied."""
-    page = f"Page: {near(run.out / PAGE)}; " if (run.out / PAGE).exists() else ""
-    more = f" ({n_left_out} more mechanisms)" if n_left_out else ""
-    return printable(f"{page}tables{more}: {TABLES if page else near(run.out / TABLES)}")
 
 
 def _next(run: Results, of: Headline) -> list[str]:

@@ -62,7 +62,11 @@ def sweep_tables(summary: pd.DataFrame) -> list[Table]:
         drawn = {Source(predictor): UTILITY} | ({} if place else {AS_SHARED: DESCRIPTORS})
         rows = others[others["consumer"].isin([one.consumer for one in drawn])]
         columns = [
-            _column(one, metric, f"{METRICS[metric].head}{', shared' * (one == AS_SHARED)}")
+            Column(
+                f"{METRICS[metric].head}{', shared' * (one == AS_SHARED)}",
+                partial(_cell, one, metric),
+                METRICS[metric].unit,
+            )
             for one, metrics in drawn.items()
             for metric in metrics
             if (rows["metric"] == metric).any()
@@ -86,11 +90,6 @@ def _by_level(
     columns = [*picked.mechanism_columns(families_in(rows)), *columns]
     title = f"{title}; 95 % intervals"
     return make.built(name, title, records, columns, notes=notes, n_headings=2, n_keys=3)
-
-
-def _column(source: Source, metric: str, name: str) -> Column:
-    """Return the column of a metric of some positions."""
-    return Column(name, partial(_cell, source, metric), METRICS[metric].unit)
 
 
 def _cell(source: Source, metric: str, level: Mapping[str, Any]) -> Cell:
@@ -216,8 +215,8 @@ def doubt_table(run: picked.Results) -> Table:
     of = of[(of["knowledge"] != "") & ((of["invalid"] != "") | (of["outcome"] == TOO_WEAK))]
 
     def why(row: Mapping[str, Any]) -> str:
-        shortcut = row["invalid"] and f"invalid: {row['invalid']} tells people apart"
-        return shortcut or REMARKS[TOO_WEAK]
+        name = row["invalid"]
+        return f"invalid: {name} tells people apart" if name else REMARKS[TOO_WEAK]
 
     columns = [
         make.said("task/attack", "consumer"),

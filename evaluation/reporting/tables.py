@@ -7,13 +7,13 @@ of the smoke run all.
 
 import contextlib
 import io
-import math
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import pandas as pd
 from rich.console import Console
 from rich.text import Text
@@ -31,7 +31,7 @@ from evaluation.reporting.bounds import bound_table, linked_bound_table
 from evaluation.reporting.first_screen import TABLES, data_line, first_screen
 from evaluation.reporting.headline import headline, headline_table
 from evaluation.reporting.markup import latex, markdown
-from evaluation.reporting.rows import Results, by_level, telling
+from evaluation.reporting.rows import Results, by_level, keys_of, telling
 from evaluation.reporting.table import Cell, Table, built, estimated, held, said
 from evaluation.reporting.terminal import Part
 from evaluation.runs.files import to_csv, write_whole
@@ -167,11 +167,8 @@ def published(run: Results) -> pd.DataFrame:
     summary = run.summary
     if run.manifest["settings"]["preset"] == _REFERENCE:
         return summary
-    known = run.families
-    told = telling(by_level(summary), known, controls=False)
-    is_told = pd.MultiIndex.from_frame(summary[["mechanism", "level"]]).isin(
-        [(name, math.nan if at is None else at) for name, at in told]
-    )
+    told = set(telling(by_level(summary), run.families, controls=False))
+    is_told = np.array([key.where in told for key in keys_of(summary)])
     is_control = summary["consumer"].str.contains("/control-")
     return summary[summary["metric"].isin(_SHOWN) & ~is_control & is_told]
 
