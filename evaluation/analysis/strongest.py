@@ -14,8 +14,9 @@ and scores on the same people flatters the choice: what the verdict says of a re
 chosen on one half of the people and scored on the other (`cross_fitted`).
 """
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from typing import Final, Protocol, TypeAlias
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
 
 import numpy as np
 
@@ -23,9 +24,13 @@ from evaluation.analysis.families import CLEAN, FID, FIXED, SWEPT, Family
 from evaluation.analysis.keys import AS_SHARED, INFORMED, Key, Source, Where
 from evaluation.analysis.metrics import EXPOSURE, METRICS, SUCCESS
 from evaluation.experiment.presets import IDENTITY
-from isac_track.intervals import Estimate
 from isac_track.rng import stream
-from isac_track.types import Floats
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Iterator, Mapping
+
+    from isac_track.intervals import Estimate
+    from isac_track.types import Floats
 
 Levels: TypeAlias = "dict[Where, dict[Source, float]]"  # Success of every attack at each level.
 
