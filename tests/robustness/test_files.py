@@ -34,7 +34,7 @@ PLACES = {
     # How it is made; what it is called, and more words; what is said.
     "nothing": (None, ["walks.csv"], "walks.csv: no such file"),
     "nearly a name": (None, ["stuednts03"], "did you mean students03?"),
-    "a folder": (os.mkdir, ["f.csv"], "f.csv: this is a folder, not a file"),
+    "a folder": (os.mkdir, ["f.csv"], "f.csv: this is a folder, and holds no session (.csv"),
     "a pipe": (os.mkfifo, ["f.csv"], "f.csv: no such file"),
     "a link to nowhere": (lambda path: path.symlink_to("gone"), ["f.csv"], "f.csv: no such file"),
     "a link to itself": (a_loop, ["f.csv"], "f.csv: "),

@@ -219,7 +219,7 @@ class TestWhatIsKilled:
             _, said = run.communicate(timeout=30)
         assert run.returncode == 130
         assert said.splitlines()[-1].startswith("interrupted; finished cells are kept")
-        assert len(said.splitlines()) == 2
+        assert "Traceback" not in said
         assert 2 < len(cells(there)) < 8
         wait_for(lambda: cluster.count(n_tasks) == 0, most_s=5)
 
@@ -421,5 +421,5 @@ print(peaks[0], peak())
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=1200
     )
     computing_mb, reporting_mb = map(int, found.stdout.split()[-2:])
-    assert len(cells(many)) == 2 * 2 * 400
+    assert len(cells(many)) == 2 * 400
     assert computing_mb <= reporting_mb < 1000
