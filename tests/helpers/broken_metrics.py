@@ -192,9 +192,7 @@ BROKEN = {
         (lambda r, a: nearest(r[0], a[0]), "separation_symmetries"),
         (lambda r, a: nearest(r[:, 0], a[:, 0]), "separation_matches_brute_force"),
     ],
-    "is_conflict": [
-        (lambda gap_m, radius_m: gap_m <= radius_m, "conflict_boundary_is_strict"),
-    ],
+    "is_conflict": [(lambda gap_m, radius_m: gap_m <= radius_m, "conflict_boundary_is_strict")],
     "missed_conflict_rate": [
         (lambda c, p: (c & ~p).mean() if c.any() else nan, "missed_rate_hand_examples"),
         (lambda c, p: among(p[c]), "missed_rate_matches_brute_force"),

@@ -156,13 +156,7 @@ def imm_track(*, t, xy, variance, q, rates, mean, cov, probability, gate=np.inf,
                 p[j] = p[j] - gain @ s[j] @ gain.T
         rows.append((x.copy(), p.copy(), mu.copy(), taken))
     x, p, mu, taken = (np.array(column) for column in zip(*rows, strict=True))
-    return {
-        "mean": x,
-        "cov": p,
-        "probability": mu,
-        "accepted": taken,
-        "log_likelihood": density,
-    }
+    return {"mean": x, "cov": p, "probability": mu, "accepted": taken, "log_likelihood": density}
 
 
 def imm_smooth(*, t, q, rates, mean, cov, probability):

@@ -98,8 +98,7 @@ def test_monotone_holds_fails_and_stays_undecided():
 
 
 @pytest.mark.parametrize(
-    ("history", "holds"),
-    [({}, True), ({"points": 361.0}, False), ({"interval_s": 0.0866}, False)],
+    ("history", "holds"), [({}, True), ({"points": 361.0}, False), ({"interval_s": 0.0866}, False)]
 )
 def test_the_history_claim(history, holds):
     answer = claim(results(), "history", adding="", **history)["answer"]

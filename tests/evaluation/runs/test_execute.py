@@ -128,7 +128,7 @@ class TestWhatARunLeaves:
             *("ci_low", "ci_high", "n", "unit", "family", "adding"),
         ]
         assert list(drawn.paper_table.columns) == [
-            *("mechanism", "level", "metric", "paper", "ours", "ci_low", "ci_high", "within"),
+            *("mechanism", "level", "metric", "paper", "ours", "ci_low", "ci_high", "within")
         ]
         assert not drawn.summary.duplicated(KEY).any()
         assert set(drawn.summary["metric"]) == {

@@ -88,9 +88,7 @@ class TestEnds:
         assert low == pytest.approx(0.2 - 0.02 * q, abs=0.002)
         assert high == pytest.approx(0.2 + 0.02 * half)
 
-    def test_where_all_are_equal_half_are_shown_as_zero_and_the_page_errs_in_2_5_pct(
-        self,
-    ):
+    def test_where_all_are_equal_half_are_shown_as_zero_and_the_page_errs_in_2_5_pct(self):
         rng, errors = np.random.default_rng(1), np.full(8, 0.02)
         one = contrasts(np.zeros(8), errors)
         shown, lower = [], []

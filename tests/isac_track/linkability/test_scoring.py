@@ -79,8 +79,7 @@ def test_clusters_may_be_drawn_often(most):
 
 
 @pytest.mark.parametrize(
-    ("shape", "refused"),
-    [((174, 174), []), ((52, 59), ["01pct"]), ((52, 58), ["1pct", "01pct"])],
+    ("shape", "refused"), [((174, 174), []), ((52, 59), ["01pct"]), ((52, 58), ["1pct", "01pct"])]
 )
 def test_so_is_the_tpr_unless_the_pairs_of_a_search_are_too_few(shape, refused):
     """30,102, 3,016 and 2,964 non-mated pairs in either half."""
