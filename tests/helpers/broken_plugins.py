@@ -43,24 +43,41 @@ def plugin(function):
     return type(function.__name__, (base,), {method: lambda _, *given: function(*given)})()
 
 
+BROKEN = []
+"""(class, the one check that it fails, what the message says)"""
+
+
+def fails(check, message):
+    def decorate(function):
+        BROKEN.append((type(plugin(function)), check, message))
+        return function
+
+    return decorate
+
+
+@fails("result_is_a_release", "in track 0 nothing was sensed at")
 def retimed(sensed, rng):
     release = NOISE.share(sensed, rng)
     return replace(release, t=release.t + 0.01)
 
 
+@fails("sigma_is_declared", "sigma is None")
 def undeclared(sensed, rng):
     return NOISE.share(sensed, rng).without_sigma()
 
 
+@fails("sigma_is_that_of_the_error", "times what is declared")
 def declares_raw(sensed, rng):
     return replace(NOISE.share(sensed, rng), sigma=sensed.sigma_raw)
 
 
+@fails("sigma_is_that_of_the_error", "is 1..*adds_error = False")
 def declares_d_sigma(sensed, rng):
     release = perturb(sensed, 0.1, rng, adding="independent")
     return replace(release, sigma=np.full_like(release.sigma, 0.1))
 
 
+@fails("sensed_is_not_mutated", "changed sensed.xy; ")
 def writes(sensed, rng):
     sensed.xy.flags.writeable = True
     sensed.xy[:] += 1.0
@@ -68,11 +85,13 @@ def writes(sensed, rng):
     return replace(release, xy=release.xy - 1.0)
 
 
+@fails("same_rng_same_release", "draw from the rng that is given")
 def own_dice(sensed, rng):
     release, again = NOISE.share(sensed, rng), NOISE.share(sensed, np.random.default_rng())
     return replace(release, xy=again.xy)
 
 
+@fails("another_rng_another_release", "two rng give one error")
 def a_seed_for_a_place(sensed, rng):
     xy = []
     for track in sensed:
@@ -81,31 +100,37 @@ def a_seed_for_a_place(sensed, rng):
     return replace(NOISE.share(sensed, rng), xy=np.concatenate(xy))
 
 
+@fails("another_rng_another_release", "'0' comes again under another rng")
 def numbered(sensed, rng):
     release = NOISE.share(sensed, rng)
     return replace(release, pseudonym=tuple(map(str, range(len(release)))))
 
 
+@fails("odd_tracks_are_shared", "ValueError: .* (broken_plugins.py, line ")
 def needs_two(sensed, rng):
     for track in sensed:
         np.diff(track.t).min()
     return NOISE.share(sensed, rng)
 
 
+@fails("order_of_sensed_tracks_does_not_matter", "in another order: t, xy or sigma differ by")
 def by_number(sensed, rng):
     number = np.repeat(np.arange(len(sensed)), np.diff(sensed.offsets))
     return perturb(sensed, 0.1 * number, rng, adding="independent")
 
 
+@fails("result_is_a_prediction", "asked for release and t_future, it raised IndexError")
 def needs_a_grid(release, t_future):
     assert (np.diff(t_future)[:, 0] > 0).all()
     return STAND.predict(release, t_future)
 
 
+@fails("only_required_knowledge_is_touched", "without SIGMA, release.sigma is None")
 def takes_sigma(release, t_future):
     return Prediction(STAND.predict(release, t_future).mean + release.sigma.mean())
 
 
+@fails("release_is_not_mutated", "changed release.xy; ")
 def centres(release, t_future):
     found = STAND.predict(release, t_future)
     release.xy.flags.writeable = True
@@ -113,15 +138,18 @@ def centres(release, t_future):
     return found
 
 
+@fails("same_release_same_prediction", "two runs with one seed differ in")
 def counts(release, t_future):
     return Prediction(STAND.predict(release, t_future).mean + 1e-9 * next(CALLS))
 
 
+@fails("one_track_is_predicted_as_among_others", "track 0 alone .* mean or cov by")
 def with_the_crowd(release, t_future):
     mean = STAND.predict(release, t_future).mean
     return Prediction(0.9 * mean + 0.1 * mean.mean(axis=0))
 
 
+@fails("odd_tracks_are_predicted", "IndexError: .* (broken_plugins.py, line ")
 def last_step(release, t_future):
     for track in release:
         track.xy[-1] - track.xy[-2]
@@ -133,41 +161,11 @@ def skewed(release, t_future):
     return Prediction(mean, np.broadcast_to([[1.0, 2.0], [0.0, 1.0]], (*mean.shape, 2)))
 
 
+@fails("track_is_causal", "later samples move what was known before by 7 m")
 def smooths(release):
     return np.repeat(release.xy[-1:], release.t.size, axis=0)
 
 
+@fails("track_is_causal", "must return finite places, (M, 2) = (")
 def last_places(release):
     return release.xy[release.offsets[1:] - 1]
-
-
-_CASES = [
-    (retimed, "result_is_a_release", "in track 0 nothing was sensed at"),
-    (undeclared, "sigma_is_declared", "sigma is None"),
-    (declares_raw, "sigma_is_that_of_the_error", "times what is declared"),
-    (declares_d_sigma, "sigma_is_that_of_the_error", "is 1..*adds_error = False"),
-    (writes, "sensed_is_not_mutated", "changed sensed.xy; "),
-    (own_dice, "same_rng_same_release", "draw from the rng that is given"),
-    (a_seed_for_a_place, "another_rng_another_release", "two rng give one error"),
-    (numbered, "another_rng_another_release", "'0' comes again under another rng"),
-    (needs_two, "odd_tracks_are_shared", "ValueError: .* (broken_plugins.py, line "),
-    (
-        by_number,
-        "order_of_sensed_tracks_does_not_matter",
-        "in another order: t, xy or sigma differ by",
-    ),
-    (
-        needs_a_grid,
-        "result_is_a_prediction",
-        "asked for release and t_future, it raised IndexError",
-    ),
-    (takes_sigma, "only_required_knowledge_is_touched", "without SIGMA, release.sigma is None"),
-    (centres, "release_is_not_mutated", "changed release.xy; "),
-    (counts, "same_release_same_prediction", "two runs with one seed differ in"),
-    (with_the_crowd, "one_track_is_predicted_as_among_others", "track 0 alone .* mean or cov by"),
-    (last_step, "odd_tracks_are_predicted", "IndexError: .* (broken_plugins.py, line "),
-    (smooths, "track_is_causal", "later samples move what was known before by 7 m"),
-    (last_places, "track_is_causal", "must return finite places, (M, 2) = ("),
-]
-BROKEN = [(type(plugin(function)), check, message) for function, check, message in _CASES]
-"""(class, the one check that it fails, what the message says)"""

@@ -203,10 +203,6 @@ class TestMechanisms:
         with raises(message):
             kind(**values)
 
-    def test_parameters_at_the_edge(self):
-        assert Fixed(0.0).d_sigma == 0.0
-        assert Fid(0.5, alpha=0.0, beta=1.0).beta == 1.0
-
 
 @pytest.mark.parametrize(
     ("law", "norm"), [("radial", stats.halfnorm), ("isotropic", stats.rayleigh)]

@@ -36,6 +36,7 @@ def test_an_item_with_wild_replicates_does_not_widen_the_others():
     assert np.isfinite(critical([*calm, of(0.0, wild)]))
 
 
+@pytest.mark.slow
 def test_bands_hold_all_truths_at_once_as_often_as_they_say():
     """Of 20 means over 40 people that go together; 99.2 %, in 400 studies."""
     rng = np.random.default_rng(1)

@@ -63,16 +63,14 @@ class TestPlantedTruths:
         for one in items_of(planted["valid"], "inflation"):
             assert one["effect"] == pytest.approx(1.5, abs=0.02)
 
-    @pytest.mark.parametrize(
-        ("times", "most_wrong"), [(40, 5), pytest.param(200, 18, marks=pytest.mark.slow)]
-    )
-    def test_where_nothing_has_an_effect_nothing_is_decided(self, times, most_wrong):
-        """5 % by the rules; at 9 % of 200 or an eighth of 40 it is no longer chance."""
+    @pytest.mark.slow
+    def test_where_nothing_has_an_effect_nothing_is_decided(self):
+        """5 % by the rules; at 9 % of 200 it is no longer chance."""
         wrong = 0
-        for seed in range(times):
+        for seed in range(200):
             said = run(World("empty", n_people=80), seed=seed)
             wrong += any(one["sign"] for one in said["items"])
-        assert wrong <= most_wrong
+        assert wrong <= 18
 
 
 class TestVerdict:
