@@ -24,8 +24,12 @@ from evaluation.reporting.table import Cell, Column, Table
 from isac_track.intervals import Estimate
 from isac_track.linkability import GALLERY
 
-ROBOTS: Final = {"least_squares": "the paper's line", "kalman_cv": "Kalman"}
-"""Predictors that are shown if a run has them; their last word stands over a column."""
+ROBOTS: Final = {
+    "least_squares": "the paper's line",
+    "kalman_cv": "Kalman",
+    "kalman_cv:aware=true": "Kalman that is aware",
+}
+"""Predictors that are shown if a run has them; their last word stands over a column, of two."""
 TASKS: Final = {
     "handover-1s": ("1 s", "after 1 s"),
     "handover-5s": ("5 s", "after 5 s"),
@@ -64,8 +68,8 @@ class Headline:
 
     @property
     def columns(self) -> list[Shown]:
-        """All that is shown, in order."""
-        return [*self.robots, self.shared, *filter(None, [self.attacked]), *self.linked]
+        """All that is tabled, in order."""
+        return [*self.robots[:2], self.shared, *filter(None, [self.attacked]), *self.linked]
 
     def at(self, where: Where, one: Shown, *, other_law: bool = False) -> Estimate | None:
         """Return a number at a level; None where it is not known."""

@@ -116,6 +116,16 @@ def test_of_a_dozen_people_without_intervals_the_values_alone_choose_a_level():
     assert said.startswith(f"{expected} attacked PLR below 50 %, fixed:1 misses")
 
 
+def test_a_robot_that_knows_the_mechanism_is_in_the_first_answer_beside_the_others():
+    robots = ("least_squares", "kalman_cv", "kalman_cv:aware=true")
+    run = make_run(summary=make_summary(predictors=robots))
+    assert re.search(
+        "the paper's line .*, Kalman .*, Kalman that is aware ", answers(run)[0].sentence
+    )
+    heads = [column.name for column in headline_table(headline_of(run)).columns]
+    assert [one for one in heads if one.startswith("missed")] == ["missed, line", "missed, Kalman"]
+
+
 def test_what_leaks_is_told_under_both_error_laws_and_tabled():
     run = make_run()
     other = run.summary.assign(dataset="students03:law=isotropic")
