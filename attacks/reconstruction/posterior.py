@@ -46,7 +46,6 @@ class Posterior:
     burn_in: int = 100
 
     slow: ClassVar[bool] = True
-    seconds_per_sample: ClassVar[float] = 2e-4
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
     uses: ClassVar[frozenset[Knowledge]] = TOLD
 
@@ -56,6 +55,11 @@ class Posterior:
             raise ValueError(
                 f"draws must be at least 1 and burn_in at least 0, got {self.draws}, {self.burn_in}"
             )
+
+    @property
+    def seconds_per_sample(self) -> float:
+        """What it costs, by its draws."""
+        return 5e-7 * (self.draws + self.burn_in)
 
     def fit(self, context: AttackContext) -> Reconstructor:
         """Return what samples releases like those in the training set."""
