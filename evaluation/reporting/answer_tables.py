@@ -166,13 +166,14 @@ def _whose(source: Source) -> str:
 
 def flag_table(run: Results) -> Table:
     """Return the flags of weak attacks."""
+    ends = ("difference", "ci_low", "ci_high")
     texts = run.flags.assign(**run.flags[["by", "by_knowledge"]].astype(object).fillna(""))
     columns = [
         make.said("flag", lambda row: row["kind"].replace("_", " ")),
         make.said("attack", lambda row: Source(row["attack"], row["knowledge"]).label),
         make.said("beaten by", lambda row: Source(row["by"], row["by_knowledge"]).label),
         *mechanism_columns(run.families),
-        make.points("PLR difference", "difference", "ci_low", "ci_high"),
+        make.counted("PLR difference", "points", *ends, scale=100.0, sign="+"),
     ]
     return make.built("flags", "All flags", rows_of(texts), columns, n_keys=6)
 

@@ -11,8 +11,8 @@ from evaluation.analysis.families import ADDING_RULES, CLEAN, RAW, SWEPT
 from evaluation.analysis.keys import Where
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE
 from evaluation.analysis.strongest import by_task, strongest_of
-from evaluation.reporting import table as make
 from evaluation.reporting.bounds import gap_text
+from evaluation.reporting.charts import share
 from evaluation.reporting.headline import ROBOTS, TASKS, Headline, Shown, headline
 from evaluation.reporting.rows import HEADLINE, Results
 from evaluation.verdict import rules
@@ -109,7 +109,7 @@ def _leaks(of: Headline, where: Where) -> str:
     if of.attacked is None:
         return f"{told}; what an attack makes of them was not tested."
     other = of.at(where, of.attacked, other_law=True)
-    law = f" ({_value(other)} if errors are isotropic)" if other else ""
+    law = f" ({share(other)} if errors are isotropic)" if other else ""
     is_headline = of.known[where[0]].family in (*SWEPT, CLEAN)
     who = of.attacked.measure.source.label if is_headline else "the strongest attack on it"
     near = gap_text(of.gaps, where)
@@ -195,15 +195,15 @@ def _choice(of: Headline, options: Mapping[Where, tuple[Estimate, Estimate]]) ->
     }
     if not kept:
         at, (cost, left) = min(options.items(), key=lambda one: one[1][1].value)
-        least = f"{_value(left)} at {of.name(at)}, which misses {_value(cost)} of the conflicts"
+        least = f"{share(left)} at {of.name(at)}, which misses {share(cost)} of the conflicts"
         return f"{by}no level keeps {limit}; the least is {least}"
     at, (cost, left) = min(kept.items(), key=lambda one: one[1][0].value)
     again = [
-        f"; found again {_how(one)}: {_value(found)}"
+        f"; found again {_how(one)}: {share(found)}"
         for one in of.linked[-1:]
         if (found := of.at(at, one))
     ]
-    fewest = f"{of.name(at)} misses fewest conflicts: {_value(cost)} at {_value(left)}"
+    fewest = f"{of.name(at)} misses fewest conflicts: {share(cost)} at {share(left)}"
     return f"{by}of the levels that keep {limit}, {fewest}" + "".join(again)
 
 
@@ -225,11 +225,5 @@ def _both(of: Headline, where: Where, one: Shown, *, beside: Sequence[str] = ())
     if other and abs(other.value - value.value) >= _MATTERS:
         apart = max(other.ci_low - value.ci_high, value.ci_low - other.ci_high)
         rule = of.known[twin[0]].adding.replace("independent", "ind.")
-        more = [f"{rule} {_value(other)}"] * (apart > 0) + more
-    return _value(value) + f" ({', '.join(more)})" * bool(more)
-
-
-def _value(one: Estimate) -> str:
-    """Return a share with its interval."""
-    cell = make.estimated(EXPOSURE, one)
-    return f"{cell.text} % {cell.interval}".strip()
+        more = [f"{rule} {share(other)}"] * (apart > 0) + more
+    return share(value) + f" ({', '.join(more)})" * bool(more)

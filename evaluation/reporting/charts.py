@@ -6,7 +6,6 @@ shape and filling say the same in grey. Every mark is named.
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -186,11 +185,8 @@ def plane_chart(
         values = np.array([(one.x.value, one.y.value) for one in points])
         corners = values[front(*values.T)]
         corners = corners[np.argsort(corners[:, 0])] * PERCENT
-        x, y = at_x(corners[:, 0]).tolist(), at_y(corners[:, 1]).tolist()
-        way = [(x[0], _TOP), (x[0], y[0])]
-        for (_, above), (right, below) in pairwise(zip(x, y, strict=True)):
-            way += [(right, above), (right, below)]
-        chart.lines.append(("front", _line([*way, (_RIGHT, way[-1][1])])))
+        x, y = (np.repeat(of, 2) for of in (at_x(corners[:, 0]), at_y(corners[:, 1])))
+        chart.lines.append(("front", _line([*zip([*x, _RIGHT], [_TOP, *y], strict=True)])))
     for one in points:
         (x, *x_ends), (y, *y_ends) = at_x(_shares([one.x])), at_y(_shares([one.y]))
         path = bar(x_ends, at=y) + bar(y_ends, at=x, upright=True)

@@ -142,11 +142,6 @@ def counted(name: str, unit: str, *keys: str, **shown: Any) -> Column:  # noqa: 
     return Column(name, lambda record: number(*(record[key] for key in keys), **shown), unit)
 
 
-def points(name: str, *keys: str) -> Column:
-    """Return a column of differences of shares."""
-    return counted(name, "points", *keys, scale=100.0, sign="+")
-
-
 def measured(name: str, *keys: str, metric: str = "", sign: str = "-") -> Column:
     """Return a column of a metric, or of the one that each record names, as it is shown."""
 
