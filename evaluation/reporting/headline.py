@@ -33,9 +33,10 @@ ROBOTS: Final = {
 TASKS: Final = {
     "handover-1s": ("1 s", "after 1 s"),
     "handover-5s": ("5 s", "after 5 s"),
+    "cross_session": ("back", "in another session"),
     "rerelease": ("rerel.", "in a re-release"),
 }
-"""Tasks that are shown if a run has them: over a column, and in a sentence."""
+"""Tasks that are shown if a run has them: over a column, of the last three, and in a sentence."""
 MOST_LEVELS: Final = 14
 _MISSED, _KNOWN, _FOUND = "missed", "known in 0.3 m", "found again"
 _METRICS = (MISSED_RATE, EXPOSURE, SUCCESS, SUCCESS_OF_100, "chance")
@@ -69,7 +70,7 @@ class Headline:
     @property
     def columns(self) -> list[Shown]:
         """All that is tabled, in order."""
-        return [*self.robots[:2], self.shared, *filter(None, [self.attacked]), *self.linked]
+        return [*self.robots[:2], self.shared, *filter(None, [self.attacked]), *self.linked[-3:]]
 
     def at(self, where: Where, one: Shown, *, other_law: bool = False) -> Estimate | None:
         """Return a number at a level; None where it is not known."""
@@ -217,7 +218,7 @@ def screen_table(of: Headline, levels: Sequence[Where]) -> Table:
         [make.word(of.name(where)), *(replace(_cell(of, one, where), low="") for one in shown)]
         for where in levels
     ]
-    sizes = [f"{one.candidates:.0f}" for one in of.linked if math.isfinite(one.candidates)]
+    sizes = [f"{one.candidates:.0f}" for one in of.columns if math.isfinite(one.candidates)]
     below = {"chance" + f" of {', '.join(sizes)}" * bool(sizes): [one.chance for one in shown]}
     below["+- (95 %, typical)"] = [_half_width(of, one, levels) for one in shown]
     rows += [

@@ -10,11 +10,13 @@ from helpers.finished_runs import (
     STRONGEST,
     emptied,
     levels,
+    make_linkability,
     make_run,
     make_summary,
     with_links,
 )
 
+from evaluation.analysis.keys import Source
 from evaluation.reporting.answers import answers, headline_of
 from evaluation.reporting.headline import headline_table
 
@@ -124,6 +126,18 @@ def test_a_robot_that_knows_the_mechanism_is_in_the_first_answer_beside_the_othe
     )
     heads = [column.name for column in headline_table(headline_of(run)).columns]
     assert [one for one in heads if one.startswith("missed")] == ["missed, line", "missed, Kalman"]
+
+
+def test_who_comes_back_in_another_session_is_in_the_table_and_the_third_answer():
+    tasks = ("handover-1s", "handover-5s", "rerelease", "cross_session")
+    linked = make_linkability(tasks={task: {"shape": 0.4} for task in tasks})
+    best = STRONGEST | dict.fromkeys(tasks, Source("shape", "informed"))
+    run = with_links(make_run(linkability=linked, strongest=best))
+    assert " in another session, " in answers(run)[2].sentence
+    heads = [column.name for column in headline_table(headline_of(run)).columns]
+    assert [one for one in heads if one.startswith("found")] == [
+        f"found again, {head}" for head in ("5 s", "back", "rerel.")
+    ]
 
 
 def test_what_leaks_is_told_under_both_error_laws_and_tabled():
