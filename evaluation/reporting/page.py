@@ -6,7 +6,6 @@ One file without a request to anywhere, readable on a phone and in print, light 
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
 
 from attacks.tasks.task_list import TASKS
 from evaluation.analysis import weak_attacks
@@ -21,19 +20,6 @@ from evaluation.reporting.table import decision
 from evaluation.reporting.tables import page_tables
 from evaluation.runs.files import PAGE, write_whole
 from evaluation.runs.pieces import failed_lines
-
-SECTIONS: Final = {
-    "level": "Which level",
-    "gallery": "Tracks",
-    "verdict": "What was decided, and how surely",
-    "paper": "The paper's numbers and figures",
-    "attacks": "Every attack",
-    "doubts": "Weak attacks and invalid cells",
-    "threat": "Threat model",
-    "words": "Glossary",
-    "again": "Run it again",
-}
-"""Of the page below the answers, in order."""
 
 
 def write(run: Results, *, figures: Sequence[Figure]) -> Path:
@@ -50,7 +36,6 @@ def render(run: Results, *, figures: Sequence[Figure] = ()) -> str:
     """Return the page."""
     flags, of = weak_attacks.lines(run.flags), headline_of(run)
     text = HTML.get_template("report.html.j2").render(
-        contents=SECTIONS,
         run=run,
         answers=list(zip(answers(run, of), pictures(of), strict=True)),
         planes=planes(of),

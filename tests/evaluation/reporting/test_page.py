@@ -6,7 +6,6 @@ import re
 import pytest
 from helpers.finished_runs import ITEM, MANIFEST, VERDICT, emptied, make_flags, make_run
 from helpers.pages import Tags
-from markupsafe import escape
 
 from evaluation.reporting import page
 from evaluation.reporting.announcements import command
@@ -89,8 +88,9 @@ class TestWhatItSays:
             "18.7 [18.4, 19.1]",
         ]
         assert all(text in made for text in told)
-        for name, title in {name: escape(one) for name, one in page.SECTIONS.items()}.items():
-            assert f'<li><a href="#{name}">{title}</a></li>' in made
+        contents = re.findall(r'<li><a href="#(\w+)">([^<]+)</a></li>', made)
+        assert len(contents) == made.count("<section id=")
+        for name, title in contents:
             assert re.search(rf'<section id="{name}">\s*<h2>{title}</h2>', made)
 
     def test_an_empty_run_still_makes_a_page_and_says_that_it_has_no_verdict(self):
