@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -77,7 +77,6 @@ class AttackedBlock:
     """For each half people of the other one, each once; None if there are none."""
     is_model: bool  # Whether they are walks of a model, in place of the recorded ones.
     tracks: Cut
-    members: Mapping[str, Sequence[int]]  # Rows of `tracks` of every group.
     again: tuple[Sensed, ...]  # The walks of the block sensed anew, for REPEATS.
     stages: StageSettings
     seed: int
@@ -143,15 +142,9 @@ def attacked_block(
     """Prepare a block of scenes of `tracks` for its attacks.
 
     `repeats` says whether an attack is granted REPEATS; `is_model` that `scenes` and `sensed` are
-    `modelled`, and all others shall be.
+    of a model, and all others shall be.
     """
-
-    def sensed_in(walks: Scenes, *names: str | int) -> tuple[Scenes, Sensed]:
-        found = sense_scenes(walks, settings=stages.sensing, seed=seed, names=names)
-        if is_model:
-            return modelled(walks, found, motion=motion_of(tracks), seed=seed)
-        return walks, found
-
+    of: dict[str, Any] = {"tracks": tracks, "is_model": is_model, "stages": stages, "seed": seed}
     half_of = folds(tracks.group, seed=seed)
     half = half_of[scenes.track]
     seats = scenes.index[0] * scenes.n_agents + np.arange(scenes.track.size)
@@ -170,26 +163,16 @@ def attacked_block(
         # Placed and sensed like a scene's first agent, beyond the scenes of any run.
         first = MOST_SCENES + fold * len(tracks)
         walks = make_scenes(tracks, order=people[:, None], first=first, settings=stages, seed=seed)
-        training.append(sensed_in(walks))
-    again = tuple(
-        sensed_in(scenes, "again", number)[1]
-        for number in range(stages.attacks.repeats if repeats else 0)
-    )
-    members: dict[str, list[int]] = {}
-    for row, group in enumerate(tracks.group):
-        members.setdefault(group, []).append(row)
+        training.append(sensed_scenes(walks, **of))
+    n_again = stages.attacks.repeats if repeats else 0
     return AttackedBlock(
+        **of,
         scenes=scenes,
-        is_model=is_model,
-        tracks=tracks,
-        members=members,
         sensed=sensed,
         victims=tuple(_victims(scenes, np.flatnonzero(half == fold)) for fold in _FOLDS),
         turn=turn,
         training=tuple(training),
-        again=again,
-        stages=stages,
-        seed=seed,
+        again=tuple(sensed_scenes(scenes, "again", n, **of)[1] for n in range(n_again)),
     )
 
 
@@ -275,10 +258,12 @@ def _views(
 def attack_rows(consumer: Consumer, level: AttackedLevel) -> Rows:
     """Return the descriptors of every attacked track, in the order of the block.
 
-    A release holds every walk once: of two copies an adversary could make one better one. The
-    built-in attacks work track by track (tested) and take all passes in one call.
+    Without an attack, what none exceeds of every track, as far as the motion holds. A release holds
+    every walk once: of two copies an adversary could make one better one. The built-in attacks work
+    track by track (tested) and take all passes in one call.
     """
-    assert consumer.plugin is not None
+    if consumer.plugin is None:
+        return {**track_columns(level.scenes, np.arange(len(level.release))), **level.bound}
     who, block, release = f"attack {consumer.label}", level.block, level.release
     granted = granted_at(consumer, consumer.plugin, release, who=who, mechanism=level.mechanism)
     at_once = consumer.is_built_in and not consumer.is_slow
@@ -330,25 +315,30 @@ def attack_rows(consumer: Consumer, level: AttackedLevel) -> Rows:
     }
 
 
-def bound_rows(_bound: Consumer, level: AttackedLevel) -> Rows:
-    """Return what no attack exceeds of every track of a block, as far as the motion holds."""
-    rows = np.arange(len(level.release))
-    return {**track_columns(level.scenes, rows), **level.bound}
-
-
 @lru_cache(maxsize=2)
 def motion_of(tracks: Cut) -> Motion:
     """Return how people of a recording walk, fitted once."""
     return fitted_motion(tracks)
 
 
-def modelled(scenes: Scenes, sensed: Sensed, *, motion: Motion, seed: int) -> tuple[Scenes, Sensed]:
-    """Return scenes whose agents walk as the model says, and what is sensed of that.
+def sensed_scenes(
+    scenes: Scenes,
+    *names: str | int,
+    tracks: Cut,
+    is_model: bool,
+    stages: StageSettings,
+    seed: int,
+) -> tuple[Scenes, Sensed]:
+    """Return scenes and what is sensed of them, of a model with agents who walk as that says.
 
-    A walk starts where the recorded one does and is sensed at the same instants with the very same
-    errors: that these depend on where somebody is, nobody can make use of.
+    `names` are of the streams of what is sensed. A model's walk starts where the recorded one does
+    and is sensed at the same instants with the very same errors: that these depend on where
+    somebody is, nobody can make use of.
     """
-    parts = []
+    sensed = sense_scenes(scenes, settings=stages.sensing, seed=seed, names=names)
+    if not is_model:
+        return scenes, sensed
+    parts, motion = [], motion_of(tracks)
     for at, index in enumerate(scenes.index.tolist()):
         seats = scenes.offsets[at * scenes.n_agents : (at + 1) * scenes.n_agents + 1]
         lo, hi = seats[0], seats[-1]
@@ -445,13 +435,14 @@ def beside(block: AttackedBlock, mechanism: Plugin) -> Release:
     of their own; one sample, of the track itself, where nobody is.
     """
     scenes, tracks, seed = block.scenes, block.tracks, block.seed
+    group = np.unique(tracks.group, return_inverse=True)[1]
     parts: list[tuple[Floats, Floats]] = []
     for seat, row in enumerate(scenes.track):
         lo, hi = scenes.offsets[seat : seat + 2]
         start = tracks.offsets[row]
         moved_m = scenes.xy[lo] - tracks.xy[start]
         best, longest_s = (scenes.t[lo : lo + 1], scenes.xy[lo : lo + 1]), 0.0
-        for other in block.members[tracks.group[row]]:
+        for other in np.flatnonzero(group == group[row]):
             first, end = tracks.offsets[other], tracks.offsets[other + 1]
             t = tracks.t[first:end]
             both_s = min(t[-1], scenes.t[hi - 1]) - max(t[0], scenes.t[lo])

@@ -10,9 +10,9 @@ from __future__ import annotations
 import traceback
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-from evaluation.cells import sharing
+from evaluation.cells import reconstruction, sharing
 from evaluation.cells.forecasts import sharing_rows
 from evaluation.cells.link_scores import linkage_tables
 from evaluation.cells.link_setup import sensed_sessions
@@ -24,16 +24,6 @@ from evaluation.cells.linkage import (
     who_sees_alike,
     window_tables,
 )
-from evaluation.cells.reconstruction import (
-    AttackedBlock,
-    AttackedLevel,
-    attack_rows,
-    attacked_block,
-    attacked_level,
-    bound_rows,
-    modelled,
-    motion_of,
-)
 from evaluation.cells.sharing import Digest, release_digest, sees_release_alone
 from evaluation.cells.tables import ROWS, Tables, rows_table
 from evaluation.cells.where import Failed, here, note
@@ -41,7 +31,6 @@ from evaluation.experiment.constants import MODEL, OTHER_LAW, OTHER_LAW_WORLD
 from evaluation.experiment.fingerprint import OURS
 from isac_track.errors import IsacTrackError, PluginError, told
 from isac_track.scenes import Cut, make_scenes
-from isac_track.sensing import sense_scenes
 from isac_track.types import Ints, Knowledge
 
 if TYPE_CHECKING:
@@ -116,6 +105,8 @@ def cells(
     Raises PluginError if a plug-in raises or breaks its contract, which names it, and DataError if
     an attack learns and there is nobody to learn from.
     """
+    if OTHER_LAW_WORLD in work.world:
+        stages = stages.changed({"sensing.law": OTHER_LAW})
     if isinstance(work, LinkWork):
         yield from _linked(work, tracks=tracks, stages=stages, seed=seed)
     else:
@@ -123,9 +114,7 @@ def cells(
 
 
 def _linked(work: LinkWork, *, tracks: Cut, stages: StageSettings, seed: int) -> Iterator[Item]:
-    if OTHER_LAW_WORLD in work.world:
-        stages = stages.changed({"sensing.law": OTHER_LAW})
-    motion = motion_of(tracks) if MODEL in work.world else None
+    motion = reconstruction.motion_of(tracks) if MODEL in work.world else None
     whole = sensed_sessions(
         work.sessions, groups=work.groups, motion=motion, stages=stages, seed=seed
     )
@@ -154,21 +143,20 @@ def _linked(work: LinkWork, *, tracks: Cut, stages: StageSettings, seed: int) ->
 
 
 def _of_scenes(block: Block, *, tracks: Cut, stages: StageSettings, seed: int) -> Iterator[Item]:
-    if OTHER_LAW_WORLD in block.world:
-        stages = stages.changed({"sensing.law": OTHER_LAW})
     scenes = make_scenes(
         tracks, order=block.order, first=block.first_scene, settings=stages, seed=seed
     )
-    sensed = sense_scenes(scenes, settings=stages.sensing, seed=seed)
-    is_model = MODEL in block.world
-    if is_model:
-        scenes, sensed = modelled(scenes, sensed, motion=motion_of(tracks), seed=seed)
+    of: dict[str, Any] = {"tracks": tracks, "stages": stages, "seed": seed}
+    of["is_model"] = MODEL in block.world
+    scenes, sensed = reconstruction.sensed_scenes(scenes, **of)
     granted = {what for _, some in block.levels for one in some for what in one.granted}
-    attacked: AttackedBlock | None = None
+    attacked: reconstruction.AttackedBlock | None = None
     alike: dict[tuple[Digest, str], Tables] = {}
     for mechanism, consumers in block.levels:
         note(mechanism.spec, "")
-        level: AttackedLevel | None = None  # and all that was made of the one before is gone
+        level: reconstruction.AttackedLevel | None = (
+            None  # and all that was made of the one before is gone
+        )
         release = sharing.share(mechanism, sensed, "block", block.number, seed=seed)
         digest = release_digest(release)
         known = sharing.restricted(scenes, sharing.samples_shared(release, sensed))
@@ -181,20 +169,14 @@ def _of_scenes(block: Block, *, tracks: Cut, stages: StageSettings, seed: int) -
                         consumer, release, known, mechanism=mechanism, stages=stages
                     )
                 else:
-                    attacked = attacked or attacked_block(
-                        scenes=scenes,
-                        sensed=sensed,
-                        tracks=tracks,
-                        repeats=Knowledge.REPEATS in granted,
-                        is_model=is_model,
-                        stages=stages,
-                        seed=seed,
+                    attacked = attacked or reconstruction.attacked_block(
+                        scenes=scenes, sensed=sensed, repeats=Knowledge.REPEATS in granted, **of
                     )
                     attacks = [one for one in consumers if one.kind == "attack"]
-                    level = level or attacked_level(mechanism, release, attacked, attacks)
-                    rows = (attack_rows if consumer.kind == "attack" else bound_rows)(
-                        consumer, level
+                    level = level or reconstruction.attacked_level(
+                        mechanism, release, attacked, attacks
                     )
+                    rows = reconstruction.attack_rows(consumer, level)
                 tables = {ROWS: rows_table(rows, tracks=tracks)}
             if sees_release_alone(consumer):
                 alike[digest, consumer.label] = tables
