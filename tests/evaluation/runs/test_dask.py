@@ -379,16 +379,6 @@ class TestADeathAtAnUnknownPlace:
         assert len(finished) == len(set(finished)) == 5
         assert tries == 2  # the work, the cell
 
-    def test_is_tried_once_more_where_there_is_one_cell_alone(self):
-        failures, death = Failures(), Failed((), "died", died=True)
-        work = self.block("raw")
-        work = replace(work, levels=((work.levels[0][0], (Consumer("shared"),)),))
-        (again,) = failures.rest(work, death, finished=set())
-        assert [place_of(cell) for cell in cells_of(again)] == [(3, "raw", "shared")]
-        assert failures.cells == []
-        assert failures.rest(again, death, finished=set()) == []
-        assert len(failures.cells) == 1
-
 
 def test_each_thread_of_a_worker_notes_where_it_is_itself():
     note("raw", "shared")

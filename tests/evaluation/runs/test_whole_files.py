@@ -7,7 +7,7 @@ from evaluation.cells.where import Failed
 from evaluation.experiment.axes import Consumer
 from evaluation.runs import whole_files
 from evaluation.runs.cell_files import index_of
-from evaluation.runs.whole_files import Gathered, ToCome, WholeFile, in_files
+from evaluation.runs.whole_files import ToCome, WholeFile, in_files
 from isac_track import plugins
 
 SPECS = ("raw", "fixed:0.5")
@@ -46,23 +46,3 @@ def test_what_is_whole_goes_out_at_once_and_parts_before_what_failed(items, monk
     assert held(first) == ("key of raw", ["shared", "split/windows"])
     assert part is items[2]
     assert last is death
-
-
-def test_parts_of_several_works_make_the_same_file_in_whatever_order(items):
-    contents = []
-    for some in (items[:2], items[1::-1]):
-        gathered = Gathered(FILES)
-        one, other = (gathered.add((0, "raw", item[2].label), item) for item in some)
-        assert one is None
-        contents.append(other.content)
-    assert contents[0] == contents[1]
-
-
-def test_what_failed_is_not_in_the_file_and_nothing_at_all_is_none(items):
-    gathered = Gathered(FILES)
-    assert gathered.add((0, "raw", "shared"), None) is None
-    file = gathered.add((0, "raw", "split/windows"), items[1])
-    assert held(file) == ("key of raw", ["split/windows"])
-    for label in ("shared", "split/windows"):
-        assert gathered.add((0, "fixed:0.5", label), None) is None
-    assert list(gathered.rest()) == []
