@@ -55,10 +55,12 @@ def exposure(
 ) -> Exposure:
     """Return PLR, AEL and MEL of every trajectory.
 
-    Consecutive leaked samples form a segment, and it lasts as long as its samples do
-    (`lasting_s`), so that one sample counts about one interval. AEL is the mean over a
-    trajectory's segments, MEL its longest; both are 0 without a leaked sample. A trajectory of
-    one sample has no interval: if that sample leaks, AEL and MEL are NaN (unknown, not zero).
+    Consecutive leaked samples form a segment, and it lasts as long as its samples do: by the
+    intervals of its `segment` half the interval before each and half the one after it (at either
+    end of the trajectory the one interval that there is), by those of its `trajectory` the mean
+    interval of the whole. AEL is the mean over a trajectory's segments, MEL its longest; both are 0
+    without a leaked sample. A trajectory of one sample has no interval: if that sample leaks, AEL
+    and MEL are NaN (unknown, not zero).
 
     `leaked` is the indicator z_i(k), (M,) bool, and `t` are the sampling times, (M,) s; trajectory
     i owns the samples ``offsets[i]:offsets[i + 1]``. It is a ValueError if lengths disagree or a
@@ -66,51 +68,18 @@ def exposure(
     """
     if leaked.shape != t.shape or leaked.ndim != 1:
         raise ValueError(f"leaked and t must have one shape (M,), got {leaked.shape}, {t.shape}")
-    n_samples = np.diff(offsets)
-    if offsets[0] != 0 or offsets[-1] != t.size or (n_samples < 1).any():
+    if offsets[0] != 0 or offsets[-1] != t.size or (np.diff(offsets) < 1).any():
         raise ValueError("offsets must run from 0 to M without an empty trajectory")
-    first, last = offsets[:-1], offsets[1:] - 1
-    previous = np.concatenate([[False], leaked[:-1]])
-    previous[first] = False
-    following = np.concatenate([leaked[1:], [False]])
-    following[last] = False
-    is_start = leaked & ~previous
-    starts = np.flatnonzero(is_start)
-    run_samples = np.flatnonzero(leaked & ~following) - starts + 1
-    owner = np.searchsorted(offsets, starts, side="right") - 1
-    sample_s = lasting_s(t=t, offsets=offsets, intervals=intervals)
-    leaked_s, run_of = sample_s[leaked], np.cumsum(is_start)[leaked] - 1
-    run_s = np.bincount(run_of, weights=leaked_s, minlength=starts.size)
-
-    n_tracks = n_samples.size
-    segments = np.bincount(owner, minlength=n_tracks)
-    leaked_samples = np.bincount(owner, weights=run_samples, minlength=n_tracks)
-    exposed = segments > 0
-    ael_s, mel_s = np.zeros(n_tracks), np.zeros(n_tracks)
-    total_s = np.bincount(owner[run_of], weights=leaked_s, minlength=n_tracks)
-    ael_s[exposed] = total_s[exposed] / segments[exposed]
-    if run_s.size:
-        first_run = np.cumsum(segments)[exposed] - segments[exposed]
-        mel_s[exposed] = np.maximum.reduceat(run_s, first_run)
-    return Exposure(plr=leaked_samples / n_samples, ael_s=ael_s, mel_s=mel_s, segments=segments)
-
-
-def lasting_s(*, t: Floats, offsets: Ints, intervals: IntervalsOf) -> Floats:
-    """Return how long each sample lasts, (M,) s; NaN for a trajectory of one sample.
-
-    By the intervals of its `segment` half the interval before it and half the one after it (at
-    either end of the trajectory the one interval that there is); by those of its `trajectory` the
-    mean interval of the whole.
-    """
-    if intervals == "trajectory":
-        return np.repeat(mean_interval_s(t=t, offsets=offsets), np.diff(offsets))
-    steps_s = np.diff(t)
-    before_s, after_s = np.append(np.nan, steps_s), np.append(steps_s, np.nan)
-    first, last = offsets[:-1], offsets[1:] - 1
-    after_s[last] = np.nan
-    before_s[first] = after_s[first]
-    after_s[last] = before_s[last]
-    return np.asarray(0.5 * (before_s + after_s))
+    # As of positions that are the truth where they leak, and lie beyond epsilon where not.
+    away_m = np.repeat(2.0 * ~leaked[:, None], 2, axis=1)
+    plr, ael_s, mel_s, segments, _ = described(
+        xy=away_m,
+        truth=np.zeros_like(away_m),
+        t=t.astype(np.float64, copy=False),
+        offsets=offsets.astype(np.int64, copy=False),
+        settings=PrivacySettings(epsilon_m=1.0, intervals=intervals),
+    )
+    return Exposure(plr=plr, ael_s=ael_s, mel_s=mel_s, segments=segments.astype(np.int64))
 
 
 def described(

@@ -4,6 +4,7 @@
 how much error each sample gets.
 """
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -72,25 +73,15 @@ def _fresh_errors(sensed: Sensed, law: ErrorLaw, rng: Generator) -> Floats:
     state = rng.bit_generator.state
     if state["bit_generator"] != "PCG64" or law == "fixed_direction":
         return unit_errors(n_samples=sensed.t.size, law=law, rng=rng, offsets=sensed.offsets)
-    inner, *rest = state["state"], state["has_uint32"], state["uinteger"]
-    errors, rng.bit_generator.state = _errors_from(
-        (inner["state"], inner["inc"], *rest), sensed.t.size, law
-    )
+    errors, rng.bit_generator.state = _errors_from(json.dumps(state), sensed.t.size, law)
     return errors
 
 
 @lru_cache(maxsize=_REMEMBERED)
-def _errors_from(
-    start: tuple[int, int, int, int], n_samples: int, law: ErrorLaw
-) -> tuple[Floats, Mapping[str, Any]]:
-    """Return what a generator in a state draws, and its state afterwards."""
+def _errors_from(state: str, n_samples: int, law: ErrorLaw) -> tuple[Floats, Mapping[str, Any]]:
+    """Return what a generator in a state, as JSON, draws, and its state afterwards."""
     bits = np.random.PCG64(0)
-    bits.state = {
-        "bit_generator": "PCG64",
-        "state": {"state": start[0], "inc": start[1]},
-        "has_uint32": start[2],
-        "uinteger": start[3],
-    }
+    bits.state = json.loads(state)
     errors = unit_errors(n_samples=n_samples, law=law, rng=np.random.Generator(bits))
     return read_only(errors), bits.state
 
