@@ -13,7 +13,7 @@ from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE
 from evaluation.analysis.strongest import by_task, strongest_of
 from evaluation.reporting.bounds import gap_text
 from evaluation.reporting.charts import share
-from evaluation.reporting.headline import ROBOTS, TASKS, Headline, Shown, headline
+from evaluation.reporting.headline import TASKS, Headline, Shown, headline, robot_name
 from evaluation.reporting.rows import HEADLINE, Results
 from evaluation.verdict import rules
 from isac_track.intervals import Estimate
@@ -93,7 +93,7 @@ def _lost(of: Headline, where: Where) -> str:
         raw = of.at((RAW, None), one) if where[0] != RAW else None
         beside = [f"raw {100 * raw.value:.1f} %"] if raw else []
         if value := _both(of, where, one, beside=beside):
-            who = ROBOTS.get(one.measure.consumer, one.measure.consumer)
+            who = robot_name(one.measure.consumer)
             parts.append(f"{who} {value}")
     if not parts:
         return f"{_UNTESTED}the run has no predictor."

@@ -19,7 +19,7 @@ from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE, SUCCESS, SUCCESS_
 from evaluation.analysis.strongest import by_task, strongest, strongest_of
 from evaluation.experiment.constants import OTHER_LAW_WORLD
 from evaluation.reporting import table as make
-from evaluation.reporting.rows import HEADLINE, estimates, family_of, short_name
+from evaluation.reporting.rows import HEADLINE, estimates, family_of, short_name, spoken
 from evaluation.reporting.table import Cell, Column, Table
 from isac_track.intervals import Estimate
 from isac_track.linkability import GALLERY
@@ -93,6 +93,11 @@ class Headline:
         return next(twins, ""), where[1]
 
 
+def robot_name(consumer: str) -> str:
+    """Return what a predictor is called."""
+    return ROBOTS.get(consumer, spoken(consumer))
+
+
 def headline(
     summary: pd.DataFrame,
     *,
@@ -118,7 +123,7 @@ def headline(
         other_law=estimates(rows[world == OTHER_LAW_WORLD]),
         gaps=gaps(summary),
         robots=[
-            Shown(_MISSED, ROBOTS.get(name, name).split()[-1], Measure(name, MISSED_RATE))
+            Shown(_MISSED, robot_name(name).split()[-1], Measure(name, MISSED_RATE))
             for name in [one for one in ROBOTS if one in able] or able[:2]
         ],
         shared=Shown(_KNOWN, "shared", AS_SHARED.measure(EXPOSURE)),

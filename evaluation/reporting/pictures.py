@@ -10,7 +10,7 @@ from evaluation.analysis.keys import AS_SHARED, Measure, Where
 from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE
 from evaluation.reporting.answers import LIMIT
 from evaluation.reporting.charts import LOOKS, Chart, Look, Point, plane_chart, rows_chart
-from evaluation.reporting.headline import ROBOTS, Headline, Shown, levels_of
+from evaluation.reporting.headline import Headline, Shown, levels_of, robot_name
 
 _MISSED: Final = "missed conflicts (%)"
 _SERIES: Final = tuple(Look(place) for place in range(LOOKS))
@@ -27,7 +27,7 @@ class Picture(NamedTuple):
 def pictures(of: Headline) -> list[Picture | None]:
     """Return the picture of each of the five answers; None where a run has nothing to draw."""
     after = [of.attacked] if of.attacked else []
-    missed = {_robot(one.measure.consumer): one for one in of.robots}
+    missed = {robot_name(one.measure.consumer): one for one in of.robots}
     known = {"as shared": of.shared} | {f"after {one.measure.source.label}": one for one in after}
     found = {one.measure.source.task: one for one in of.linked}
     return [
@@ -51,7 +51,7 @@ def planes(of: Headline) -> dict[str, list[Picture]]:
                 title, label = _left(one)
                 chart = plane_chart(curves, x_label=_MISSED, y_label=label, has_front=True)
                 picture = Picture(title, chart, _key(of, curves))
-                found.setdefault(_robot(robot), []).append(picture)
+                found.setdefault(robot_name(robot), []).append(picture)
     return found
 
 
@@ -102,7 +102,7 @@ def _chosen(of: Headline) -> Picture | None:
         return None
     title, label = _left(of.attacked)
     chart = plane_chart(curves, x_label=_MISSED, y_label=label, limit=LIMIT)
-    title = f"{title}, over what {_robot(robot.consumer)} misses; dashed: {100 * LIMIT:g} %"
+    title = f"{title}, over what {robot_name(robot.consumer)} misses; dashed: {100 * LIMIT:g} %"
     return Picture(title, chart, _key(of, curves))
 
 
@@ -158,7 +158,3 @@ def _left(one: Shown) -> tuple[str, str]:
         f"PLR after {source.label}; of other families after the strongest",
         "PLR after attack (%)",
     )
-
-
-def _robot(consumer: str) -> str:
-    return ROBOTS.get(consumer, consumer)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial, reduce
@@ -241,7 +242,13 @@ def short_name(known: Mapping[str, Family], where: Where) -> str:
     """Return a level as it is asked for, its rule short and last."""
     one = family_of(known, where[0])
     values = ",".join(filter(None, [level_text(where[1]), one.parameters]))
-    return f"{one.family}:{values}".rstrip(":") + " ind." * (one.adding == "independent")
+    name = f"{spoken(one.family)}:{values}".rstrip(":")
+    return name + " ind." * (one.adding == "independent")
+
+
+def spoken(name: str) -> str:
+    """Return the name of a plug-in, a class in a module by the class alone."""
+    return re.sub(r"^[\w.]*\.\w+:(?=[A-Za-z])", "", name)
 
 
 def is_control(one: Family) -> bool:

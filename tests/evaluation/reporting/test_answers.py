@@ -128,6 +128,13 @@ def test_a_robot_that_knows_the_mechanism_is_in_the_first_answer_beside_the_othe
     assert [one for one in heads if one.startswith("missed")] == ["missed, line", "missed, Kalman"]
 
 
+def test_a_plug_in_is_called_by_its_class_where_a_person_reads():
+    at = [("raw", np.nan), ("my_noise.mine:MyNoise", 0.5)]
+    of = headline_of(make_run(summary=make_summary(at, predictors=("my_robot.it:MyRobot",))))
+    assert of.name(at[1]) == "MyNoise:0.5"
+    assert of.robots[0].name == "MyRobot"
+
+
 def test_who_comes_back_in_another_session_is_in_the_table_and_the_third_answer():
     tasks = ("handover-1s", "handover-5s", "rerelease", "cross_session")
     linked = make_linkability(tasks={task: {"shape": 0.4} for task in tasks})
