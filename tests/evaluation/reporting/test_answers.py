@@ -19,6 +19,7 @@ from helpers.finished_runs import (
 from evaluation.analysis.keys import Source
 from evaluation.reporting.answers import answers, headline_of
 from evaluation.reporting.headline import headline_table
+from evaluation.reporting.rows import spoken
 
 SHARE = re.compile(r"(\d+\.\d) % \[(\d+\.\d), (\d+\.\d)\]")
 PEOPLE = re.compile(r"(\d+) of 100 people, at least (\d+)")
@@ -129,10 +130,10 @@ def test_a_robot_that_knows_the_mechanism_is_in_the_first_answer_beside_the_othe
 
 
 def test_a_plug_in_is_called_by_its_class_where_a_person_reads():
-    at = [("raw", np.nan), ("my_noise.mine:MyNoise", 0.5)]
-    of = headline_of(make_run(summary=make_summary(at, predictors=("my_robot.it:MyRobot",))))
-    assert of.name(at[1]) == "MyNoise:0.5"
+    of = headline_of(make_run(summary=make_summary(predictors=("my_robot.it:MyRobot",))))
     assert of.robots[0].name == "MyRobot"
+    names = ("my_noise.mine:MyNoise", "fixed", "kalman_cv:aware=true")
+    assert [spoken(one) for one in names] == ["MyNoise", *names[1:]]
 
 
 def test_who_comes_back_in_another_session_is_in_the_table_and_the_third_answer():
