@@ -1,7 +1,5 @@
 """The work of a run: what is missing is computed, and what could not be is named."""
 
-from __future__ import annotations
-
 import time
 import warnings
 from collections import deque
@@ -9,12 +7,16 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pandas as pd
 
 import isac_track
 from evaluation.cells.sample_tracks import chosen, gallery_rows
 from evaluation.cells.where import Failed, here, note
 from evaluation.experiment.fingerprint import OURS, has_strangers
+from evaluation.experiment.plan import Plan, Unit
+from evaluation.runs import pieces
 from evaluation.runs.cell_files import places_of, read_rows, sound_files, write_gallery
 from evaluation.runs.files import FOLDER, locked, write_checked
 from evaluation.runs.folder import check_folder, open_run
@@ -27,29 +29,11 @@ from evaluation.runs.manifest import (
     with_ceiling,
     write_manifest,
 )
-from evaluation.runs.pieces import (
-    Cell,
-    Failures,
-    Place,
-    Work,
-    cells_of,
-    cut_for_cluster,
-    missing_of,
-    pieces_of,
-    place_of,
-)
 from evaluation.runs.trials import try_plugins
-from evaluation.runs.whole_files import Gathered, WholeFile, files_to_come, in_files
 from evaluation.runs.workers import spread
 from isac_track.command_line import check_interrupt
 from isac_track.errors import PluginError, told
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from evaluation.cells.work import Item
-    from evaluation.experiment.plan import Plan, Unit
-    from isac_track.plugins import Plugin
+from isac_track.plugins import Plugin
 
 
 class FailedCellsWarning(UserWarning):
@@ -68,7 +52,7 @@ def execute(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
     manifest, held, damaged = open_run(out, identity=ready.identity, fresh=ready.settings.fresh)
     earlier_s = float(manifest.get("wall_time_s", 0.0))
     places = places_of(held)
-    missing = missing_of(ready, places)
+    missing = pieces.missing_of(ready, places)
     manifest |= describe(ready)
     manifest["damaged_cells"] = damaged
     manifest["untried_plugins"] = given_up
@@ -127,7 +111,7 @@ def borrow(ready: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None
     with locked(ready.out):
         manifest, files, _ = open_run(ready.out, identity=ready.identity, fresh=fresh)
         write_manifest(ready.out, manifest | {"code": ready.code, "state": "running"})
-        missing = missing_of(ready, places_of(files))
+        missing = pieces.missing_of(ready, places_of(files))
         wanted = {(one.key, key) for one in missing for key in one.consumers}
         for source in sources:
             for name, index in sound_files(source)[0].items():
@@ -174,18 +158,17 @@ def _gallery_part(mechanism: Plugin, **options: Any) -> Iterator[pd.DataFrame | 
 
 def _compute(
     missing: Sequence[Unit], ready: Plan, tell: Callable[[int, int, str], None]
-) -> list[tuple[Cell, str]]:
+) -> list[tuple[pieces.Cell, str]]:
     """Compute what is missing, here or by workers, and return what could not be, and why."""
-    works, settings = deque(pieces_of(missing, ready)), ready.settings
+    works, settings = deque(pieces.pieces_of(missing, ready)), ready.settings
     if not works:
         return []
     total = sum(len(one.consumers) for one in missing)
-    tell(0, total, _stage(place_of(next(cells_of(works[0])))))
-    files = files_to_come(missing, ready.code_of)
-    compute = partial(
-        in_files, files=files, tracks=ready.tracks, stages=settings.stages, seed=settings.seed
-    )
-    computed: Generator[tuple[Work, Iterable[WholeFile | Item | Failed]]]
+    tell(0, total, _stage(pieces.place_of(next(pieces.cells_of(works[0])))))
+    files = pieces.files_to_come(missing, ready.code_of)
+    own: dict[str, Any] = {"tracks": ready.tracks, "stages": settings.stages, "seed": settings.seed}
+    compute = partial(pieces.in_files, files=files, **own)
+    computed: Generator[tuple[pieces.Work, Iterable[pieces.Found]]]
     if settings.scheduler is None:
         computed = spread(
             compute,
@@ -198,26 +181,26 @@ def _compute(
     else:
         from evaluation.runs.dask import spread_on_cluster  # noqa: PLC0415 - an extra
 
-        cut_for_cluster(works)
+        pieces.cut_for_cluster(works)
         modules = ready.code_of.keys()
         computed = spread_on_cluster(compute, works, scheduler=settings.scheduler, modules=modules)
-    finished: set[Place] = set()
-    failures, gathered, n_failed = Failures(), Gathered(files), 0
+    finished: set[pieces.Place] = set()
+    failures, gathered, n_failed = pieces.Failures(), pieces.Gathered(files), 0
     with closing(computed):
         for work, found in computed:
             for one in found:
-                if isinstance(one, WholeFile):
+                if isinstance(one, pieces.WholeFile):
                     _write(ready.out, one)
                     finished.update(one.places)
                     place = one.places[-1]
                 elif isinstance(one, Failed):
                     works.extend(failures.rest(work, one, finished=finished))
                     for cell, _ in failures.cells[n_failed:]:
-                        _write(ready.out, gathered.add(place_of(cell), None))
+                        _write(ready.out, gathered.add(pieces.place_of(cell), None))
                     n_failed = len(failures.cells)
                     continue
                 else:
-                    place = place_of(one[:3])
+                    place = pieces.place_of(one[:3])
                     _write(ready.out, gathered.add(place, one))
                     finished.add(place)
                 check_interrupt()
@@ -225,15 +208,15 @@ def _compute(
     return failures.cells
 
 
-def _stage(place: Place) -> str:
+def _stage(place: pieces.Place) -> str:
     """Return what is under way: of scenes or of linkage, whose consumers are called by a task."""
     _, spec, label = place
     return f"{'linkage' if '/' in label.partition(':')[0] else 'scenes'}: {spec} > {label}"
 
 
-def _loops(works: Iterable[Work]) -> list[str]:
+def _loops(works: Iterable[pieces.Work]) -> list[str]:
     """Return the modules of compiled loops, all of them, if any work takes one."""
-    cells = (cell for work in works for cell in cells_of(work))
+    cells = (cell for work in works for cell in pieces.cells_of(work))
     if all(one.kind == "shared" or one.spec == "least_squares" for _, _, one in cells):
         return []
     root = Path(isac_track.__file__).parent.parent
@@ -241,6 +224,6 @@ def _loops(works: Iterable[Work]) -> list[str]:
     return sorted(".".join(path.relative_to(root).with_suffix("").parts) for path in found)
 
 
-def _write(out: Path, file: WholeFile | None) -> None:
+def _write(out: Path, file: pieces.WholeFile | None) -> None:
     if file is not None:
         write_checked(out, file.name, file.content)

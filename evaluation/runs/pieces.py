@@ -1,4 +1,4 @@
-"""The work of a run in pieces: what is missing, how it is cut, and what is left when one fails.
+"""The work of a run in pieces: what is missing, how it is cut, and the files that come of it.
 
 When a plug-in or a worker fails, its cell is left out by name, and the rest goes on.
 """
@@ -7,13 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from evaluation.cells.work import Block, Levels, LinkWork
+from evaluation.cells.where import Failed
+from evaluation.cells.work import Block, Item, Levels, LinkWork, attempt
 from evaluation.experiment.constants import BLOCK_SCENES, WORLDS
-from evaluation.runs.cell_files import index_of, places_of
+from evaluation.experiment.fingerprint import sources
+from evaluation.runs.cell_files import index_of, packed, places_of
 from evaluation.runs.files import FOLDER, written_down
 from isac_track.scenes import track_order
 
@@ -22,7 +24,6 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-    from evaluation.cells.where import Failed
     from evaluation.experiment.axes import Consumer
     from evaluation.experiment.plan import Plan, Unit
     from isac_track.plugins import Plugin
@@ -32,6 +33,8 @@ Cell: TypeAlias = "tuple[int, Plugin, Consumer]"
 """Block (0 for what is linked), mechanism and consumer."""
 Place: TypeAlias = "tuple[int, str, str]"
 """Of a cell: its block, the SPEC of its mechanism, and the label of its consumer."""
+Found: TypeAlias = "WholeFile | Item | Failed"
+"""What comes of work."""
 _TASKS_PER_WORKER = 2
 _LEVELS_PER_TASK = 12  # Of what is linked.
 _BLOCKS_WITHIN = 0.75  # The share of the work with which the last block begins, for it takes long.
@@ -212,6 +215,91 @@ def _only(work: Work, wanted: Callable[[Cell], bool]) -> Work:
         for mechanism, _ in work.levels
     )
     return replace(work, levels=tuple(level for level in levels if level[1]))
+
+
+class ToCome(NamedTuple):
+    """A file to come, and what it holds when it is whole: plug-ins are named, none is here."""
+
+    name: str
+    unit: str  # Key of the unit of work.
+    code: Mapping[str, str]
+    consumers: Mapping[str, tuple[str, Mapping[str, str]]]  # Key and code of each, by its label.
+
+
+class WholeFile(NamedTuple):
+    """A file of cells that is ready to be written."""
+
+    name: str
+    content: bytes
+    places: tuple[Place, ...]
+
+
+def files_to_come(units: Iterable[Unit], code_of: Mapping[str, str]) -> dict[Place, ToCome]:
+    """Return the file of every cell of some units; `code_of` has the digest of every module."""
+    found: dict[Place, ToCome] = {}
+    for unit in units:
+        consumers = {
+            one.label: (key, {name: code_of[name] for name in sources("", *one.plugins)})
+            for key, one in unit.consumers.items()
+        }
+        file = ToCome(unit.file, unit.key, unit.code, consumers)
+        found |= {(unit.block, unit.mechanism.spec, label): file for label in consumers}
+    return found
+
+
+class Gathered:
+    """What is computed of files to come, and of each until it is whole."""
+
+    def __init__(self, files: Mapping[Place, ToCome]) -> None:
+        self._files = files
+        self._found: dict[str, dict[Place, Item | None]] = {}
+
+    def add(self, place: Place, item: Item | None) -> WholeFile | None:
+        """Take what a consumer makes of a unit, None if it fails; return the file if it is whole.
+
+        One of which everything failed is none.
+        """
+        file = self._files[place]
+        found = self._found.setdefault(file.name, {})
+        found[place] = item
+        if len(found) < len(file.consumers):
+            return None
+        del self._found[file.name]
+        whole = [
+            (label, *about, item[3])
+            for label, about in file.consumers.items()
+            if (item := found[*place[:2], label]) is not None
+        ]
+        if not whole:
+            return None
+        content = packed(whole, unit=file.unit, code=file.code)
+        return WholeFile(file.name, content, tuple(found))
+
+    def rest(self) -> Iterator[Item]:
+        """Yield what there is of files that are not whole."""
+        for found in self._found.values():
+            yield from filter(None, found.values())
+
+
+def in_files(
+    work: Work,
+    *,
+    files: Mapping[Place, ToCome],
+    **options: Any,  # noqa: ANN401 - handed on
+) -> Iterator[Found]:
+    """Yield what `attempt` does, packed as far as files are whole: the rest one by one.
+
+    So a worker sends a few kilobytes where its tables would be megabytes, and who writes them does
+    not compress them, too.
+    """
+    gathered, failed = Gathered(files), list[Failed]()
+    for found in attempt(work, **options):
+        if isinstance(found, Failed):
+            failed.append(found)
+        elif whole := gathered.add(place_of(found[:3]), found):
+            yield whole
+    yield from gathered.rest()
+    yield from failed
 
 
 def failed_lines(rows: pd.DataFrame) -> list[str]:

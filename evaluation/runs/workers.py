@@ -56,7 +56,7 @@ serve(pipe, parent=int(sys.argv[2]))
 """
 _waiting: Final[list[_Worker]] = []
 """Workers with nothing to do, yet or any more: who spreads work takes them first."""
-_IMPORTED: Final = ("evaluation.runs.whole_files", "evaluation.cells.sample_tracks", "numba")
+_IMPORTED: Final = ("evaluation.runs.pieces", "evaluation.cells.sample_tracks", "numba")
 _M_ARENA_MAX: Final = -8  # Of glibc's malloc.h.
 
 

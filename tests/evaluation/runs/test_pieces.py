@@ -5,9 +5,9 @@ import pytest
 
 from evaluation.cells.where import Failed
 from evaluation.experiment.axes import Consumer
-from evaluation.runs import whole_files
+from evaluation.runs import pieces
 from evaluation.runs.cell_files import index_of
-from evaluation.runs.whole_files import ToCome, WholeFile, in_files
+from evaluation.runs.pieces import ToCome, WholeFile, in_files
 from isac_track import plugins
 
 SPECS = ("raw", "fixed:0.5")
@@ -38,7 +38,7 @@ def held(file):
 
 def test_what_is_whole_goes_out_at_once_and_parts_before_what_failed(items, monkeypatch):
     death = Failed(("fixed:0.5", "split/windows"), "no luck")
-    monkeypatch.setattr(whole_files, "attempt", lambda _work: iter([*items[:3], death]))
+    monkeypatch.setattr(pieces, "attempt", lambda _work: iter([*items[:3], death]))
     first, part, last = in_files(None, files=FILES)
     assert isinstance(first, WholeFile)
     assert first.name == "raw.parquet"
