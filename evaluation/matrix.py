@@ -11,14 +11,7 @@ from typing import Any, Final
 
 from evaluation.experiment.presets import PRESETS
 from evaluation.experiment.settings import Settings
-from evaluation.reporting.announcements import (
-    broken,
-    condensed,
-    listing,
-    notices,
-    plan_lines,
-    wrapped,
-)
+from evaluation.reporting import announcements
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
 from isac_track.config import StageSettings
 from isac_track.errors import SettingsError
@@ -154,8 +147,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _command(arguments: Sequence[str] | None) -> int:
     options = parser().parse_args(arguments)
     if options.list:
-        _say(listing())
-        _say(broken(), stream=sys.stderr)
+        _say(announcements.listing())
+        _say(announcements.broken(), stream=sys.stderr)
         return DONE
     settings = settings_from(options)
     from evaluation.reporting.progress import progress_bar  # noqa: PLC0415 - as said below
@@ -175,8 +168,10 @@ def _command(arguments: Sequence[str] | None) -> int:
                 raise SettingsError("--precision computes 250 scenes first: leave out --dry-run")
             settings = sized(settings, progress=update)
         ready = plan(settings)
-        first, *others = plan_lines(ready)
-        said += wrapped(first) + condensed(others, most=None if whole else 3, where="--dry-run")
+        first, *others = announcements.plan_lines(ready)
+        said += announcements.wrapped(first) + announcements.condensed(
+            others, most=None if whole else 3, where="--dry-run"
+        )
         _say(said, stream=sys.stderr)
         if options.dry_run:
             return DONE
@@ -189,8 +184,8 @@ def _command(arguments: Sequence[str] | None) -> int:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FailedCellsWarning)  # told below
             results = run(ready=ready, progress=update)
-    told = [f"notice: {one}" for one in notices(results.manifest)]
-    told = condensed(told, most=None if whole else 2, where="tables.txt")
+    told = [f"notice: {one}" for one in announcements.notices(results.manifest)]
+    told = announcements.condensed(told, most=None if whole else 2, where="tables.txt")
     _say(told, stream=sys.stderr)
     # One more: loops may have been compiled.
     show(results, before=len(said) + len(told) + 1, verbose=options.verbose)

@@ -12,18 +12,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from evaluation.cells import reconstruction, sharing
+from evaluation.cells import linkage, reconstruction, sharing
 from evaluation.cells.forecasts import sharing_rows
 from evaluation.cells.link_scores import linkage_tables
 from evaluation.cells.link_setup import sensed_sessions
-from evaluation.cells.linkage import (
-    bound,
-    link,
-    linked_level,
-    sees_times_alone,
-    who_sees_alike,
-    window_tables,
-)
 from evaluation.cells.sharing import Digest, release_digest, sees_release_alone
 from evaluation.cells.tables import ROWS, Tables, rows_table
 from evaluation.cells.where import Failed, here, note
@@ -121,21 +113,21 @@ def _linked(work: LinkWork, *, tracks: Cut, stages: StageSettings, seed: int) ->
     alike: dict[tuple[Digest, str], Tables] = {}
     for mechanism, consumers in work.levels:
         note(mechanism.spec, "")
-        level, before = linked_level(mechanism, whole), ("", "")
+        level, before = linkage.linked_level(mechanism, whole), ("", "")
         digest = release_digest(*level.shared)
-        for consumer in sorted(consumers, key=who_sees_alike):
+        for consumer in sorted(consumers, key=linkage.who_sees_alike):
             note(mechanism.spec, consumer.label)
-            if who_sees_alike(consumer) != before:
-                before = who_sees_alike(consumer)
+            if linkage.who_sees_alike(consumer) != before:
+                before = linkage.who_sees_alike(consumer)
                 level.sides.clear()
-            is_same = sees_times_alone(consumer, level)
+            is_same = linkage.sees_times_alone(consumer, level)
             key = () if is_same else digest, consumer.label
             tables = alike.get(key)
             if tables is None and consumer.kind == "windows":
-                tables = window_tables(consumer, level)
+                tables = linkage.window_tables(consumer, level)
             elif tables is None:
                 is_bound = consumer.kind == "linkage" and not consumer.plugins
-                found = bound(level, motion) if is_bound else link(consumer, level)
+                found = linkage.bound(level, motion) if is_bound else linkage.link(consumer, level)
                 tables = linkage_tables(found, whole, keep_scores=work.keep_scores)
             if is_same or sees_release_alone(consumer):
                 alike[key] = tables

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from importlib import import_module
+from math import inf, nextafter
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,21 @@ _KINDS: dict[str, tuple[Any, type, str]] = {
     "out": ((str, Path), Path, "the path of a folder"),
 }
 """What an option must be, what it becomes, and how that is said."""
+_SCENES_WRONG = "a run needs at least 2 scenes (one of each label) and at most {1:,}, got {0}"
+_PRECISION_WRONG = (
+    "--precision is the half-width of a missed-conflict rate's interval, between 0 and 0.5 "
+    "(0.01: +- 1 %), got {0:g}"
+)
+_LIMITS: dict[str, tuple[float, float, str]] = {
+    "scenes": (1, MOST_SCENES, _SCENES_WRONG),
+    "seed": (-1, inf, "the seed must not be negative, got {0}"),
+    "jobs": (0, inf, "jobs must be at least 1, got {0}"),
+    "cell_timeout_s": (0, inf, "cell_timeout must be positive, got {0:g} s"),
+    "fps": (0, inf, "fps must be positive, got {0:g}"),
+    "utility_scenes": (1, MOST_SCENES, "utility_scenes must be 2 to {1:,}, got {0}"),
+    "precision": (0, nextafter(0.5, 0.0), _PRECISION_WRONG),
+}
+"""Above and up to what a number must be, and how that is said."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,29 +88,14 @@ class Settings:
 
     def __post_init__(self) -> None:
         self._check_types()
-        if self.preset not in PRESETS:
-            hint = did_you_mean(self.preset, PRESETS, quote="'") or f"; known: {', '.join(PRESETS)}"
-            raise SettingsError(f"unknown preset {self.preset!r}{hint}")
-        for name in self.adversaries:
-            if name not in ADVERSARIES:
-                known = did_you_mean(name, ADVERSARIES, quote="'") or (
-                    f"; known: {', '.join(ADVERSARIES)}"
-                )
-                raise SettingsError(f"unknown adversary {name!r}{known}")
-        if self.scenes is not None and not 2 <= self.scenes <= MOST_SCENES:  # noqa: PLR2004 - one of each label
-            raise SettingsError(
-                f"a run needs at least 2 scenes (one of each label) and at most {MOST_SCENES:,}, "
-                f"got {self.scenes}"
-            )
-        if self.seed < 0:
-            raise SettingsError(f"the seed must not be negative, got {self.seed}")
-        if self.jobs is not None and self.jobs < 1:
-            raise SettingsError(f"jobs must be at least 1, got {self.jobs}")
-        if self.cell_timeout_s is not None and not self.cell_timeout_s > 0:
-            raise SettingsError(f"cell_timeout must be positive, got {self.cell_timeout_s:g} s")
-        if self.fps is not None and not self.fps > 0:
-            raise SettingsError(f"fps must be positive, got {self.fps:g}")
-        self._check_precision()
+        _check_known("preset", (self.preset,), PRESETS)
+        _check_known("adversary", self.adversaries, ADVERSARIES)
+        for name, (above, most, wrong) in _LIMITS.items():
+            value = getattr(self, name)
+            if value is not None and not above < value <= most:
+                raise SettingsError(wrong.format(value, most))
+        if self.precision is not None and self.scenes is not None:
+            raise SettingsError("--precision finds the number of scenes: leave out --scenes")
         self._check_executor()
 
     def _check_types(self) -> None:
@@ -123,27 +124,8 @@ class Settings:
 
     def changed(self, **options: Any) -> Settings:  # noqa: ANN401 - as many types as options
         """Return settings with other options; SettingsError if one is unknown."""
-        known = [one.name for one in fields(self)]
-        for name in options:
-            if name not in known:
-                hint = did_you_mean(name, known, quote="'") or f"; known: {', '.join(known)}"
-                raise SettingsError(f"unknown option {name!r}{hint}")
+        _check_known("option", options, [one.name for one in fields(self)])
         return replace(self, **options)
-
-    def _check_precision(self) -> None:
-        if self.utility_scenes is not None and not 2 <= self.utility_scenes <= MOST_SCENES:  # noqa: PLR2004 - as of scenes
-            raise SettingsError(
-                f"utility_scenes must be 2 to {MOST_SCENES:,}, got {self.utility_scenes}"
-            )
-        if self.precision is None:
-            return
-        if not 0.0 < self.precision < 0.5:  # noqa: PLR2004 - half of all
-            raise SettingsError(
-                "--precision is the half-width of a missed-conflict rate's interval, between 0 "
-                f"and 0.5 (0.01: +- 1 %), got {self.precision:g}"
-            )
-        if self.scenes is not None:
-            raise SettingsError("--precision finds the number of scenes: leave out --scenes")
 
     def _check_executor(self) -> None:
         if self.executor not in ("local", "dask"):
@@ -176,6 +158,13 @@ class Settings:
         if self.utility_scenes is not None:
             return self.utility_scenes
         return PRESETS[self.preset].utility_scenes if self.scenes is None else self.scenes
+
+
+def _check_known(what: str, names: Iterable[str], known: Collection[str]) -> None:
+    for name in names:
+        if name not in known:
+            hint = did_you_mean(name, known, quote="'") or f"; known: {', '.join(known)}"
+            raise SettingsError(f"unknown {what} {name!r}{hint}")
 
 
 def check_drawing() -> None:

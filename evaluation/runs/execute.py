@@ -25,6 +25,7 @@ from evaluation.runs.manifest import (
     entries_of,
     losses_of,
     merged_cells,
+    named,
     others,
     with_ceiling,
     write_manifest,
@@ -63,15 +64,7 @@ def execute(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
     manifest["cells"] = merged_cells(manifest["cells"], ours, held=held)
     write_manifest(out, manifest | {"state": "running"})
     failed = [
-        {
-            "spec": mechanism.spec,
-            "kind": consumer.kind,
-            "consumer": consumer.spec,
-            "knowledge": consumer.knowledge,
-            "world": consumer.world,
-            "block": block,
-            "why": why,
-        }
+        {**named(mechanism, consumer), "block": block, "why": why}
         for (block, mechanism, consumer), why in _compute(missing, ready, tell)
     ]
     if failed:

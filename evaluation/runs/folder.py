@@ -6,19 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from evaluation.experiment.fingerprint import can_be_found, source_digest
+from evaluation.runs import files
 from evaluation.runs.cell_files import Index, sound_files
-from evaluation.runs.files import (
-    FOLDER,
-    LOCK,
-    MANIFEST,
-    PAGE,
-    PLUGIN_ERROR,
-    SUBFOLDERS,
-    WRITTEN,
-    forget_missing,
-    is_temporary,
-    label_of,
-)
 from evaluation.runs.manifest import CELL_NAME, parsed, read_manifest, undamaged, write_manifest
 from isac_track.errors import DataError, SettingsError
 
@@ -51,14 +40,14 @@ def check_folder(out: Path) -> None:
         if not there.is_dir():
             what = there if there == out else f"{out}: {there}"
             raise SettingsError(f"{what} is a file; choose another --out")
-        if not out.exists() or (out / MANIFEST).exists():
+        if not out.exists() or (out / files.MANIFEST).exists():
             return
         for path in out.iterdir():  # a run that is killed before its manifest is there leaves some
-            is_empty = path.name == FOLDER and path.is_dir() and not any(path.iterdir())
+            is_empty = path.name == files.FOLDER and path.is_dir() and not any(path.iterdir())
             if (
                 not is_empty
-                and path.name not in {LOCK, PLUGIN_ERROR}
-                and not is_temporary(path.name)
+                and path.name not in {files.LOCK, files.PLUGIN_ERROR}
+                and not files.is_temporary(path.name)
             ):
                 raise SettingsError(f"{out} is not empty and holds no run; choose another --out")
 
@@ -78,7 +67,7 @@ def open_run(
     """
     manifest: dict[str, Any] = {"identity": identity, "cells": [], "dropped_cells": 0}
     with usable(out):
-        is_there = (out / MANIFEST).exists()
+        is_there = (out / files.MANIFEST).exists()
         if fresh and is_there:
             _remove_run(out)
         elif is_there:
@@ -95,59 +84,61 @@ def open_run(
                     f"{out} holds another run ({'; '.join(different[:_SHOWN_DIFFERENCES])}{more}); "
                     "use --fresh to replace it or another --out"
                 )
-        (out / FOLDER).mkdir(parents=True, exist_ok=True)
+        (out / files.FOLDER).mkdir(parents=True, exist_ok=True)
         names = [name for entry in manifest["cells"] for name in entry["files"]]
-        files, damaged = sound_files(out, names)
-        _drop_other_code(out, manifest, files)
-        forget_missing(out)
-    return manifest, files, damaged
+        held, damaged = sound_files(out, names)
+        _drop_other_code(out, manifest, held)
+        files.forget_missing(out)
+    return manifest, held, damaged
 
 
-def _drop_other_code(out: Path, manifest: dict[str, Any], files: dict[str, Index]) -> None:
+def _drop_other_code(out: Path, manifest: dict[str, Any], held: dict[str, Index]) -> None:
     """Drop the cells whose code is not what is here now, and the files that hold no others.
 
     Code that is not here at all cannot be told to be another.
     """
     modules = {
         module
-        for index in files.values()
-        for code in (index.code, *(held.code for held in index.consumers.values()))
+        for index in held.values()
+        for code in (index.code, *(one.code for one in index.consumers.values()))
         for module in code
     }
     here = {name: source_digest(name)[:16] for name in modules if can_be_found(name)}
     current = {
         (name, label)
-        for name, index in files.items()
-        for label, held in index.consumers.items()
-        if all(here.get(one, was) == was for one, was in {**index.code, **held.code}.items())
+        for name, index in held.items()
+        for label, own in index.consumers.items()
+        if all(here.get(one, was) == was for one, was in {**index.code, **own.code}.items())
     }
     cells = [
         entry
         for entry in manifest["cells"]
-        if all((one, label_of(entry)) in current or one not in files for one in entry["files"])
+        if all((one, files.label_of(entry)) in current or one not in held for one in entry["files"])
     ]
     before, after = (sum(len(one["files"]) for one in of) for of in (manifest["cells"], cells))
     manifest["cells"] = cells
     manifest["dropped_cells"] = before - after or manifest["dropped_cells"]
-    for name in files.keys() - {name for name, _ in current}:
-        (out / FOLDER / name).unlink(missing_ok=True)
-        del files[name]
+    for name in held.keys() - {name for name, _ in current}:
+        (out / files.FOLDER / name).unlink(missing_ok=True)
+        del held[name]
 
 
 def _remove_run(out: Path) -> None:
     """Delete what a run wrote, by name: the folder may hold what is not ours. Manifest last."""
     found = parsed(out)
-    ours = [path for path in (out / FOLDER).glob("*.parquet") if CELL_NAME.fullmatch(path.name)]
-    ours += [out / name for name in WRITTEN]
+    ours = [
+        path for path in (out / files.FOLDER).glob("*.parquet") if CELL_NAME.fullmatch(path.name)
+    ]
+    ours += [out / name for name in files.WRITTEN]
     with contextlib.suppress(DataError):
         ours += _figures(out, undamaged(found, out=out))
     try:
         for path in ours:
             path.unlink(missing_ok=True)
-        for folder in SUBFOLDERS:
+        for folder in files.SUBFOLDERS:
             if (out / folder).is_dir() and not any((out / folder).iterdir()):
                 (out / folder).rmdir()
-        (out / MANIFEST).unlink()
+        (out / files.MANIFEST).unlink()
     except OSError as error:
         raise SettingsError(
             f"cannot replace the run in {out}: {error.strerror}; choose another --out"
@@ -164,7 +155,7 @@ def remove_figures(out: Path) -> None:
 
     Raises DataError if the folder cannot be written.
     """
-    for path in (out / PAGE, *_figures(out, read_manifest(out))):
+    for path in (out / files.PAGE, *_figures(out, read_manifest(out))):
         try:
             path.unlink(missing_ok=True)
         except OSError as error:

@@ -30,8 +30,10 @@ from evaluation.runs.files import MANIFEST, content_of, label_of, write_whole
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
+    from evaluation.experiment.axes import Consumer
     from evaluation.experiment.plan import Plan, Unit
     from evaluation.runs.cell_files import Index
+    from isac_track.plugins import Plugin
 
 CELL_NAME: Final = re.compile(r"[A-Za-z0-9.=-]{1,80}_[0-9]{5}_[0-9a-f]{16}\.parquet")
 LAYOUT: Final = 3
@@ -282,6 +284,12 @@ def _git_commit() -> str | None:
     return answer.stdout.strip() or None
 
 
+def named(mechanism: Plugin, consumer: Consumer) -> dict[str, str]:
+    """Return what an entry, or one of what failed, calls a mechanism and a consumer."""
+    about = {name: getattr(consumer, name) for name in ("kind", "knowledge", "world")}
+    return {"spec": mechanism.spec, "consumer": consumer.spec, **about}
+
+
 def entries_of(
     ready: Plan, places: Mapping[tuple[str, str], str], missing: Iterable[Unit]
 ) -> list[dict[str, Any]]:
@@ -294,12 +302,9 @@ def entries_of(
     return [
         {
             "mechanism": mechanism.name,
-            **{name: getattr(mechanism, name) for name in ("level", "family", "adding", "spec")},
-            "kind": consumer.kind,
-            "consumer": consumer.spec,
-            "knowledge": consumer.knowledge,
+            **{name: getattr(mechanism, name) for name in ("level", "family", "adding")},
+            **named(mechanism, consumer),
             "slow": consumer.is_slow,
-            "world": consumer.world,
             "files": files[mechanism.spec, consumer.label],
         }
         for mechanism, consumer in ready.pairs

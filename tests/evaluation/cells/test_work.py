@@ -39,7 +39,7 @@ def test_levels_that_are_shared_alike_are_computed_once_and_the_same(piece, monk
     work, tracks = piece
     once = list(cells(work, tracks=tracks, stages=STAGES, seed=0))
     monkeypatch.setattr(work_module, "sees_release_alone", lambda _: False)
-    monkeypatch.setattr(work_module, "sees_times_alone", lambda *_: False)
+    monkeypatch.setattr(work_module.linkage, "sees_times_alone", lambda *_: False)
     each = list(cells(work, tracks=tracks, stages=STAGES, seed=0))
     first = {one.label: tables for _, by, one, tables in once if by.spec == ALIKE[0]}
     n_shared = 0
