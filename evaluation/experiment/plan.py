@@ -118,7 +118,7 @@ def plan(settings: Settings) -> Plan:
         identity["persistent_ids"] = True
     if settings.n_utility_scenes != settings.n_scenes:
         identity["scenes_utility"] = settings.n_utility_scenes
-    sessions, skipped, unasked = [], dict[str, str](), set[str]()
+    sessions, skipped = [], dict[str, str]()
     for task in crossed.tasks:
         try:
             sessions.append(
@@ -128,21 +128,15 @@ def plan(settings: Settings) -> Plan:
             if settings.tasks is not None:  # it was named, so that it must be
                 raise
             if task.comes_back and dataset.tracks.session is None:
-                unasked.add(task.name)  # of one session nobody expects it
-                continue
+                continue  # of one session nobody expects it
             skipped[task.name] = str(error)
-    links = tuple(
-        (task, link) for task, link in crossed.links if task.name not in {*skipped, *unasked}
-    )
+    left = {one.task.name for one in sessions}
+    links = tuple((task, link) for task, link in crossed.links if task.name in left)
     crossed = replace(crossed, links=links, skipped=skipped)
     units, code_of = _units(crossed, settings, identity=identity)
     jobs = jobs_of(crossed, settings)
-    if (
-        jobs > 1
-        or fingerprint.has_strangers(crossed)
-        or settings.cell_timeout_s is not None
-        or settings.scheduler is not None
-    ):
+    is_apart = settings.cell_timeout_s is not None or settings.scheduler is not None
+    if is_apart or jobs > 1 or fingerprint.has_strangers(crossed):
         _check_sendable(units)
     most = min(MOST_MODELLED, settings.stages.linkage.most_people)
     few = settings.stages.changed({"linkage.most_people": most})
@@ -174,10 +168,11 @@ def _units(
     known: dict[str, str] = {}
 
     def code(stage: str, *plugins: Plugin) -> dict[str, str]:
-        for module in fingerprint.sources(stage, *plugins):
-            if module not in known:
-                known[module] = fingerprint.source_digest(module)[:16]
-        return {module: known[module] for module in fingerprint.sources(stage, *plugins)}
+        modules = fingerprint.sources(stage, *plugins)
+        known.update(
+            {one: fingerprint.source_digest(one)[:16] for one in modules if one not in known}
+        )
+        return {module: known[module] for module in modules}
 
     units = []
     attacked, every = (
@@ -202,19 +197,12 @@ def _units(
         for consumer in consumers:
             own = code("", *consumer.plugins).values()
             key = fingerprint.consumer_key(consumer, code=own, keep_scores=settings.keep_scores)
-            of_block = (
-                fingerprint.RECONSTRUCTION
-                if consumer.kind in {"attack", "bound"}
-                else fingerprint.SHARING
-            )
+            is_rebuilt = consumer.kind in {"attack", "bound"}
+            of_block = fingerprint.RECONSTRUCTION if is_rebuilt else fingerprint.SHARING
             by_stage.setdefault(consumer.task or of_block, {})[key] = consumer
         for mechanism in mechanisms:
-            about = (
-                BLOCK_SCENES,
-                mechanism.spec,
-                mechanism.origin,
-                *filter(None, [mechanism.digest]),
-            )
+            about = [BLOCK_SCENES, mechanism.spec, mechanism.origin]
+            about += filter(None, [mechanism.digest])
             for stage, of_stage in by_stage.items():
                 made_by = code(stage, mechanism)
                 for block in blocks:

@@ -45,12 +45,8 @@ _SWEEP = (
 # PLR, AEL and MEL as shared alone, before anything was linked: those of correlated and offset lie
 # within the range from raw to fixed:1 (offset:0.4 does not). Thinned, a sample stands for longer.
 DISSOCIATION = (
-    "correlated:0.75",
-    "correlated:0.75,adding=independent",
-    "offset:0.3",
-    "thin:4",
-    "thin:4,d_sigma=0.75",
-    "thin:4,d_sigma=0.75,adding=independent",
+    *("correlated:0.75", "correlated:0.75,adding=independent", "offset:0.3"),
+    *("thin:4", "thin:4,d_sigma=0.75", "thin:4,d_sigma=0.75,adding=independent"),
 )
 """Controls of the question whether a descriptor tells how linkable people are."""
 PROTECTIONS = ("ou:0.2", "ou:0.4", "laplace:1", "fixed:1,adding=independent,law=isotropic")

@@ -117,12 +117,8 @@ def others(
     entries: Iterable[dict[str, Any]], *, than: Iterable[dict[str, Any]]
 ) -> list[dict[str, Any]]:
     """Return the entries of other consumers at other levels."""
-
-    def key(entry: Mapping[str, Any]) -> tuple[str, str]:
-        return entry["spec"], label_of(entry)
-
-    known = set(map(key, than))
-    return [entry for entry in entries if key(entry) not in known]
+    known = {(entry["spec"], label_of(entry)) for entry in than}
+    return [entry for entry in entries if (entry["spec"], label_of(entry)) not in known]
 
 
 def with_ceiling(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:

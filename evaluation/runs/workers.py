@@ -1,9 +1,8 @@
 """Works handed out to worker processes of this machine, and what comes back of them.
 
-Each worker is in a lane of its own, so that one that dies takes nobody along: a pool of several
-that share a queue breaks as a whole when one of them is killed, and nobody can tell what it was at.
-Here each lane is one process at the other end of a pipe. It tells where it is before each cell:
-that names the culprit, and shows how long a cell has been running.
+Each worker is in a lane of its own, at the other end of a pipe, so that one that dies takes nobody
+along. It tells where it is before each cell: that names the culprit, and shows how long a cell has
+been running.
 """
 
 from __future__ import annotations
@@ -135,10 +134,8 @@ def given_back() -> Iterator[None]:
     """Give back to the system what was freed while this was open: one process may run many.
 
     glibc gives threads arenas of their own, whose ends ``malloc_trim`` cannot reach, and pyarrow's
-    pools keep pieces that the next run does not quite fill: eight small runs in a row grew from 548
-    to 763 MB with nothing leaked. So threads share an arena from now on (one that has its own
-    already keeps it), and pyarrow takes its memory from malloc meanwhile. With another C library,
-    malloc is left as it is.
+    pools keep pieces that the next run does not quite fill. So threads share an arena from now on,
+    and pyarrow takes its memory from malloc meanwhile. Another C library's malloc is left as it is.
     """
     pool, libc = pa.default_memory_pool(), _glibc()
     if libc is not None:
