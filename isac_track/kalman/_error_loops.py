@@ -172,8 +172,9 @@ def _backward(amplitude: Floats, rows: Floats) -> None:
         row[2] -= pu * lxp + vu * lxv + uu * lxu
         row[3] -= pu * lyp + vu * lyv + uu * lyu
         hp, hv, hu = pp + s * pu, pv + s * vu, pu + s * uu
-        row[4] = pp - _form(pp, pv, pu, mpp, mpv, mvv, mpu, mvu, muu)
-        row[16] = hp + s * hu - _form(hp, hv, hu, mpp, mpv, mvv, mpu, mvu, muu)
+        m = mpp, mpv, mvv, mpu, mvu, muu
+        row[4] = pp - _form(pp, pv, pu, m)
+        row[16] = hp + s * hu - _form(hp, hv, hu, m)
 
         gp, gv, gu = row[10], row[11], row[12]
         nx = gp * lxp + gv * lxv + gu * lxu + row[13]
@@ -198,18 +199,9 @@ def _backward(amplitude: Floats, rows: Floats) -> None:
 
 
 @part_of_loop
-def _form(
-    a: float,
-    b: float,
-    c: float,
-    mpp: float,
-    mpv: float,
-    mvv: float,
-    mpu: float,
-    mvu: float,
-    muu: float,
-) -> float:
+def _form(a: float, b: float, c: float, m: _Six) -> float:
     """Return (a, b, c) m (a, b, c)'."""
+    mpp, mpv, mvv, mpu, mvu, muu = m
     ahead: float = a * (a * mpp + 2 * (b * mpv + c * mpu)) + b * (b * mvv + 2 * c * mvu)
     return ahead + c * c * muu
 

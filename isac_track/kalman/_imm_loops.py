@@ -192,19 +192,6 @@ def _filter(
     return log_likelihood + log(scale) / 2
 
 
-@part_of_loop
-def _room(batch: _Batch, modes: int) -> _Moods:
-    """Return memory for the states and probabilities along any one of the tracks."""
-    longest = 0
-    for i in range(batch[3].size - 1):
-        longest = max(longest, batch[3][i + 1] - batch[3][i])
-    return (
-        np.empty((longest, modes, _STATES)),
-        np.empty((longest, modes, _STATES, _STATES)),
-        np.empty((longest, modes)),
-    )
-
-
 @compiled(_BATCH, _MOODS, FLOAT, INT, _LAST)
 def imm_last(
     batch: _Batch,
@@ -341,7 +328,11 @@ def imm_smoother(batch: _Batch, moods: _Moods, position: Floats, spread: Floats)
     """Filter, then smooth by expectation correction, one Gaussian per mode, from the last back."""
     t, offsets, (q, _, chances) = batch[0], batch[3], moods
     modes = q.size
-    x, p, mu = _room(batch, modes)
+    longest = 0
+    for i in range(offsets.size - 1):
+        longest = max(longest, offsets[i + 1] - offsets[i])
+    x, p = np.empty((longest, modes, _STATES)), np.empty((longest, modes, _STATES, _STATES))
+    mu = np.empty((longest, modes))
     pair_x, pair_p = np.empty((modes, modes, _STATES)), np.empty((modes, modes, _STATES, _STATES))
     share = np.empty((modes, modes))  # of mode m now and n next
     work = np.empty((8, _STATES, 8))  # some rows of it are half as long
