@@ -103,9 +103,8 @@ def _run(
             ready = plan(settings)
             sources = options.out, held.folder_of(options.out, BASE)
             borrow(ready, sources=sources, fresh=options.fresh)
-            run(
-                ready=ready, progress=False, pictures=False
-            )  # `evaluation.report` draws those that matter
+            # `evaluation.report` draws those that matter.
+            run(ready=ready, progress=False, pictures=False)
         except IsacTrackError as error:
             if variant.name == BASE:  # without it nothing can be said, every other one may fail
                 raise

@@ -73,8 +73,7 @@ def showing(release: Release, granted: frozenset[Knowledge]) -> Release:
 
 def declared(plugin: Plugin) -> frozenset[Knowledge]:
     """Return what a plug-in says that it needs or takes."""
-    wanted: frozenset[Knowledge] = plugin.instance.requires | plugin.instance.uses
-    return wanted
+    return frozenset(plugin.instance.requires | plugin.instance.uses)
 
 
 def granted_at(

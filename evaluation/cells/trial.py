@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -39,16 +38,14 @@ _MECHANISM = "fixed:0.5"
 _GRID_S = 0.1
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Trial:
+class Trial(NamedTuple):
     """What is called once: a mechanism, or what reads a release."""
 
     plugin: Plugin
     consumer: Consumer | None = None  # None: the plug-in is a mechanism.
 
 
-@dataclass(frozen=True, slots=True)
-class Fault:
+class Fault(NamedTuple):
     """What a plug-in did wrong, and its traceback."""
 
     why: str

@@ -57,13 +57,9 @@ class Consumer:
     @property
     def spec(self) -> str:
         """As in the column `consumer`."""
-        name = "@".join(one.spec for one in self.plugins)
-        if self.kind == "control":
-            name = f"control-{self.control}"
-        elif self.kind == "windows":
-            name = WINDOWS
-        elif self.kind == "bound" or (self.kind == "linkage" and self.plugin is None):
-            name = BOUND
+        own = "@".join(one.spec for one in self.plugins)
+        of_kind = {"control": f"control-{self.control}", "windows": WINDOWS, "bound": BOUND}
+        name = of_kind.get(self.kind, own or (BOUND if self.kind == "linkage" else ""))
         return f"{self.task}/{name}" if self.task else name or SHARED
 
     @property

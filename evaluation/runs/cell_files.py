@@ -307,12 +307,11 @@ def _weights(drawn_as: tuple[int, ...], n_groups: int, task: str, seed: int) -> 
 
 def _tables(
     out: Path, entry: Mapping[str, Any], columns: Collection[str] | None = None
-) -> list[tuple[Path, dict[str, pa.Table]]]:
-    """Return the tables of a consumer by file, each with some columns, or all but raw scores."""
-    return [
-        (path, {name: whole.slice(*at) for name, at in _held(path, index, entry).tables.items()})
-        for path, whole, index in _opened(out, entry, columns)
-    ]
+) -> Iterator[tuple[Path, dict[str, pa.Table]]]:
+    """Yield the tables of a consumer by file, each with some columns, or all but raw scores."""
+    for path, whole, index in _opened(out, entry, columns):
+        held = _held(path, index, entry)
+        yield path, {name: whole.slice(*at) for name, at in held.tables.items()}
 
 
 def _held(path: Path, index: Index, entry: Mapping[str, Any]) -> Held:
