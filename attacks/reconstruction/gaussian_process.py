@@ -31,9 +31,8 @@ class GaussianProcess:
     Learning*, 2006: sections 2.2, 4.2.1.
     """
 
-    length_s: float | None = (
-        None  # None, with `scale_m`: learnt from the training set or `DEFAULT`.
-    )
+    length_s: float | None = None
+    """s; None, with `scale_m`: learnt from the training set, or `DEFAULT` without one."""
     scale_m: float | None = None  # m, standard deviation of the process about the line.
 
     slow: ClassVar[bool] = True

@@ -120,6 +120,7 @@ class Draft:
             alone &= sizes[cluster][there] == 1
             moving &= _moving(tracks)[there]
         found |= {"learns": learns, "calibrates": calibrates, "alone": alone, "moving": moving}
+        # mypy cannot follow what a task holds beside its people: that is named where it is built.
         return Sessions(task=self.task, source=source, group=group, **found)  # type: ignore[arg-type]
 
 

@@ -146,9 +146,8 @@ def _of_scenes(block: Block, *, tracks: Cut, stages: StageSettings, seed: int) -
     alike: dict[tuple[Digest, str], Tables] = {}
     for mechanism, consumers in block.levels:
         note(mechanism.spec, "")
-        level: reconstruction.AttackedLevel | None = (
-            None  # and all that was made of the one before is gone
-        )
+        # All that was made of the one before is gone.
+        level: reconstruction.AttackedLevel | None = None
         release = sharing.share(mechanism, sensed, "block", block.number, seed=seed)
         digest = release_digest(release)
         known = sharing.restricted(scenes, sharing.samples_shared(release, sensed))
