@@ -35,13 +35,7 @@ import psutil
 from scipy.stats import theilslopes
 
 import evaluation
-from benchmarks.processes import (
-    check_memory_is_told,
-    command_of,
-    descendants,
-    rss_mb,
-    tree_rss_mb,
-)
+from benchmarks.processes import check_memory_is_told, command_of, descendants, rss_mb, tree_rss_mb
 from benchmarks.scale import finite, positive
 from evaluation.experiment.presets import PRESETS
 from evaluation.reporting.terminal import aligned

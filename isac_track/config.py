@@ -13,14 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from numbers import Integral, Real
-from typing import (
-    Any,
-    Literal,
-    TypeAlias,
-    dataclass_transform,
-    get_args,
-    get_type_hints,
-)
+from typing import Any, Literal, TypeAlias, dataclass_transform, get_args, get_type_hints
 
 from isac_track.errors import SettingsError, did_you_mean, quoted
 

@@ -60,11 +60,7 @@ Cards: TypeAlias = "Sequence[tuple[Mapping[str, Any], LinkageOutcome]]"
 
 
 def cards(
-    out: Path,
-    manifest: Mapping[str, Any],
-    *,
-    drawn: Collection[str] | None = None,
-    world: str = "",
+    out: Path, manifest: Mapping[str, Any], *, drawn: Collection[str] | None = None, world: str = ""
 ) -> Cards:
     """Return the card of every linkage cell with its entry in the manifest, of one of `WORLDS`.
 

@@ -44,12 +44,7 @@ from isac_track import privacy
 from isac_track.errors import DataError, PluginError
 from isac_track.kalman import Batch
 from isac_track.model_world import START_STD_M, Motion, errors_of, log_ratios
-from isac_track.protocols import (
-    AttackContext,
-    LinkageAttack,
-    LinkageTrainingSet,
-    TrainingSet,
-)
+from isac_track.protocols import AttackContext, LinkageAttack, LinkageTrainingSet, TrainingSet
 from isac_track.rng import stream
 from isac_track.types import Floats, Knowledge, Release, derived
 
@@ -317,11 +312,7 @@ def _sides(consumer: Consumer, level: LinkedLevel, fold: int) -> _Sides:
 
 
 def _smoothed(
-    consumer: Consumer,
-    behind: Plugin,
-    level: LinkedLevel,
-    fold: int,
-    shows: frozenset[Knowledge],
+    consumer: Consumer, behind: Plugin, level: LinkedLevel, fold: int, shows: frozenset[Knowledge]
 ) -> _Sides:
     """Return both releases with the positions that a reconstruction attack makes of them."""
     name = f"attack {behind.spec}"
@@ -439,11 +430,7 @@ def window_tables(consumer: Consumer, level: LinkedLevel) -> Tables:
         truth, walked = getattr(known.sessions, side).xy, _true_walks(level, number)
         exposed, left = (
             descriptors(
-                xy=one,
-                truth=real,
-                t=release.t,
-                offsets=release.offsets,
-                settings=known.privacy,
+                xy=one, truth=real, t=release.t, offsets=release.offsets, settings=known.privacy
             )
             for one, real in ((release.xy, truth), (attacked, walked))
         )

@@ -322,12 +322,7 @@ def motion_of(tracks: Cut) -> Motion:
 
 
 def sensed_scenes(
-    scenes: Scenes,
-    *names: str | int,
-    tracks: Cut,
-    is_model: bool,
-    stages: StageSettings,
-    seed: int,
+    scenes: Scenes, *names: str | int, tracks: Cut, is_model: bool, stages: StageSettings, seed: int
 ) -> tuple[Scenes, Sensed]:
     """Return scenes and what is sensed of them, of a model with agents who walk as that says.
 

@@ -15,12 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isac_track.linkability.ranks import Search
-from isac_track.linkability.scores import (
-    Calibration,
-    default_bins,
-    inner_edges,
-    is_refused,
-)
+from isac_track.linkability.scores import Calibration, default_bins, inner_edges, is_refused
 from isac_track.linkability.significance import People, import_loops, mated_probes
 from isac_track.types import Floats, Ints
 
