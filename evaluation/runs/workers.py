@@ -39,6 +39,11 @@ _ONE_THREAD: Final = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
 )
 """More would fight over the cores; and a sum depends on how many share it."""
+_FREED_STAYS: Final = {
+    "MALLOC_TRIM_THRESHOLD_": str(2**26),
+    "MALLOC_MMAP_THRESHOLD_": str(2**25),
+}
+"""Of glibc's malloc, which else gives every larger array back to the system, page by page."""
 _LOOK_S: Final = 0.25  # How often running cells are held against their limit.
 _WORKER: Final = """
 import ctypes, os, signal, sys
@@ -192,7 +197,7 @@ def _started() -> _Worker:
         number = theirs.fileno()
         process = subprocess.Popen(  # noqa: S603 - this very Python
             [sys.executable, "-P", "-c", _WORKER, str(number), str(os.getpid())],
-            env=os.environ | _ONE_THREAD,
+            env=_FREED_STAYS | os.environ | _ONE_THREAD,
             pass_fds=[number],
             process_group=0,
         )
