@@ -35,6 +35,7 @@ _LOW: Final = 0.1
 START_STD_M = 100.0  # Around the first sample: nothing is known of where a walk starts.
 _LEAST_VARIANCE_M2 = 1e-12
 _LEAST_Q = 1e-4
+_LEAST_SPEED_MPS = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,9 +75,10 @@ def fitted_motion(tracks: Tracks) -> Motion:
         bend = np.square(after - 2.0 * at + before).mean()
         density.append(bend / (2.0 / 3.0 * lag_s**3))
         square.append(np.square((after - before) / (2.0 * lag_s)).mean())
-    # Nobody walks dead straight: a track that does was left standing.
+    # Nobody walks dead straight, or stands dead still: a track that does was left standing.
     low = max(float(np.quantile(density, _LOW)), _LEAST_Q)
-    return Motion(max(float(np.mean(density)), low), low, float(np.sqrt(np.mean(square))))
+    speed_mps = max(float(np.sqrt(np.mean(square))), _LEAST_SPEED_MPS)
+    return Motion(max(float(np.mean(density)), low), low, speed_mps)
 
 
 def simulated(*, t: Floats, offsets: Ints, start: Floats, motion: Motion, rng: Generator) -> Floats:

@@ -69,14 +69,13 @@ def test_the_motion_of_simulated_walks_is_found_again(walks):
     assert 0.0 < found.q_low < found.q
 
 
-def test_a_straight_walk_of_two_samples_has_a_motion():
-    one = {"source": ("a",), "group": ("a",)}
-    found = fitted_motion(
-        Tracks(
-            t=np.array([0.0, 1.0]), xy=np.array([[0, 0], [1.0, 1]]), offsets=np.array([0, 2]), **one
-        )
-    )
+@pytest.mark.parametrize("end_m", [1.0, 0.0], ids=["straight", "standing"])
+def test_a_straight_walk_of_two_samples_has_a_motion(end_m):
+    xy = np.array([[0.0, 0.0], [end_m, end_m]])
+    one = {"source": ("a",), "group": ("a",), "offsets": np.array([0, 2])}
+    found = fitted_motion(Tracks(t=np.array([0.0, 1.0]), xy=xy, **one))
     assert found.q == found.q_low > 0.0
+    assert found.speed_mps == pytest.approx(max(end_m, 0.01))
 
 
 @pytest.mark.parametrize(
