@@ -73,7 +73,7 @@ def headline_of(run: Results) -> Headline:
 def reference(of: Headline) -> Where:
     """Return the level that the answers speak of: the strictest FID, or what costs a robot most.
 
-    Raw of a run that adds nothing.
+    Raw of a run that adds nothing, or what else there is.
     """
     wheres = [where for where in of.wheres if of.known[where[0]].is_added]
     if named := [where for one in HEADLINE for where in wheres if where == one]:
@@ -83,7 +83,8 @@ def reference(of: Headline) -> Where:
         found = of.at(where, of.robots[0]) if of.robots else None
         return found.value if found else -1.0
 
-    return max(wheres, key=cost, default=(RAW, None))
+    plain = min(of.wheres, key=lambda where: where[0] != RAW, default=(RAW, None))
+    return max(wheres, key=cost, default=plain)
 
 
 def _lost(of: Headline, where: Where) -> str:

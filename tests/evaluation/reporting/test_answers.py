@@ -44,6 +44,7 @@ def spreads_of(verdict):
 RUNS = {
     "all": lambda: with_links(make_run()),
     "raw alone": lambda: with_links(make_run(at=[("raw", np.nan)])),
+    "clean alone": lambda: with_links(make_run(at=[("clean", np.nan)])),
     "independent alone": lambda: with_links(make_run(at=levels(rules=(":adding=independent",)))),
     "a stranger": lambda: with_links(make_run(at=[("ou", 0.2), ("ou", 0.4)])),
     "no predictor": lambda: make_run(summary=make_summary(predictors=())),
@@ -107,6 +108,11 @@ def test_the_fourth_answer_says_what_was_decided_and_how_wide_it_is(decision, ev
     sentence = answers(make_run(verdict={"items": [item, other]}))[3].sentence
     assert sentence.startswith(said.format(people))
     assert sentence.endswith("1 not testable.") or decision == "not testable"
+
+
+def test_a_run_without_errors_is_answered_with_what_it_has():
+    run = make_run(at=[("clean", np.nan)])
+    assert answers(run)[0].sentence.startswith("Missed conflicts at clean: the paper's line ")
 
 
 def test_of_a_dozen_people_without_intervals_the_values_alone_choose_a_level():
