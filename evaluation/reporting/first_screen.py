@@ -117,6 +117,9 @@ def _next(run: Results, of: Headline) -> list[str]:
     if raw is None or not is_judged or not math.isfinite(raw.ci_high):
         return [f"Next: python -m evaluation.report --verbose {out}"]
     missed = min(1.0, math.ceil(20.0 * (raw.ci_high + _SLACK)) / 20.0)
-    asked = f"--max-missed {missed:.2f} --max-plr {LIMIT:.2f}"
+    rules = {one.adding for one in of.known.values() if one.adding}
+    # By default both must hold, and a run of one has no answer.
+    only = f" --adding {rules.pop()}" if len(rules) == 1 else ""
+    asked = f"--max-missed {missed:.2f} --max-plr {LIMIT:.2f}{only}"
     line = f"Next: python -m evaluation.design {asked} {out}"
     return [line] if len(line) <= WIDTH else [line.removesuffix(out) + "\\", f"  {out}"]
