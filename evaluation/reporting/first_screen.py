@@ -119,7 +119,6 @@ def _next(run: Results, of: Headline) -> list[str]:
     missed = min(1.0, math.ceil(20.0 * (raw.ci_high + _SLACK)) / 20.0)
     rules = {one.adding for one in of.known.values() if one.adding}
     # By default both must hold, and a run of one has no answer.
-    only = f" --adding {rules.pop()}" if len(rules) == 1 else ""
-    asked = f"--max-missed {missed:.2f} --max-plr {LIMIT:.2f}{only}"
-    line = f"Next: python -m evaluation.design {asked} {out}"
-    return [line] if len(line) <= WIDTH else [line.removesuffix(out) + "\\", f"  {out}"]
+    rest = f"--adding {rules.pop()} {out}" if len(rules) == 1 else out
+    line = f"Next: python -m evaluation.design --max-missed {missed:.2f} --max-plr {LIMIT:.2f}"
+    return [f"{line} {rest}"] if len(f"{line} {rest}") <= WIDTH else [f"{line} \\", f"  {rest}"]

@@ -57,7 +57,9 @@ def test_the_next_question_is_one_that_the_run_can_answer(tmp_path):
     asked = first_screen(make_run(tmp_path / "run", strongest={"": Source("kalman_rts", "blind")}))
     assert any("evaluation.design --max-missed 0.20 --max-plr 0.50" in line for line in asked)
     one_rule = make_run(tmp_path / "run", at=levels(rules=("",), others=()))
-    assert "--max-plr 0.50 --adding linear" in " ".join(first_screen(one_rule)[-2:])
+    *_, first, second = first_screen(one_rule)
+    assert first.endswith(" --max-plr 0.50 \\")
+    assert second.startswith("  --adding linear ")
     assert not any("--adding" in line for line in asked)
     alone = first_screen(make_run(tmp_path / "run", strongest={}))
     assert "evaluation.report --verbose" in alone[-2] + alone[-1]
