@@ -39,10 +39,7 @@ _ONE_THREAD: Final = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
 )
 """More would fight over the cores; and a sum depends on how many share it."""
-_FREED_STAYS: Final = {
-    "MALLOC_TRIM_THRESHOLD_": str(2**26),
-    "MALLOC_MMAP_THRESHOLD_": str(2**25),
-}
+_FREED_STAYS: Final = {"MALLOC_TRIM_THRESHOLD_": str(2**26), "MALLOC_MMAP_THRESHOLD_": str(2**25)}
 """Of glibc's malloc, which else gives every larger array back to the system, page by page."""
 _LOOK_S: Final = 0.25  # How often running cells are held against their limit.
 _WORKER: Final = """
