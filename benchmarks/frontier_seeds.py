@@ -18,8 +18,7 @@ from evaluation.analysis.decisions import decisions
 from evaluation.analysis.families import families_in
 from evaluation.analysis.frontier import frontier
 from evaluation.analysis.matching import Sweeps
-from evaluation.analysis.summary import estimates, weights_of
-from evaluation.runs.cell_files import Summed
+from evaluation.analysis.summary import estimates
 from evaluation.runs.manifest import read_manifest
 from isac_track.intervals import Estimate
 
@@ -42,10 +41,9 @@ def pooled(outs: Sequence[Path]) -> pd.DataFrame:
         runs.append((found | decisions(scored, same, found)[2], attacked, same))
     shared = set.intersection(*(set(of) for of, _, _ in runs))
     found = {key: _mean([of[key] for of, _, _ in runs]) for key in runs[0][0] if key in shared}
-    weights = weights_of(runs[0][2])
     sums = {
-        key: Summed(np.mean([of[key] for _, of, _ in runs], axis=0), weights)
-        for key in runs[0][1]
+        key: one._replace(sums=np.mean([of[key].sums for _, of, _ in runs], axis=0))
+        for key, one in runs[0][1].items()
         if key in shared
     }
     known = families_in(runs[0][2]["cells"])

@@ -16,8 +16,6 @@ from isac_track.kalman import steady
 if TYPE_CHECKING:
     import argparse
 
-    from evaluation.verdict.choose_level import Choice
-
 _EPILOG = """\
 Of every family the strictest level of the run (the smallest eta, the largest d_sigma) that meets
 --max-missed, and --max-false-alarm if given, is chosen, provided that every less strict one meets
@@ -83,10 +81,20 @@ def _plan(arguments: Sequence[str]) -> int:
 
 def _run(arguments: Sequence[str]) -> int:
     """Answer from a run."""
+    from evaluation.analysis.families import ADDING_RULES  # noqa: PLC0415 - heavy
     from evaluation.reporting.design_words import show, to_json  # noqa: PLC0415 - heavy
+    from evaluation.verdict.choose_level import ASKED, Limits, choose  # noqa: PLC0415 - heavy
 
     options = _options(arguments)
-    choice = _choice(options)
+    asked = {name: getattr(options, f"max_{name}") for name in ASKED}
+    given = {name: limit for name, limit in asked.items() if limit is not None}
+    choice = choose(
+        options.out,
+        limits=Limits(given, as_shared=options.as_shared),
+        adding=ADDING_RULES if options.adding == "both" else (options.adding,),
+        predictor=options.predictor,
+        only=options.family,
+    )
     if options.json:
         sys.stdout.write(f"{json.dumps(to_json(choice), indent=1, allow_nan=False)}\n")
     else:
@@ -135,21 +143,6 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     add("--json", action="store_true", help="print one JSON object and nothing else")
     add("--plan", action="store_true", help="answer without a run: --plan --help")
     return command.parse_args(arguments)
-
-
-def _choice(options: argparse.Namespace) -> Choice:
-    from evaluation.analysis.families import ADDING_RULES  # noqa: PLC0415 - heavy
-    from evaluation.verdict.choose_level import ASKED, Limits, choose  # noqa: PLC0415 - heavy
-
-    asked = {name: getattr(options, f"max_{name}") for name in ASKED}
-    given = {name: limit for name, limit in asked.items() if limit is not None}
-    return choose(
-        options.out,
-        limits=Limits(given, as_shared=options.as_shared),
-        adding=ADDING_RULES if options.adding == "both" else (options.adding,),
-        predictor=options.predictor,
-        only=options.family,
-    )
 
 
 if __name__ == "__main__":

@@ -39,7 +39,7 @@ from evaluation.reporting.rows import Results
 from evaluation.reporting.study_page import render
 from evaluation.reporting.tables import write_tex, write_text
 from evaluation.runs import folder
-from evaluation.runs.cell_files import Summed, read_gallery
+from evaluation.runs.cell_files import read_gallery
 from evaluation.runs.execute import execute
 from evaluation.runs.files import FRAMES, check_sound, locked, to_csv, write_whole
 from evaluation.runs.manifest import FAILED_COLUMNS, read_manifest
@@ -174,11 +174,9 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
     at_equal = matched(sweeps, predictors=predictors, dataset=dataset)
     best = strongest(sweeps.found, known)
     probes = read_probes(out, manifest, sweeps, strongest=best)
-    weights, seed = summary.weights_of(manifest), manifest["identity"]["seed"]
-    headline = best.get("", AS_SHARED)
-    crossed, halves = cross_fitted(attacked, known, headline, weights=weights, seed=seed)
-    every_sum = summary.linkage_sums(read)
-    every_sum |= {key: Summed(sums, weights) for key, sums in attacked.items()}
+    seed = manifest["identity"]["seed"]
+    crossed, halves = cross_fitted(attacked, known, best.get("", AS_SHARED), seed=seed)
+    every_sum = summary.linkage_sums(read) | attacked
     judged = Sweeps({**sweeps.found, **crossed}, known) if crossed else sweeps
     said = verdict.verdict(judged, probes, strongest=best, scored=halves, manifest=manifest)
     tidy = summary.to_frame({**found, **linked}, worlds=worlds, known=known, dataset=dataset)

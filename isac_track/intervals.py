@@ -36,6 +36,11 @@ class Estimate:
     effective: float = np.nan  # Effective clusters, where their sizes are known: n^2 / sum m^2.
 
     @property
+    def drawn(self) -> Floats:
+        """(1 + B,) the estimate and its replicates."""
+        return np.append(self.value, self.replicates)
+
+    @property
     def standard_error(self) -> float:
         """Of the closed form, or of the replicates that are known; NaN without two."""
         if self.closed_error is not None:

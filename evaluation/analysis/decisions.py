@@ -134,12 +134,12 @@ def decisions(
             if drawn is None:
                 continue
             if consumer == reference and name == _SEPARATION:
-                at = _drawn(found[alarms.at(*where)])
+                at = found[alarms.at(*where)].drawn
                 at_reference[where] = at, drawn.missed_at(at)
             raw_alarm = found.get(alarms.at("raw", None))
             if name == _SEPARATION and raw_alarm is not None:
                 at_raw_alarms[Measure(consumer, EQUAL_ALARMS).at(*where)] = estimate_of(
-                    drawn.missed_at(_drawn(raw_alarm)), n=raw_alarm.n, effective=raw_alarm.effective
+                    drawn.missed_at(raw_alarm.drawn), n=raw_alarm.n, effective=raw_alarm.effective
                 )
             level = np.nan if where[1] is None else where[1]
             whose = (manifest["dataset"]["name"], where[0], level, consumer, name)
@@ -166,8 +166,3 @@ def _with_ends(name: str, ends: str, values: Floats) -> dict[str, float]:
     """Return the columns of a number and of the ends of its interval, from (1 + B,)."""
     low, high = percentile_interval(values[1:])
     return {name: values[0], f"{ends}_low": low, f"{ends}_high": high}
-
-
-def _drawn(one: Estimate) -> Floats:
-    """Return estimate and replicates, (1 + B,)."""
-    return np.concatenate([[one.value], one.replicates])

@@ -105,12 +105,7 @@ def told(
                     for key, one in sums.items()
                     if key.mechanism == name and key.measure.source.task == task
                 }
-                if mine:
-                    weights = next(iter(mine.values())).weights
-                    each = {key: one.sums for key, one in mine.items()}
-                    crossed |= cross_fitted(
-                        each, sweeps.known, source, weights=weights, seed=seed, by=by
-                    )[0]
+                crossed |= cross_fitted(mine, sweeps.known, source, seed=seed, by=by)[0]
             names = DESCRIPTORS
             if task:
                 at_raw = sweeps.found.get(whose[RAW].measure(SUCCESS_OF_100).at(RAW, None))

@@ -86,15 +86,16 @@ def _of_level(
     """Yield the largest gallery measured, a size, a metric and its estimate."""
     above, tied, candidates = one.strangers
     measured = int(candidates.min(initial=np.iinfo(np.int64).max)) if candidates.size else 0
-    sizes = {*SIZES, measured}
     steps = [size for size in SIZES if measured < size <= reach(measured)]
-    within = sorted(size for size in sizes if 1 < size <= measured)
-    parts = {max(2, size // REACH) for size in (measured,) if steps}
-    for size in steps:
-        parts |= {back := _back(measured, size), back // REACH}
-    first = dict(zip(every := sorted({*within, *parts}), _rates(one, every, weights), strict=True))
+    within = sorted(size for size in {*SIZES, measured} if 1 < size <= measured)
+    tried = [measured * measured // size for size in steps]  # see `_predicted`
+    every = sorted(
+        {*within, *tried, *(max(2, size // REACH) for size in (*tried, measured) if steps)}
+    )
     share = (above + 0.5 * (tied - 1)) / np.maximum(candidates - 1, 1)
-    (ahead,) = _ratios(one, [share], weights)
+    of = [*(first_among(one.strangers, size) for size in every), share]
+    *rates, ahead = _ratios(one, of, weights)
+    first = dict(zip(every, rates, strict=True))
     for size in [*within, *steps]:
         rank1 = first[size] if size <= measured else _predicted(first, measured, size)
         yield measured, size, "rank1", rank1
@@ -106,18 +107,15 @@ def _of_level(
             yield measured, size, _TPR, tpr
 
 
-def _back(measured: int, size: int) -> int:
-    """Return the gallery that is to the one measured as that is to a larger one."""
-    return measured * measured // size
-
-
 def _predicted(first: Mapping[int, Estimate], measured: int, size: int) -> Estimate:
     """Return rank 1 in a larger gallery, less by the factor that the same step misses within.
 
-    The interval is that of the people, wider on both sides by what this factor changes.
+    That step begins at the gallery that is to the one measured as that is to the larger one. The
+    interval is that of the people, wider on both sides by what this factor changes.
     """
-    trial, found = _step(first, _back(measured, size), measured), _step(first, measured, size)
-    known = np.append(first[measured].value, first[measured].replicates)
+    trial = _step(first, measured * measured // size, measured)
+    found = _step(first, measured, size)
+    known = first[measured].drawn
     factor = np.divide(known, trial, out=np.ones_like(trial), where=trial > 0.0)
     corrected = np.minimum(found * factor, known)  # no larger gallery is easier
     changed = abs(float(found[0] - corrected[0]))
@@ -131,18 +129,14 @@ def _predicted(first: Mapping[int, Estimate], measured: int, size: int) -> Estim
 def _step(first: Mapping[int, Estimate], of: int, size: int) -> Floats:
     """Return rank 1 in a gallery by those of a smaller one and a tenth of it, and replicates."""
     sizes = max(2, of // REACH), of
-    small, large = (np.append(first[one].value, first[one].replicates) for one in sizes)
+    small, large = (first[one].drawn for one in sizes)
     return predicted_rank1(small=small, large=large, sizes=sizes, gallery=size)
-
-
-def _rates(one: LinkedProbes, sizes: Sequence[int], weights: Floats) -> list[Estimate]:
-    return _ratios(one, [first_among(one.strangers, size) for size in sizes], weights)
 
 
 def _ratios(one: LinkedProbes, of: Sequence[Floats], weights: Floats) -> list[Estimate]:
     """Return the means of some values of each probe, (N,)."""
     n_clusters = len(one.clusters)
-    if not of or not one.cluster.size:
+    if not one.cluster.size:
         return [Estimate(np.nan) for _ in of]
     sums = [cluster_sums(values=one_, cluster=one.cluster, n_clusters=n_clusters) for one_ in of]
     count = cluster_sums(

@@ -92,15 +92,6 @@ class Sweeps:
         ]
         return [name for name in plain if name] + more
 
-    def drawn(self, key: Key) -> Floats:
-        """Return estimate and replicates of a number of the run, (1 + B,)."""
-        return np.concatenate([[self.found[key].value], self.found[key].replicates])
-
-    def point(self, mechanism: str, level: float | None, measure: Measure) -> Floats | None:
-        """Return estimate and replicates of one level, (1 + B,); None if it was not run."""
-        key = measure.at(mechanism, level)
-        return self.drawn(key) if key in self.found else None
-
     def curves(self, a: str, b: str, measure: Measure) -> list[Floats] | None:
         """Return the curves of two mechanisms that end in one raw; None if one has none."""
         asked = a, b, measure
@@ -122,7 +113,7 @@ class Sweeps:
         for name, measure in by.items():
             keys = [*(measure.at(name, level) for level in self.levels(name)), raw]
             if len(keys) > FEWEST_LEVELS and all(key in self.found for key in keys):
-                found[name] = np.stack([self.drawn(key) for key in keys], axis=1)
+                found[name] = np.stack([self.found[key].drawn for key in keys], axis=1)
         # What noise costs falls towards raw, what it hides rises.
         rises = by[RAW].metric not in (MISSED_RATE, EQUAL_ALARMS, ERROR)
         curves = joined([*found.values()], increasing=rises) if found else []

@@ -45,13 +45,7 @@ class Metric:
     @property
     def unit(self) -> str:
         """Unit shown; empty for a ratio."""
-        return (
-            "%"
-            if self.summary_unit == "fraction"
-            else ""
-            if self.summary_unit == "ratio"
-            else self.summary_unit
-        )
+        return {"fraction": "%", "ratio": ""}.get(self.summary_unit, self.summary_unit)
 
     @property
     def scale(self) -> float:

@@ -16,7 +16,7 @@ chosen on one half of the people and scored on the other (`cross_fitted`).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 
@@ -29,18 +29,10 @@ from isac_track.rng import stream
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping
 
+    from evaluation.runs.cell_files import Summed
     from isac_track.intervals import Estimate
-    from isac_track.types import Floats
 
 Levels: TypeAlias = "dict[Where, dict[Source, float]]"  # Success of every attack at each level.
-
-
-class Valued(Protocol):
-    """An estimate, with or without its interval."""
-
-    @property
-    def value(self) -> float:
-        """The estimate."""
 
 
 HEADLINE: Final = ("blind", INFORMED)  # Adversaries of whom the strongest is the headline.
@@ -66,7 +58,7 @@ def strongest_of(
     return max(finite, key=finite.__getitem__, default=None)
 
 
-def strongest(found: Mapping[Key, Valued], known: Mapping[str, Family]) -> dict[str, Source]:
+def strongest(found: Mapping[Key, Estimate], known: Mapping[str, Family]) -> dict[str, Source]:
     """Return the strongest linker of a run by task; under "" the strongest reconstruction.
 
     `found` is every estimate of the run, `known` its mechanisms.
@@ -91,11 +83,10 @@ def _choosing(
 
 
 def cross_fitted(
-    sums: Mapping[Key, Floats],
+    sums: Mapping[Key, Summed],
     known: Mapping[str, Family],
     headline: Source,
     *,
-    weights: Floats,
     seed: int,
     by: str = EXPOSURE,
 ) -> tuple[dict[Key, Estimate], list[Source]]:
@@ -106,17 +97,13 @@ def cross_fitted(
     Also returns the two choices. If both are the headline, nothing is returned: its own estimates
     are what this would give.
 
-    Parameters
-    ----------
-    sums : (2, C) by key
-        Of every attack: numerator and denominator of each metric in each cluster.
-    weights : (B, C)
-        From `cluster_weights`.
-    by
-        The metric that attacks are ranked by.
+    `sums` are of every attack, all with the same weights; attacks are ranked by the metric `by`.
     """
     from isac_track.intervals import ratio_estimates  # noqa: PLC0415 - who reads a run needs none
 
+    if not sums:
+        return {}, []
+    weights = next(iter(sums.values())).weights
     n = weights.shape[1]
     is_first = stream(seed, "strongest", "halves").permutation(n) < n / 2
     families = {known[key.mechanism].family for key in sums}
@@ -124,7 +111,7 @@ def cross_fitted(
     choices = []
     for half in (is_first, ~is_first):
         levels: Levels = {}
-        for key, (over, under) in sums.items():
+        for key, ((over, under), _) in sums.items():
             if key.metric == by and under[half].any():
                 value = float(over[half].sum() / under[half].sum())
                 levels.setdefault(key.where, {})[key.measure.source] = value
@@ -137,7 +124,7 @@ def cross_fitted(
         first = sums.get(of_second.measure(key.metric).at(*key.where))
         if key.measure.source == of_first and first is not None:
             keys.append(headline.measure(key.metric).at(*key.where))
-            mixed.append(np.where(is_first, first, second))
+            mixed.append(np.where(is_first, first.sums, second.sums))
     found = ratio_estimates(
         numerator=np.array([over for over, _ in mixed]),
         denominator=np.array([under for _, under in mixed]),
@@ -147,7 +134,7 @@ def cross_fitted(
     return dict(zip(keys, found, strict=True)), [of_first, of_second]
 
 
-def by_task(found: Mapping[Key, Valued], *, metric: str) -> dict[str, Levels]:
+def by_task(found: Mapping[Key, Estimate], *, metric: str) -> dict[str, Levels]:
     """Return the success of every attack by task, level, and attack."""
     values: dict[str, Levels] = {}
     for key, one in found.items():

@@ -49,18 +49,18 @@ the scenes' clusters, (S,), and its columns as in `_COLUMNS_OF`."""
 
 def estimates(
     out: Path, manifest: Mapping[str, Any], *, world: str = ""
-) -> tuple[dict[Key, Estimate], tuple[Scored, ...], dict[Key, Floats]]:
+) -> tuple[dict[Key, Estimate], tuple[Scored, ...], dict[Key, Summed]]:
     """Return every metric of the scenes with its interval and replicates, and the scores.
 
-    The last are the descriptors after each attack, (2, C): numerator and denominator by cluster.
-    All in the run's own world, or in another one of `WORLDS`.
+    The last are the descriptors after each attack, summed by cluster. All in the run's own world,
+    or in another one of `WORLDS`.
 
     Raises DataError if a cell cannot be read.
     """
     weights = weights_of(manifest)
     found: dict[Key, Estimate] = {}
     scored: list[Scored] = []
-    attacked: dict[Key, Floats] = {}
+    attacked: dict[Key, Summed] = {}
     entries = [
         entry
         for entry in manifest["cells"]
@@ -83,7 +83,7 @@ def estimates(
         metrics, of_clusters = [key.metric for key in keys], np.array(sums)
         found |= zip(keys, _estimates(metrics, of_clusters, weights), strict=True)
         attacked |= {
-            key: one
+            key: Summed(one, weights)
             for key, one in zip(keys, of_clusters, strict=True)
             if key.knowledge and key.metric in DESCRIPTORS
         }

@@ -15,13 +15,9 @@ A third sign is of all attacks of a run at once, in worlds of walks that follow 
 - *far_from_optimum*: even the closest attack, or linker, is more than five points below the optimum
   there, by the lower end of the interval. On recorded walks that could be the motion as well.
 
-What no attack could help is left out: a level where all that is shared leaks already, as with
-`clean`; ends whose RMSE differs by less than a tenth; and ends between which PLR as shared does
-not fall either. The control is never flagged. That an attack beats the shared positions is not
-asked separately, since the control reproduces them.
-
-The intervals are not adjusted for the number of comparisons: of two attacks that are equally
-good one is flagged at about one level in forty. Fewer than 20 clusters decide nothing.
+What no attack could help is left out, and fewer than 20 clusters decide nothing. The control is
+never flagged. That an attack beats the shared positions is not asked separately, since the control
+reproduces them.
 """
 
 import json
@@ -47,7 +43,6 @@ from isac_track.protocols import ADVERSARIES
 
 Found = Mapping[Key, Estimate]
 Levels = Mapping[Where, Mapping[Source, Estimate]]
-
 SIMPLER = (IDENTITY, "moving_average", "savgol", "kalman_rts")  # From the simplest on.
 BEATEN, DOES_NOT_FALL, FAR = "beaten", "does_not_fall", "far_from_optimum"
 COLUMNS = [

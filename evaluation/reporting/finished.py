@@ -43,6 +43,7 @@ def load(out: Path | str) -> Results:
     results = Results(out=out, manifest=manifest, **found)
     rows = results.measured
     rows = rows[rows["metric"].isin([EXPOSURE, SUCCESS]) & (rows["knowledge"] != "")]
-    known = dict(zip(keys_of(rows), map(_Known, rows["value"]), strict=True))
+    # Their values alone are asked for, and what makes estimates takes long to import.
+    known: Any = dict(zip(keys_of(rows), map(_Known, rows["value"]), strict=True))
     best = strongest(known, results.families)
     return replace(results, strongest={task: source.attack for task, source in best.items()})

@@ -14,7 +14,7 @@ from typing import Any
 from evaluation.analysis.keys import Source
 from evaluation.analysis.linked_people import LinkedProbes, by_cluster
 from evaluation.analysis.matching import Sweeps
-from evaluation.verdict import claim, inflation, rules
+from evaluation.verdict import claim, rules
 from evaluation.verdict.items import decided
 from evaluation.verdict.validity import validity
 from evaluation.verdict.within_level import within
@@ -55,7 +55,7 @@ def verdict(
         *across["items"],
         *decided(rules.WITHIN, within(levels, sweeps, success=success, seed=seed)),
         *decided(rules.CLAIM, claims),
-        *decided(rules.INFLATION, inflation.inflation(sweeps, attacks)),
+        *decided(rules.INFLATION, claim.inflation(sweeps, attacks)),
     ]
     for one in items:
         if scored and (one["section"] == rules.INFLATION or one.get("of") == claim.AFTER):

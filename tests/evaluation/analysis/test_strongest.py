@@ -6,6 +6,7 @@ from helpers.mechanisms import families_of
 
 from evaluation.analysis.keys import Source
 from evaluation.analysis.strongest import cross_fitted, strongest, strongest_of
+from evaluation.runs.cell_files import Summed
 from isac_track.intervals import Estimate, cluster_weights
 from isac_track.rng import stream
 
@@ -63,25 +64,24 @@ def test_what_one_half_chose_is_scored_on_the_other():
     weights = cluster_weights(n_clusters=n, n_replicates=50, seed=0)
     tracks = rng.integers(1, 5, n).astype(float)
     is_first = stream(7, "strongest", "halves").permutation(n) < n / 2
-    # Each is the better one on its own half.
-    shares = {first: np.where(is_first, 0.9, 0.1), second: np.where(is_first, 0.2, 0.8)}
+    own = {first: np.where(is_first, 0.9, 0.1), second: np.where(is_first, 0.2, 0.8)}
+    shares = {source: share * tracks for source, share in own.items()}
     sums = {
-        source.measure(metric).at(*where): np.stack([share * tracks * rng.random(n), tracks])
+        source.measure(metric).at(*where): Summed(
+            np.stack([share * rng.random(n), tracks]), weights
+        )
         for where in LEVELS
         for source, share in shares.items()
         for metric in ("plr", "mel")
     }
-    known = families_of(sums)
-    found, halves = cross_fitted(sums, known, first, weights=weights, seed=7)
+    found, halves = cross_fitted(sums, known := families_of(sums), first, seed=7)
     assert halves == [first, second]
-    for where in LEVELS:
-        for metric in ("plr", "mel"):
-            mine, theirs = (sums[one.measure(metric).at(*where)][0] for one in (first, second))
-            scored = np.where(is_first, theirs, mine)
-            one = found[first.measure(metric).at(*where)]
-            assert one.value == pytest.approx(scored.sum() / tracks.sum())
-            assert one.replicates == pytest.approx(weights @ scored / (weights @ tracks))
+    for key in (first.measure(metric).at(*where) for where in LEVELS for metric in ("plr", "mel")):
+        theirs = sums[second.measure(key.metric).at(*key.where)].sums[0]
+        scored = np.where(is_first, theirs, sums[key].sums[0])
+        assert found[key].value == pytest.approx(scored.sum() / tracks.sum())
+        assert found[key].replicates == pytest.approx(weights @ scored / (weights @ tracks))
     assert found[first.measure("plr").at("raw", None)].value < 0.2
     # Where both halves choose the headline its own estimates stand.
     alone = {key: one for key, one in sums.items() if key.consumer == "kalman_rts"}
-    assert cross_fitted(alone, known, first, weights=weights, seed=7) == ({}, [])
+    assert cross_fitted(alone, known, first, seed=7) == ({}, [])
