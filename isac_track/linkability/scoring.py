@@ -36,7 +36,6 @@ from isac_track.linkability.ranks import (
     expected_reciprocal,
     first_among,
     residual_risk,
-    standing,
 )
 from isac_track.linkability.scales import (
     LEVELS,
@@ -311,12 +310,7 @@ def rank_scorecard(
     Parameters and errors are those of `scorecard`; the generator draws what `permutation_p` does.
     """
     check_searches(searches, n_shuffles)
-    observed, null = shuffled_log_ranks(searches, rng, n_shuffles)
-    standings = []
-    for search in searches:
-        has = search.mate >= 0
-        above, tied = standing(search.scores, search.mate)
-        standings.append(np.stack([np.where(has, above, -1), np.where(has, tied, 0)], axis=1))
+    observed, null, standings = shuffled_log_ranks(searches, rng, n_shuffles)
     nobody = [np.full(search.mate.size, -1) for search in searches]
     of_ranks = _of_ranks(searches, standings, nobody, observed, null)
     unknown = np.full(min(len(weights), SCORE_REPLICATES), np.nan)

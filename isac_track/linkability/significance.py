@@ -76,22 +76,24 @@ def permutation_p(
     123, 2015 (multi-level block permutation).
     """
     check_searches(searches, n_shuffles)
-    return p_value_among(*shuffled_log_ranks(searches, rng, n_shuffles))
+    observed, null, _ = shuffled_log_ranks(searches, rng, n_shuffles)
+    return p_value_among(observed, null)
 
 
 def shuffled_log_ranks(
     searches: Sequence[Search], rng: np.random.Generator, n_shuffles: int
-) -> tuple[float, Floats]:
-    """Return the sum of `log_rank` over mates, and those of shuffled mates, (n_shuffles,)."""
+) -> tuple[float, Floats, list[Ints]]:
+    """Return the sum of `log_rank` over mates, those of shuffled mates, (n,), and `standing`s."""
     null, nowhere = np.zeros(n_shuffles), np.zeros((1, n_shuffles))
-    observed = 0.0
+    observed, standings = 0.0, []
     for search in searches:
         mated = mated_probes(people_of(search))
         ranked = rank_rows(search, np.empty(0), np.zeros((1, 2), dtype=np.int64))
         one_bin = np.zeros(ranked.cell.shape, dtype=np.uint8)
         whose = shuffled_mates(mated, rng, n_shuffles)
         observed += add_shuffles(mated, whose, ranked.log_rank, one_bin, null, nowhere)
-    return observed, null
+        standings.append(ranked.standing)
+    return observed, null, standings
 
 
 def rank1_p(*, hits: Floats, chance: Floats) -> float:
