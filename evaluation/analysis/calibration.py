@@ -1,14 +1,11 @@
 """The free constants of the sensing model, fitted to the paper's numbers.
 
-The paper's link budget leaves three constants open. They are fitted to three of its numbers,
-with sigma_cap_m fixed beforehand:
-
-- processing gain (net of the CRB gap) and large-scale spread on raw PLR and raw MEL,
-- the CRB gap on the PLR of FID at eta = 1000.
-
-No other number of the paper was fitted, but all had been seen when the readings were chosen. The
-ridge shows how the constants move, and the other numbers with them, when what was fixed beforehand
-is fixed elsewhere: the cap on sigma_raw is a fourth constant in all but name.
+The paper's link budget leaves three constants open. They are fitted to three of its numbers, with
+sigma_cap_m fixed beforehand: processing gain (net of the CRB gap) and large-scale spread on raw PLR
+and raw MEL, the CRB gap on the PLR of FID at eta = 1000. No other number was fitted, but all had
+been seen when the readings were chosen. The ridge shows how the constants move, and the other
+numbers with them, when what was fixed beforehand is fixed elsewhere: the cap on sigma_raw is a
+fourth constant in all but name.
 """
 
 import math
@@ -68,9 +65,8 @@ def calibrate(
 ) -> Calibration:
     """Return the constants that reproduce the paper's fitted numbers on a recording.
 
-    `changes` is ``{"stage.key": value}``: what is fixed elsewhere than as committed.
-
-    Raises DataError if no constants in the searched ranges do.
+    `changes` is ``{"stage.key": value}``: what is fixed elsewhere than as committed. Raises
+    DataError if no constants in the searched ranges do.
     """
     stages = StageSettings().changed(changes)
     tracks = cut(recorded, settings=stages, seed=seed)
@@ -146,9 +142,8 @@ def fit(
 ) -> SensingSettings:
     """Return the settings whose `FITTED` constants, to 0.01 dB, reproduce the targets.
 
-    Those are raw PLR, raw MEL in s, and PLR under FID at eta = 1000 with linear adding.
-
-    Raises DataError if no constants in the searched ranges do.
+    Those are raw PLR, raw MEL in s, and PLR under FID at eta = 1000 with linear adding. Raises
+    DataError if no constants in the searched ranges do.
     """
     raw_plr, raw_mel_s, fid_plr = targets
 

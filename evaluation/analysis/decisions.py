@@ -1,7 +1,7 @@
 """What each predictor lets a robot decide: misses against false alarms, the whole curve.
 
-A robot may act on the predicted separation (a conflict below d) or on the probability of a
-conflict (above p). Either score gives a curve over its threshold. Thresholds are at most
+A robot may act on the predicted separation (a conflict below d) or, where there is a covariance, on
+the probability of a conflict (above p): two scores, two curves over a threshold. There are at most
 `N_BINS` quantiles of the score over all scenes, and counts per cluster and bin are all that the
 bootstrap needs, so that its cost does not grow with the scenes.
 """
@@ -71,9 +71,8 @@ def curve(*, score: Floats, conflict: Bools, cluster: Ints, weights: Floats) -> 
     """Return the curve of a score with its bootstrap replicates; None without both labels.
 
     A higher `score`, (S,), means that a `conflict`, (S,), is likelier; `cluster`, (S,), is the
-    column of a scene's cluster in `weights`, (B, C), from `intervals.cluster_weights`.
-
-    Raises ValueError if a score is NaN.
+    column of a scene's cluster in `weights`, (B, C), from `intervals.cluster_weights`. Raises
+    ValueError if a score is NaN.
     """
     if np.isnan(score).any():
         raise ValueError("a score is NaN")
@@ -104,15 +103,13 @@ def decisions(
 ) -> tuple[pd.DataFrame, pd.DataFrame, dict[Key, Estimate]]:
     """Return the curves of every predictor, a row on each, and misses at raw's false alarms.
 
-    A robot may act on the predicted separation or, where there is a covariance, on the
-    probability of a conflict: two scores, two curves. The row gives the area under the curve
-    and the missed-conflict rate at the false-alarm rate that the reference, the first predictor
-    of the run, has at its operating point under the same mechanism, with the paired difference
-    from what the reference's own curve by separation reaches there.
+    The row gives the area under the curve and the missed-conflict rate at the false-alarm rate that
+    the reference, the first predictor of the run, has at its operating point under the same
+    mechanism, with the paired difference from what its own curve by separation reaches there.
 
-    The last are what is missed at the false-alarm rate that the predictor has at its operating
-    point where nothing is added (`EQUAL_ALARMS`, by separation): noise costs misses, alarms or
-    both, and at equal alarms the misses alone tell.
+    The last (`EQUAL_ALARMS`) are what is missed, by separation, at the false-alarm rate that the
+    predictor has at its operating point where nothing is added: noise costs misses, alarms or both,
+    and at equal alarms the misses alone tell.
     """
     reference = next(iter(manifest["settings"]["predictors"]), None)
     weights = weights_of(manifest)

@@ -103,7 +103,6 @@ def compare(
 
     Both mechanisms or neither are named: then that of A is compared with that of B instead of each
     with itself; either as in `summary.csv`, at every level that both have, or one level as a SPEC.
-
     Raises DataError if a folder holds no run, a cell is missing or broken, or the runs share no
     number, and SettingsError if only one mechanism is named, or a run does not have it.
     """
@@ -155,15 +154,13 @@ def compare(
 def difference(a: Estimate, b: Estimate, *, paired: bool, metric: str) -> Difference:
     """Return B - A with its 95 % interval and a two-sided p-value.
 
-    Paired, the interval is that of the replicates' differences, row by row: the same people are
-    drawn for both. Where one of them has no spread (a share of exactly 0 or 1), or nothing is
-    paired, both intervals are combined as of independent estimates (Newcombe 1998; Zou and
-    Donner 2008); what is paired as well errs on the wide side then. The p-value is of Student's t
+    `paired` says whether row k of both replicates is the same draw of people. Then the interval is
+    that of their differences; where one of them has no spread (a share of exactly 0 or 1), or
+    nothing is paired, both intervals are combined as of independent estimates (Newcombe 1998; Zou
+    and Donner 2008), which errs on the wide side for what is paired. The p-value is of Student's t
     with a degree of freedom less than the smaller number of clusters: a thousand replicates alone
-    could not tell a p-value below 0.002, and Holm needs smaller ones.
-
-    `paired` says whether row k of both replicates is the same draw; of unequal numbers the first
-    are used. There is no interval and no p-value for less than two clusters, or without replicates.
+    tell none below 0.002, and Holm needs smaller ones. Of less than two clusters, or without
+    replicates, there is neither.
     """
     value = b.value - a.value
     n_clusters = min(a.n, b.n)
@@ -332,8 +329,7 @@ def short_list(names: Sequence[str]) -> str:
 def pairing(first: Manifest, second: Manifest, *, consumer: str) -> str:
     """Return how a consumer's numbers in two runs are paired.
 
-    Replicates of a linkage task (`TASK/ATTACK`) were drawn with the cell: nobody can draw the same
-    people later.
+    Replicates of linkage were drawn with the cell: nobody can draw the same people later.
     """
     moved = _unequal(first["identity"], second["identity"])
     task, is_linked, _ = consumer.partition("/")

@@ -85,9 +85,8 @@ def told(
     """Return what is told of every mechanism, and the estimates that are not those of the run.
 
     As shared; after the strongest reconstruction and linker, of the headline's adversaries and of
-    every other one that was run, short of the oracle. They are chosen against each mechanism by
-    itself over its levels and, where `sums` are known, on one half of the people and scored on the
-    other, and swapped (`strongest.cross_fitted`).
+    every other one but the oracle. They are chosen against each mechanism by itself over its levels
+    and, where `sums` are known, on one half of the people and scored on the other, and swapped.
     """
     found = [Told(name, dict.fromkeys(sweeps.known, AS_SHARED)) for name in DESCRIPTORS]
     crossed: dict[Key, Estimate] = {}
@@ -127,15 +126,12 @@ def frontier(
 
     Level and value are interpolated on the isotonic curve from the noisiest level to raw, which is
     one for all mechanisms, each replicate on its own. There is no interval, and nothing is held
-    against another, with fewer than `ENOUGH_LEVELS` levels (raw is one) whose missed rate is
-    within `NEAR` of the target, with less than `MIN_DEFINED` (of `matching`) of the replicates in
-    reach, or of too few people. `vs_white` is the difference from white noise at the same target,
-    paired; empty without it. `dominated`, at the same target: another mechanism is surely better by
-    more than `MARGIN` in attacked PLR or in whom a linker finds, and this one surely better in none
-    of them (simultaneous bounds, max-t over all pairs and axes). A target out of reach keeps its
-    row without level and numbers.
-
-    `sums` of the attacks are as in `told`.
+    against another, with fewer than `ENOUGH_LEVELS` levels (raw is one) whose missed rate is within
+    `NEAR` of the target, with less than `MIN_DEFINED` of the replicates in reach, or of too few
+    people. `vs_white` is the paired difference from white noise at the same target. `dominated`:
+    there another mechanism is surely better by more than `MARGIN` in attacked PLR or in whom a
+    linker finds, and this one surely in none of them (simultaneous bounds, max-t over all pairs and
+    axes). A target out of reach keeps its row without numbers. `sums` are as in `told`.
     """
     every, crossed = told(sweeps, sums or {}, seed=seed)
     sweeps = Sweeps({**sweeps.found, **crossed}, sweeps.known)

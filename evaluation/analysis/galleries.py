@@ -2,10 +2,8 @@
 
 Of the strongest linker of each task, at every level of the run. Up to the smallest gallery that all
 probes were compared with, every number is measured: the mean over all galleries of that size that
-could be drawn, without companions. Rank 1 in larger ones is predicted (`predicted_rank1`): the same
-step is tried within what was measured, the prediction is divided by the factor that this misses,
-and what that changes is added to both sides of the interval. The expected rank grows with the
-gallery, whatever its size; the TPR is of pairs and does not depend on it.
+could be drawn, without companions. Rank 1 in larger ones is predicted. The expected rank grows with
+the gallery, whatever its size; the TPR is of pairs and does not depend on it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -108,10 +106,10 @@ def _of_level(
 
 
 def _predicted(first: Mapping[int, Estimate], measured: int, size: int) -> Estimate:
-    """Return rank 1 in a larger gallery, less by the factor that the same step misses within.
+    """Return rank 1 in a larger gallery, corrected by what the same step misses within.
 
-    That step begins at the gallery that is to the one measured as that is to the larger one. The
-    interval is that of the people, wider on both sides by what this factor changes.
+    That step ends at the gallery that was measured; the prediction (`predicted_rank1`) is divided
+    by the factor that it misses, and what that changes widens the interval on both sides.
     """
     trial = _step(first, measured * measured // size, measured)
     found = _step(first, measured, size)

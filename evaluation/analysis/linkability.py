@@ -1,9 +1,8 @@
 """The scorecards of a run, and what each says: `linkability.csv`.
 
 An outcome is one of three: *links*, *no link detected* (with the rank-1 rate that would have been
-found), *attack too weak* (it fails even where nothing was added and nothing was sensed: its
-silence is no privacy). A cell whose shortcut audit beats chance is invalid, and says which
-shortcut it was.
+found), *attack too weak* (it fails even where nothing was added and nothing was sensed: its silence
+is no privacy). A cell whose shortcut audit beats chance is invalid, and says which shortcut it was.
 """
 
 import math
@@ -65,7 +64,6 @@ def cards(
     """Return the card of every linkage cell with its entry in the manifest, of one of `WORLDS`.
 
     `drawn` are the metrics of attacks that need replicates; without it all have them, and controls.
-
     Raises DataError if a cell cannot be read.
     """
     entries = [

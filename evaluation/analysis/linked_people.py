@@ -92,9 +92,7 @@ def read_probes(
 
     `strongest` is by task its strongest linker (`analysis.strongest`). Raw, fixed noise and FID are
     linked by it, every other mechanism by the one that is strongest there: an adversary takes what
-    works.
-
-    Raises DataError if a cell cannot be read.
+    works. Raises DataError if a cell cannot be read.
     """
     cells = {
         (entry["mechanism"], entry["level"], entry["consumer"], entry["knowledge"]): entry

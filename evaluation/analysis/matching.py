@@ -96,7 +96,7 @@ class Sweeps:
         """Return the curves of two mechanisms that end in one raw; None if one has none."""
         asked = a, b, measure
         if asked not in self._joined:
-            found = self.together(dict.fromkeys((*asked[:2], RAW), measure))
+            found = self.together(dict.fromkeys((a, b, RAW), measure))
             self._joined[asked] = [found[a], found[b]] if {a, b} <= found.keys() else None
         return self._joined[asked]
 
@@ -146,16 +146,14 @@ def matched(sweeps: Sweeps, *, predictors: Sequence[str], dataset: str) -> pd.Da
     raw*, so that each bootstrap replicate, which repeats all of it on its own drawn people, is read
     at its own raw value plus that change: the comparison is paired in both.
 
-    Descriptors as shared are compared for every predictor, attacks for the first one. A mechanism
-    is compared under its own adding rule, one that declares none under both. FID comes first.
-    `sweeps` are of every metric of the run, linkage among them; of `predictors` the reference is
-    the first.
+    Descriptors as shared are compared for every predictor, attacks for the first one, which is the
+    reference. A mechanism is compared under its own adding rule, one that declares none under both.
+    FID comes first. `sweeps` are of every metric of the run, linkage among them.
 
-    The columns are `COLUMNS`. `mechanism` (of `family`) is what stands in the columns `fid`: the
-    paper's mechanism, or another of the run. `at` is the rise of the missed rate over raw, or the
-    PLR as shared; `missed_conflict_rate` is raw's estimate plus the rise. `defined` is the share of
-    replicates that reach the point; where it is below `MIN_DEFINED` there is no interval (NaN),
-    since the replicates that are left would all lie on one side.
+    The columns are `COLUMNS`. `mechanism` is what stands in the columns `fid`. `at` is the rise of
+    the missed rate over raw, or the PLR as shared; `missed_conflict_rate` is that of raw plus the
+    rise. `defined` is the share of replicates that reach the point; where it is below `MIN_DEFINED`
+    there is no interval (NaN), since the replicates that are left would all lie on one side.
     """
     # Descriptors as shared, then the same after each attack, and what each linker achieves.
     known = dict.fromkeys(key.measure for key in sweeps.found)
@@ -262,15 +260,13 @@ def at_changes(
             yield measure, first[:n_rows], second[:n_rows]
 
 
-def monotone(values: Floats, *, increasing: bool) -> Floats:
-    """Return each row made monotone from left to right by isotonic regression, (R, L).
+def rising(values: Floats) -> Floats:
+    """Return each row made to rise from left to right by isotonic regression, (R, L).
 
     By the min-max formula (Barlow et al. 1972): the largest over all beginnings of the smallest
     over all ends of the mean between them. It does all replicates at once, where
     `scipy.optimize.isotonic_regression` takes them row by row.
     """
-    if not increasing:
-        return -monotone(-values, increasing=True)
     # Levels first: steps along the replicates are long, those along the levels few.
     n_levels = values.shape[1]
     sums = np.zeros((n_levels + 1, values.shape[0]))
@@ -293,7 +289,7 @@ def joined(curves: Sequence[Floats], *, increasing: bool) -> list[Floats]:
     """
     if not increasing:
         return [-one for one in joined([-one for one in curves], increasing=True)]
-    own = [monotone(one[:, :-1], increasing=True) for one in curves]
+    own = [rising(one[:, :-1]) for one in curves]
     highest = -np.sort(-np.concatenate(own, axis=1), axis=1)
     sums = np.cumsum(np.append(curves[0][:, -1:], highest, axis=1), axis=1)
     raw = (sums / np.arange(1, sums.shape[1] + 1)).max(axis=1, keepdims=True)

@@ -62,11 +62,7 @@ def tolerance(mechanism: str, metric: str, published: float) -> float:
 
 
 def monte_carlo_error(metric: str, published: float) -> float:
-    """Return the standard error that a number of the paper has by itself; NaN where it is unknown.
-
-    A missed-conflict rate is a share of `CONFLICTS` scenes. Of the descriptors the paper gives no
-    spread.
-    """
+    """Return the standard error that a missed rate of the paper has by itself; else NaN."""
     if metric != MISSED_RATE:
         return np.nan
     return float(np.sqrt(published * (1.0 - published) / CONFLICTS))
@@ -113,18 +109,16 @@ def claims(
 ) -> pd.DataFrame:
     """Return the paper's claims, each as `holds`, `does not hold` or `undecided`.
 
-    The rules, set beforehand, with 95 % intervals of paired differences:
+    The rules, set beforehand, with 95 % intervals of paired differences; fewer than 20 clusters
+    decide nothing:
 
-    - *close to raw*: the rise of the missed-conflict rate over raw at 0.1 and 0.2 m of fixed
-      error; holds if its interval lies below 4 points, does not if it lies above.
-    - *monotone in eta*, 1 to 1000: holds if the ends differ in the claimed direction and no
-      step between neighbouring levels goes the other way beyond its interval; does not hold
-      if one does, or if the ends differ the other way.
-    - *FID is better at every matched rate*: FID minus fixed at an equal rise of the
-      missed-conflict rate over raw, at the rises that 97.5 % of the replicates reach; holds if
-      every interval lies below zero, does not hold if one lies above. Pointwise intervals.
-
-    With fewer than 20 clusters nothing is decided.
+    - *close to raw*: the rise of the missed-conflict rate over raw at 0.1 and 0.2 m of fixed error;
+      holds if its interval lies below 4 points, does not if it lies above.
+    - *monotone in eta*, 1 to 1000: holds if the ends differ in the claimed direction and no step
+      between neighbours goes the other way beyond its interval; does not if one or the ends do.
+    - *FID is better at every matched rate*: FID minus fixed at the equal rises over raw that 97.5 %
+      of the replicates reach; holds if every pointwise interval lies below zero, does not hold if
+      one lies above.
     - *FID raises the rate to approximately 27 %*, at an eta that is not given: the nearest of ours;
       does not hold if from 1 to 1000 all intervals lie on one side; of the paper's recording only.
     - *history*: 366 points within 4, at 0.083 to 0.084 s; of the paper's recording only.

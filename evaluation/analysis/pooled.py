@@ -63,9 +63,7 @@ def answers_of(
     """Return what a finished run says to each question under each adding rule; as `COLUMNS`.
 
     Differences are paired: both numbers are of the same people, drawn alike. What the run does not
-    tell has no row.
-
-    Raises DataError if a cell cannot be read.
+    tell has no row. Raises DataError if a cell cannot be read.
     """
     known = families_in(manifest["cells"])
     read = cards(out, manifest, drawn=(SUCCESS, SUCCESS_OF_100))

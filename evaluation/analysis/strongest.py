@@ -7,11 +7,9 @@ the first of the run counts.
 
 The strongest of a run is chosen over all levels of raw, fixed noise and FID, so that the choice
 favours none of them; of a run with neither of the two over all levels but the ceiling. It is the
-*headline adversary*: of a run there is one for reconstruction and one for each linkage task, and
-wherever a number after attack stands without a name (verdict, tables, page, frontier) it is theirs.
-`design` holds a limit against whoever is strongest at the very level, and names them. Who chooses
-and scores on the same people flatters the choice: what the verdict says of a reconstruction is
-chosen on one half of the people and scored on the other (`cross_fitted`).
+*headline adversary*, one for reconstruction and one for each linkage task, whose is every number
+after attack without a name. `design` holds a limit against whoever is strongest at the very level,
+and names them. Who chooses and scores on the same people flatters the choice: see `cross_fitted`.
 """
 
 from __future__ import annotations

@@ -53,9 +53,7 @@ def estimates(
     """Return every metric of the scenes with its interval and replicates, and the scores.
 
     The last are the descriptors after each attack, summed by cluster. All in the run's own world,
-    or in another one of `WORLDS`.
-
-    Raises DataError if a cell cannot be read.
+    or in another one of `WORLDS`. Raises DataError if a cell cannot be read.
     """
     weights = weights_of(manifest)
     found: dict[Key, Estimate] = {}

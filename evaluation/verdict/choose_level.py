@@ -8,7 +8,7 @@ import math
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -203,7 +203,7 @@ class Choice:
     def answers(self) -> dict[str, list[Scheme]]:
         """The schemes by mechanism, of those that have a level under every rule asked for."""
         found: dict[str, list[Scheme]] = {}
-        for scheme in (one for one in self.schemes if one.adding in self.adding):
+        for scheme in self.schemes:
             found.setdefault(scheme.name, []).append(scheme)
         rules = len(self.adding)
         return {
@@ -227,10 +227,9 @@ def choose(
     """Return the strictest levels of a run that meet the targets, and whether the limits hold.
 
     `adding` names the rules to answer for; `predictor` is by default the first of the run; `only`
-    names families, by default all of the run.
-
-    Raises DataError if the folder holds no run, or a file of it is missing or broken, and
-    SettingsError if the run lacks what is asked for; the message names the option and the way out.
+    names families, by default all of the run. Raises DataError if the folder holds no run, or a
+    file of it is missing or broken, and SettingsError if the run lacks what is asked for; the
+    message names the option and the way out.
     """
     manifest = read_manifest(out)
     cells = [one["consumer"] for one in manifest["cells"] if one["kind"] == "predictor"]
@@ -260,6 +259,13 @@ def choose(
         if name not in known:
             hint = did_you_mean(name, known, quote="'") or f"; it has {', '.join(known)}"
             raise SettingsError(f"--family {name}: {out} has no such family{hint}")
+    every = [
+        _scheme(found, family, rule, limits)
+        for rule in ADDING_RULES
+        for family in families
+        if rule in family.rules and (not only or {family.family, family.name} & {*only})
+        if (found := [one for one in levels if one.mechanism == family.mechanism])
+    ]
     choice = Choice(
         out=out,
         manifest=manifest,
@@ -268,19 +274,15 @@ def choose(
         limits=limits,
         raw=raw,
         raw_checks=() if raw is None else tuple(_targets(raw, limits)),
-        schemes=tuple(
-            _scheme(found, family, rule, limits)
-            for rule in ADDING_RULES
-            for family in families
-            if rule in family.rules and (not only or {family.family, family.name} & {*only})
-            if (found := [one for one in levels if one.mechanism == family.mechanism])
-        ),
+        schemes=tuple(one for rule in adding for one in every if one.adding == rule),
         tasks=next((one.tasks for one in levels), ()),
         is_current=manifest.get("code") == code_hash(),
     )
-    _refuse_missing(choice, is_attacked=any(one.after_attack for one in levels))
-    asked = tuple(one for rule in adding for one in choice.schemes if one.adding == rule)
-    return replace(choice, schemes=asked)
+    is_attacked = any(one.after_attack for one in levels)
+    _refuse_missing(
+        choice, {one.adding: one.family.family for one in every}, is_attacked=is_attacked
+    )
+    return choice
 
 
 def _table(out: Path, name: str, columns: Sequence[str]) -> pd.DataFrame:
@@ -355,9 +357,9 @@ def _strongest(task: linkability.LinkedTask, where: Where, dataset: str) -> Link
     return Linked(task.name, own, own == dataset, *best, achieved, *judged)
 
 
-def _refuse_missing(choice: Choice, *, is_attacked: bool) -> None:
-    """Refuse a question that no level of the run could answer."""
-    out, have = choice.out, {scheme.adding: scheme.family.family for scheme in choice.schemes}
+def _refuse_missing(choice: Choice, have: Mapping[str, str], *, is_attacked: bool) -> None:
+    """Refuse a question that no level of the run could answer; it has a family by adding rule."""
+    out = choice.out
     if not choice.answers:
         rule = next((one for one in choice.adding if one not in have), choice.adding[-1])
         family = next(iter(have.values()), FID)

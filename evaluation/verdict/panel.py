@@ -1,8 +1,7 @@
 """Which mechanisms are compared with fixed noise at equal descriptor value, and how they differ.
 
 The panel is fixed by the preset: FID at three places, and every level of its other mechanisms under
-an adding rule. What a user adds is listed beside it. From the people who are linked in a task, and
-what their own windows give away, `contrasts` makes what `spread` decides on.
+an adding rule. What a user adds is listed beside it. `contrasts` makes what `spread` decides on.
 """
 
 from collections.abc import Mapping, Sequence

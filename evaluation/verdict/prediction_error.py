@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from evaluation.analysis.families import FID, FIXED, RAW
-from evaluation.analysis.matching import interpolated, monotone, nearest_places
+from evaluation.analysis.matching import interpolated, nearest_places, rising
 from isac_track.intervals import percentile_interval
 from isac_track.types import Floats
 
@@ -81,7 +81,7 @@ def _foretold(scale: Floats, reached: Floats, at: Floats) -> Floats:
     order = np.argsort(scale, axis=1, kind="stable")
     scale, reached = (np.take_along_axis(one, order, axis=1) for one in (scale, reached))
     where = nearest_places(at, scale)
-    return interpolated(where, monotone(reached, increasing=True), log=False)
+    return interpolated(where, rising(reached), log=False)
 
 
 def _squares(errors: Floats) -> Floats:

@@ -1,9 +1,7 @@
 """The verdict: do PLR, AEL and MEL track real linkability? `verdict.json`.
 
 Four sections, each under both adding rules: *validity* across mechanisms, validity *within* a
-level, the paper's *claim* that FID has the advantage over fixed noise at equal missed rate, and
-*inflation*: how much higher each descriptor is after the strongest attack than as shared. What
-decides is in `rules`, in words in docs/verdict.md.
+level, the paper's *claim*, and *inflation*. What decides is in words in docs/verdict.md.
 """
 
 import json

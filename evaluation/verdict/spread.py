@@ -1,11 +1,10 @@
 """How far apart mechanisms lie in linkage at one value of a descriptor, and what follows from it.
 
-A descriptor that measures linkability does so whatever the mechanism. With D_k, how much more often
-people are linked under mechanism level k than under fixed noise of the same descriptor value, the
-spread is theta = max |D_k| over a panel. Its naive estimate is far too high (the largest of several
-noisy numbers); here are its ends, a value that is as often too low as too high where all are equal
-(Chernozhukov, Lee and Rosen, Econometrica 81, 2013), and the decision. Pure functions over arrays:
-rows are draws of the people (the estimate first), columns are levels or contrasts.
+With D_k, how much more often people are linked under mechanism level k than under fixed noise at the
+same descriptor value, the spread is theta = max |D_k| over a panel. Its naive estimate is far too
+high (the largest of several noisy numbers); here are its ends, a value that is as often too low as
+too high where all are equal (Chernozhukov, Lee and Rosen, Econometrica 81, 2013), and the decision.
+Rows are draws of the people (the estimate first), columns are levels or contrasts.
 """
 
 from collections.abc import Sequence
@@ -15,7 +14,7 @@ from typing import Final
 import numpy as np
 from scipy.special import betaincinv, ndtr, stdtrit
 
-from evaluation.analysis.matching import interpolated, monotone, nearest_places
+from evaluation.analysis.matching import interpolated, nearest_places, rising
 from evaluation.verdict import rules
 from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE
 from isac_track.types import Bools, Floats, Ints
@@ -100,13 +99,13 @@ def at_quartiles(
     are set by the estimate, as a share of the descriptor at raw. `descriptor` and `success`,
     (R, E), go from the noisiest level to raw, and so does that of `fixed` noise, (R, F).
     """
-    scale = monotone(descriptor, increasing=True)
+    scale = rising(descriptor)
     raw = scale[:, -1:]
-    least = max(scale[0, 0], monotone(fixed[:1], increasing=True)[0, 0], LEAST_SHARE * raw[0, 0])
+    least = max(scale[0, 0], rising(fixed[:1])[0, 0], LEAST_SHARE * raw[0, 0])
     common = least / raw[0, 0] if raw[0, 0] > 0 else 1.0
     at = raw * common ** (1.0 - np.array(QUARTILES))
     where = nearest_places(at, scale)
-    return at, interpolated(where, monotone(success, increasing=True), log=False), where
+    return at, interpolated(where, rising(success), log=False), where
 
 
 def beside_fixed(
@@ -119,7 +118,7 @@ def beside_fixed(
     less, so that one direction can still be shown. `descriptor` and `success` are (R, K), those of
     `fixed` noise (R, F) from the noisiest level to raw.
     """
-    scale, achieved = (monotone(one, increasing=True) for one in fixed)
+    scale, achieved = (rising(one) for one in fixed)
     span, below = scale[0, -1] - scale[0, 0], scale[0, -1] - descriptor[0]
     hair = rules.REACH * span
     side = np.where(below > span + hair, ONLY_MORE, BOTH)

@@ -1,10 +1,9 @@
 """Section a of the verdict: how often are people linked at equal descriptor value.
 
-Within one mechanism more noise lowers both a descriptor and linkability, so that a rank correlation
-near 1 over the levels comes for free. A descriptor that measures linkability must do so whatever
-the mechanism: at one value of it, fixed noise, FID and the dissociation controls (`correlated`,
-`offset`, `thin`) must let equally many people be linked. Who is compared is in `panel`, what
-follows in `spread`; here it is put into items and words.
+Within one mechanism more noise lowers both a descriptor and linkability: a rank correlation near 1
+over the levels comes for free. A descriptor that measures linkability does so whatever the
+mechanism: at one value of it, fixed noise, FID and the dissociation controls must let equally many
+people be linked. Who is compared is in `panel`, what follows in `spread`; here are items and words.
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,7 +41,6 @@ _WHY_ONE_SIDED: Final = {
     NEITHER: "has a {} of too few people",
 }
 _QUARTILE: Final = dict(zip(spread.QUARTILES, ("low", "middle", "high"), strict=True))
-_LINKED: Final = ("success", "probes")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -81,7 +79,7 @@ def validity(
         weights = drawn_weights(task, tasks, dataset, seed)
         names = task.levels[0].descriptors
         drawn = {name: (sums := _sums(task, name), sums.drawn(weights)) for name in names}
-        half = _half(task, seed)
+        half = _half(task, next(iter(drawn.values()))[0], seed)
         for adding in ADDING_RULES:
             of = panel(task, families, adding=adding, preset=preset)
             if of is None:
@@ -105,17 +103,16 @@ def validity(
 
 
 def _sums(task: LinkedTask, name: str) -> Sums:
-    success, probes = (np.array([getattr(one, of) for one in task.levels]) for of in _LINKED)
-    values = np.array([level.descriptors[name] for level in task.levels])
-    return Sums(success, probes, values[:, 0], values[:, 1])
+    of = [(one.success, one.probes, *one.descriptors[name]) for one in task.levels]
+    return Sums(*map(np.array, zip(*of, strict=True)))
 
 
-def _half(task: LinkedTask, seed: int) -> Sums:
+def _half(task: LinkedTask, every: Sums, seed: int) -> Sums:
     """Return one half of the people, whose descriptor is how many of the other half are linked."""
-    success, probes = (np.array([getattr(one, of) for one in task.levels]) for of in _LINKED)
     order = stream(seed, "halves", task.task).permutation(len(task.clusters))
     mine = order < len(task.clusters) / 2
-    return Sums(success * mine, probes * mine, success * ~mine, probes * ~mine)
+    linked = every.success, every.probes
+    return Sums(*(one * mine for one in linked), *(one * ~mine for one in linked))
 
 
 def _errors(of: Panel, name: str, rates: tuple[Floats, Floats]) -> tuple[Squared, Squared] | None:
@@ -149,13 +146,6 @@ def _error_numbers(pair: tuple[Squared, Squared] | None) -> dict[str, float | No
     values = (None, None, None) if pair is None else pair[0].roots
     null = None if pair is None else pair[1].roots[0]
     return {**dict(zip(keys, values, strict=True)), "prediction_error_null": null}
-
-
-def _evidence(of: Panel, place: int, gap: float) -> str:
-    """Return which kind of evidence a difference from fixed noise is."""
-    if of.is_hidden(place):
-        return CONSTRUCTION
-    return SHOWN if gap > 0 else ATTACKS
 
 
 def _item(one: Tested, section: Floats) -> dict[str, Any]:
@@ -237,20 +227,20 @@ def _contrasts(
             rules.DIFFERS: low[k] > rules.SUCCESS_MARGIN,
             rules.EQUAL: high[k] < rules.SUCCESS_MARGIN,
         }
-        has_gap = bool(np.isfinite(half[k]))
+        shown = SHOWN if gap > 0 else ATTACKS
         rows.append(
             {
                 "mechanism": level.mechanism,
                 "level": None if place in of.fid else level.level,
                 "quartile": spread.QUARTILES[k] if place in of.fid else None,
                 "subject": level.linker.attack.label,
-                "effect": gap if has_gap else None,
+                "effect": gap if np.isfinite(half[k]) else None,
                 "ci_low": known(gap - half[k]),
                 "ci_high": known(gap + half[k]),
                 "unit": "fraction",
                 "n": int(people[k]),
                 "reading": next((name for name, is_so in readings.items() if is_so), BETWEEN),
-                "evidence": _evidence(of, place, gap),
+                "evidence": CONSTRUCTION if of.is_hidden(place) else shown,
                 "only": _ONLY.get(int(found.side[k]), ""),
                 "in_panel": place not in of.beside,
             }

@@ -116,8 +116,7 @@ def partial_correlation(
     At each level all are put in ranks; the mean rank of the descriptor in both releases, and the
     rank of the hit, are regressed on the ranks of the covariates and their squares; what is left
     of either is correlated, over all levels together. The standard error is the clustered sandwich
-    of the correlation (its influence function), so that a person who occurs at every level counts
-    once.
+    of its influence function, so that a person who occurs at every level counts once.
 
     `levels` are (descriptor (N, 2), hit (N,), covariates (N, K), cluster (N,)) of each; rows in
     which anything is unknown are left out. `drawn`, (B, C), are standard normal numbers of each
