@@ -409,12 +409,10 @@ def _axes(manifest: Manifest) -> dict[str, list[str]]:
 
 def verdicts(out_a: Path, out_b: Path) -> dict[str, Any] | None:
     """Return the decisions that changed; None unless both runs have a verdict."""
-    both_runs = out_a, out_b
-    if not all((out / _VERDICT).is_file() for out in both_runs):
+    runs = out_a, out_b
+    if not all((out / _VERDICT).is_file() for out in runs):
         return None
-    a, b = (
-        {item["id"]: item["decision"] for item in verdict_of(out)["items"]} for out in both_runs
-    )
+    a, b = ({one["id"]: one["decision"] for one in verdict_of(out)["items"]} for out in runs)
     both = [name for name in a if name in b]
     return {
         "in_both": len(both),

@@ -90,10 +90,10 @@ def _of_level(
     every = sorted(
         {*within, *tried, *(max(2, size // REACH) for size in (*tried, measured) if steps)}
     )
-    share = (above + 0.5 * (tied - 1)) / np.maximum(candidates - 1, 1)
-    of = [*(first_among(one.strangers, size) for size in every), share]
-    *rates, ahead = _ratios(one, of, weights)
+    rates = _ratios(one, [first_among(one.strangers, size) for size in every], weights)
     first = dict(zip(every, rates, strict=True))
+    share = (above + 0.5 * (tied - 1)) / np.maximum(candidates - 1, 1)
+    (ahead,) = _ratios(one, [share], weights)
     for size in [*within, *steps]:
         rank1 = first[size] if size <= measured else _predicted(first, measured, size)
         yield measured, size, "rank1", rank1
@@ -134,7 +134,7 @@ def _step(first: Mapping[int, Estimate], of: int, size: int) -> Floats:
 def _ratios(one: LinkedProbes, of: Sequence[Floats], weights: Floats) -> list[Estimate]:
     """Return the means of some values of each probe, (N,)."""
     n_clusters = len(one.clusters)
-    if not one.cluster.size:
+    if not of or not one.cluster.size:
         return [Estimate(np.nan) for _ in of]
     sums = [cluster_sums(values=one_, cluster=one.cluster, n_clusters=n_clusters) for one_ in of]
     count = cluster_sums(

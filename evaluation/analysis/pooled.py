@@ -103,8 +103,8 @@ def _at(
         if strict and raw:
             told["robot_loses"] = difference(strict, raw)
     if "" in best:
-        both = (found.get(one.measure(EXPOSURE).at(*where)) for one in (best[""], AS_SHARED))
-        attacked, shared = both
+        pair = best[""], AS_SHARED
+        attacked, shared = (found.get(one.measure(EXPOSURE).at(*where)) for one in pair)
         if attacked and shared:
             told["left_after_attack"] = difference(attacked, shared)
     if LINKED_IN in best:

@@ -77,7 +77,7 @@ def estimates(
                 scored.append((entry, cluster, told))
             for metric, ratio in ratios(entry["kind"], table).items():
                 keys.append(key_of(entry, metric))
-                sums.append([_within(one, cluster, weights) for one in ratio])
+                sums.append(_within(ratio, cluster, weights))
         metrics, of_clusters = [key.metric for key in keys], np.array(sums)
         found |= zip(keys, _estimates(metrics, of_clusters, weights), strict=True)
         attacked |= {
@@ -100,12 +100,13 @@ def estimate(
 
     `cluster`, (R,), is the column of a row's cluster in `weights`, (B, C).
     """
-    sums = [_within(one, cluster, weights) for one in (numerator, denominator)]
+    sums = _within((numerator, denominator), cluster, weights)
     return next(_estimates([metric], np.array([sums]), weights))
 
 
-def _within(values: Floats, cluster: Ints, weights: Floats) -> Floats:
-    return cluster_sums(values=values, cluster=cluster, n_clusters=weights.shape[1])
+def _within(ratio: tuple[Floats, Floats], cluster: Ints, weights: Floats) -> list[Floats]:
+    n = weights.shape[1]
+    return [cluster_sums(values=one, cluster=cluster, n_clusters=n) for one in ratio]
 
 
 def _estimates(metrics: Sequence[str], sums: Floats, weights: Floats) -> Iterator[Estimate]:
@@ -118,8 +119,7 @@ def _estimates(metrics: Sequence[str], sums: Floats, weights: Floats) -> Iterato
     )
     for name, one in zip(metrics, found, strict=True):
         if METRICS[name].is_root:
-            ends = (float(np.sqrt(number)) for number in (one.value, one.ci_low, one.ci_high))
-            value, low, high = ends
+            value, low, high = np.sqrt([one.value, one.ci_low, one.ci_high]).tolist()
             roots = np.sqrt(one.replicates)
             yield Estimate(value, low, high, one.n, roots, effective=one.effective)
         else:
@@ -140,19 +140,15 @@ def linkage_sums(read: Cards) -> dict[Key, Summed]:
 
 def weights_of(manifest: Mapping[str, Any]) -> Floats:
     """Return the bootstrap weights of a run, (B, C): the same for everything in it."""
-    return cluster_weights(
-        n_clusters=len(manifest["groups"]),
-        n_replicates=N_REPLICATES,
-        seed=manifest["identity"]["seed"],
-    )
+    n, seed = len(manifest["groups"]), manifest["identity"]["seed"]
+    return cluster_weights(n_clusters=n, n_replicates=N_REPLICATES, seed=seed)
 
 
 def clusters(table: pa.Table, manifest: Mapping[str, Any]) -> Ints:
     """Return the cluster of each row, (R,): its row in the run's list of groups."""
     column = table["group"].combine_chunks()
-    names = column.dictionary.to_pylist()
     row_of = {group: row for row, group in enumerate(manifest["groups"])}
-    to_row = np.array([row_of[name] for name in names], dtype=np.int64)
+    to_row = np.array([row_of[name] for name in column.dictionary.to_pylist()], dtype=np.int64)
     found: Ints = to_row[column.indices.to_numpy()]
     return found
 
@@ -169,6 +165,7 @@ def to_frame(
     `worlds` is what was found in others, whose data sets say so; `known` are the mechanisms of the
     run, from `families`.
     """
+    every = {dataset: found} | {f"{dataset}:{world}": other for world, other in worlds.items()}
     rows = [
         (
             *(dataset_of(key.consumer, dataset=name), key.mechanism),
@@ -176,10 +173,7 @@ def to_frame(
             *(one.value, one.ci_low, one.ci_high, one.n, METRICS[key.metric].summary_unit),
             *(known[key.mechanism].family, known[key.mechanism].adding),
         )
-        for name, of in (
-            (dataset, found),
-            *((f"{dataset}:{world}", other) for world, other in worlds.items()),
-        )
+        for name, of in every.items()
         for key, one in of.items()
     ]
     return pd.DataFrame(rows, columns=COLUMNS)
@@ -191,16 +185,8 @@ def ratios(kind: str, table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
     Of an attack also the ratio to the linear benchmark: sums over the same tracks.
     """
     if kind == "predictor":
-        conflict, predicted, ours, truth, own = (
-            table[name].to_numpy()
-            for name in (
-                "conflict",
-                "predicted",
-                "predicted_separation_m",
-                "separation_m",
-                OF_ROBOT,
-            )
-        )
+        _, *names = _COLUMNS_OF[kind]
+        conflict, predicted, truth, ours, _, own = (table[name].to_numpy() for name in names)
         known = ~np.isnan(own)
         return {
             "missed_conflict_rate": ((conflict & ~predicted) * 1.0, conflict * 1.0),

@@ -117,8 +117,7 @@ def flags(
         sentence = f"{attack.label} {said}, {_points(*interval, sign='+')} points"
         rows.append((*about, *interval, compared[kind, attack, by], sentence))
     looked = Counter(pair.kind for pair in enough)
-    comparisons = {kind: looked[kind] for kind in _ABOUT}
-    about_it = {"comparisons": comparisons, "left_out": dict(left_out)}
+    about_it = {"comparisons": {kind: looked[kind] for kind in _ABOUT}, "left_out": dict(left_out)}
     return pd.DataFrame(rows, columns=COLUMNS), about_it
 
 

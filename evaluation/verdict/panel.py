@@ -90,11 +90,8 @@ def panel(
     raw = [place for place, one in enumerate(of) if one.family == RAW]
     plain: dict[str, list[int]] = {}
     for family in (FIXED, FID):
-        same = [
-            place
-            for place, one in enumerate(of)
-            if (one.family, one.adding, one.parameters) == (family, adding, "")
-        ]
+        alike = family, adding, ""
+        same = [n for n, one in enumerate(of) if (one.family, one.adding, one.parameters) == alike]
         same.sort(key=lambda place: task.levels[place].level or 0.0, reverse=family == FIXED)
         plain[family] = same + raw if len(same) >= FEWEST_LEVELS else []
     if not raw or not plain[FIXED]:

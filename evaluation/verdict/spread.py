@@ -1,7 +1,7 @@
 """How far apart mechanisms lie in linkage at one value of a descriptor, and what follows from it.
 
-With D_k, how much more often people are linked under mechanism level k than under fixed noise at the
-same descriptor value, the spread is theta = max |D_k| over a panel. Its naive estimate is far too
+With D_k, how much more often people are linked under mechanism level k than under fixed noise at
+one descriptor value, the spread is theta = max |D_k| over a panel. Its naive estimate is far too
 high (the largest of several noisy numbers); here are its ends, a value that is as often too low as
 too high where all are equal (Chernozhukov, Lee and Rosen, Econometrica 81, 2013), and the decision.
 Rows are draws of the people (the estimate first), columns are levels or contrasts.
