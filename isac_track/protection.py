@@ -77,13 +77,15 @@ def _bridge(walk: int, block: int, known: dict[int, Floats]) -> Floats:
     return np.asarray(free + pull[:, None] * (end - free[-1]))
 
 
-def _slow_error(sensed: Sensed, *, tau_s: float, reuse: Reuse, rng: Generator) -> Floats:
-    """Return standardised errors of either kind of reuse, (M, 2); both draw alike from `rng`."""
-    t, offsets = sensed.t, sensed.offsets
-    fresh = correlated_errors(t=t, offsets=offsets, law="isotropic", tau_s=tau_s, rng=rng)
-    if reuse == "release":
-        return fresh
-    return session_errors(t=t, offsets=offsets, walk=sensed.walk, tau_s=tau_s)
+def _with_slow_error(
+    sensed: Sensed, std_m: Floats | float, mechanism: "Ou | OuFid", rng: Generator
+) -> Release:
+    """Return the raw estimates with a slow error; either kind of reuse draws alike from `rng`."""
+    t, offsets, tau_s = sensed.t, sensed.offsets, mechanism.tau_s
+    unit = correlated_errors(t=t, offsets=offsets, law="isotropic", tau_s=tau_s, rng=rng)
+    if mechanism.reuse == "session":
+        unit = session_errors(t=t, offsets=offsets, walk=sensed.walk, tau_s=tau_s)
+    return perturb(sensed, std_m, rng, adding="independent", unit_error=unit)
 
 
 def _check_slow(tau_s: float, reuse: str) -> None:
@@ -112,8 +114,7 @@ class Ou:
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the raw estimates with the slow error on top."""
-        unit = _slow_error(sensed, tau_s=self.tau_s, reuse=self.reuse, rng=rng)
-        return perturb(sensed, self.std_m, rng, adding="independent", unit_error=unit)
+        return _with_slow_error(sensed, self.std_m, self, rng)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,8 +141,7 @@ class OuFid:
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the raw estimates with the slow error that the rule scales."""
         extra = fid_d_sigma(fid=sensed.fid, eta=self.eta, alpha_m=self.alpha, beta=self.beta)
-        unit = _slow_error(sensed, tau_s=self.tau_s, reuse=self.reuse, rng=rng)
-        return perturb(sensed, extra, rng, adding="independent", unit_error=unit)
+        return _with_slow_error(sensed, extra, self, rng)
 
 
 @dataclass(frozen=True, slots=True)

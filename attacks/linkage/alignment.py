@@ -32,10 +32,8 @@ class Shape:
     over the lags, L the cells of 12 s.
 
     The logarithm is that of a Gaussian likelihood whose noise is unknown and has been maximised
-    over: tracks of one release differ in noise a hundredfold, and behind a smoother, which leaves
-    correlated errors, no estimate of it from the track itself is left. The floor is the misfit
-    that says no more: without it, pairs that happen to fit would beat longer overlaps. It is what
-    an informed adversary learns.
+    over: tracks of one release differ in noise a hundredfold. The floor is the misfit that says no
+    more: without it, pairs that happen to fit would beat longer overlaps.
 
     References
     ----------

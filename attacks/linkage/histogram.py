@@ -28,8 +28,7 @@ class Histogram:
 
         sum_k [f(a_k + b_k) - f(a_k) - f(b_k)] - [f(A + B) - f(A) - f(B)],   A = sum a, B = sum b
 
-    It is 0 for equal shapes and negative otherwise; divided by -(A + B) it is the Jensen-Shannon
-    divergence with the weights A / (A + B) and B / (A + B). Order in time does not enter.
+    It is 0 for equal shapes and negative otherwise. Order in time does not enter.
 
     References
     ----------

@@ -86,15 +86,8 @@ class RadialRTS:
 class ImmRTS:
     """Two constant-velocity models, walking on and stopping or turning, with a Markov chain.
 
-    The default densities reconstruct the bundled crowd best. The smoother is Barber's expectation
-    correction; see `isac_track.kalman`.
-
-    References
-    ----------
-    Blom, Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian
-    switching coefficients", IEEE Trans. Automatic Control 33(8), 1988, 780-783. Barber,
-    "Expectation correction for smoothed inference in switching linear dynamical systems",
-    J. Machine Learning Research 7, 2006, 2515-2540.
+    The default densities reconstruct the bundled crowd best; filter, smoother and their sources are
+    those of `isac_track.kalman`.
     """
 
     q: float | None = None  # m^2/s^3 while walking on; None, with `q_turn`: learnt or `DEFAULT_Q`.

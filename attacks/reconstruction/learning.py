@@ -179,7 +179,10 @@ def _learn_fid(train: TrainingSet, rule: Fid) -> Callable[[Release], Floats]:
 
     @remembered
     def inferred(release: Release) -> Floats:
-        errors = _innovations(release, edges=edges)
+        # Counts and sums of squares by sampling interval, as in `isac_track.noise`.
+        arrays = map(np.ascontiguousarray, (release.t, release.xy, release.offsets, edges))
+        errors = np.zeros((2, len(release), edges.size + 1))
+        import_module("isac_track.kalman._linear_loops").innovations_by_interval(*arrays, *errors)
         best_m = _SIGMAS_M[fits(errors, _SIGMAS_M, gap).argmax(axis=1)]
         sizes = np.diff(release.offsets)
         total_m2 = _total_m2(np.repeat(best_m, sizes), _intervals(release), gap=gap, rule=rule)
@@ -204,15 +207,3 @@ def _total_m2(sigma_raw_m: Floats, interval_s: Floats, *, gap: float, rule: Fid)
 def _intervals(release: Release) -> Floats:
     interval_s = intervals_before(t=release.t, offsets=release.offsets)
     return np.where(interval_s > 0.0, interval_s, _LONE_S)
-
-
-def _innovations(release: Release, *, edges: Floats) -> Floats:
-    """Return counts and sums of squared innovations by sampling interval, (2, N, B).
-
-    As in `isac_track.noise`, scaled to the squared length of one error; that of three samples
-    counts for the middle one.
-    """
-    arrays = (np.ascontiguousarray(one) for one in (release.t, release.xy, release.offsets, edges))
-    found = np.zeros((2, len(release), edges.size + 1))
-    import_module("isac_track.kalman._linear_loops").innovations_by_interval(*arrays, *found)
-    return found

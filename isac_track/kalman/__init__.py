@@ -7,11 +7,9 @@ Both axes have the same measurement variance and no correlation; they share one 
 
 Interacting multiple models (IMM) are two of constant velocity, each with a spectral density of its
 own; which one holds is a Markov chain in continuous time. One cycle is Blom and Bar-Shalom's: mix,
-predict, update, weigh. It equals filterpy's `IMMEstimator` except where that departs from the
-textbook: `docs/kernels.md` lists where, and why.
+predict, update, weigh; `docs/kernels.md` lists where filterpy's departs from it.
 
-Nothing here imports numba before the first call; that call compiles, or loads what was compiled
-(see `prepare`).
+Nothing here imports numba before the first call (see `prepare`).
 
 References
 ----------

@@ -256,11 +256,9 @@ def predicted_rank1(
     """Return rank 1 in a `gallery` by the law through two rates, (B,), of galleries of two `sizes`.
 
     With p_i the share of impostors ahead of a probe's mate, r(G) = mean of (1 - p_i)^(G - 1) probes
-    find their mate first among G candidates. Up to the gallery that was measured, `rank1_among` is
-    that mean without bias. Beyond it, a probe with nobody ahead is not one whom nobody would ever
-    be ahead of: who puts p_i = 0 there is too high. Here the p_i have a gamma distribution, so that
-    r(G) = (1 + (G - 1) / b)^-a, through rank 1 in the gallery measured and in a tenth of it: what
-    matters beyond is how many small p_i there are, and these two rates tell it.
+    find their mate first among G candidates. Beyond the gallery that was measured, a probe with
+    nobody ahead is not one whom nobody would ever be ahead of: here the p_i have a gamma
+    distribution, so that r(G) = (1 + (G - 1) / b)^-a, through the two rates.
 
     1 where the larger has no failure, 0 where it has no hit.
 

@@ -155,11 +155,8 @@ def d_sys(*, mated: Floats, non_mated: Floats) -> tuple[float, int]:
 
     With the likelihood ratio LR(s) = p(s | mated) / p(s | non-mated) of histograms over the joint
     range, D(s) = 2 LR / (1 + LR) - 1 where LR > 1 and 0 elsewhere; D_sys is the mean of D over
-    mated scores. There is a bin for every ten mated scores, but at least 1 and at most 100.
-
-    D_sys lies between TV / 2 and TV, the total variation of the two histograms: p D is
-    (p - q) p / (p + q), and p / (p + q) lies between 1/2 and 1 where p > q. It ignores direction,
-    and is biased upwards where scores are few.
+    mated scores. There is a bin for every ten mated scores, but at least 1 and at most 100. It
+    ignores direction, and is biased upwards where scores are few.
     """
     (share, _), n_bins = _link_shares(mated, non_mated)
     return share, n_bins

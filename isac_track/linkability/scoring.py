@@ -176,20 +176,12 @@ def scorecard(
     drawn as often as the cluster, and a pair of a cluster with its own copy is not one that any
     population holds. Score metrics take the first `SCORE_REPLICATES` rows of `weights`.
 
-    Intervals are percentile intervals, but those of eer and cllr_min basic ones, 2 value - quantile
-    (Davison and Hinkley, 1997, ch. 5.2). Both are read off a hull that is fitted to the scores, and
-    come out too low; replicates come out lower still, and a percentile interval would miss twice.
-
-    Away from chance, intervals at 95 % of 40 clusters hold the population's value in 92 to 95 % of
-    studies, those of eer and cllr_min in 89 to 91 % (the tests measure it). At chance, where eer,
-    cllr_min and d_sys are at their bounds, and for an AUC near 1, they hold it far less often:
-    whether there is a link at all is for `p_value` to say.
-
-    A metric that is bounded by 0 and 1 and does not vary over replicates (a perfect AUC) has
-    Wilson's interval, with the clusters as the sample size: of all variables in 0..1 a mean of 0 or
-    1 says least about a coin. Of fewer than 40 effective clusters (n^2 / sum m^2 of m probes each)
-    intervals are the jackknife's, as in `intervals.ratio_estimates`; of fewer than 15 nothing has
-    any, but a share of people with one outcome each.
+    Intervals are percentile intervals, but those of eer and cllr_min, read off a hull that is
+    fitted to the scores, basic ones, 2 value - quantile (Davison and Hinkley, 1997, ch. 5.2). A
+    metric that is bounded by 0 and 1 and does not vary over replicates (a perfect AUC) has
+    Wilson's, with the clusters as the sample size; of few clusters all are as in
+    `intervals.ratio_estimates`. How often they hold the truth: docs/metrics.md. Whether there is a
+    link at all is for `p_value` to say.
 
     The clusters of `searches` are the columns of `weights`, (B, C) from `cluster_weights`. The
     `calibration` of each scale is fitted on other people; without it `cllr` is NaN. The

@@ -54,17 +54,14 @@ def permutation_p(
     1 without a mated probe.
 
     People of one walking group resemble each other within a release, linked or not: mates that are
-    shuffled one by one break the groups up, vary too little, and reject far too often. So in each
-    search whole clusters of mated probes are permuted among those with equally many, and members
-    freely within each: a mated probe gets the mate of some member of the cluster that its own is
-    mapped to. A cluster of a size that no other has is mapped to itself; its members are permuted.
-    With one probe a cluster this is a uniform permutation of the mates. Columns that are nobody's
-    mate are never drawn.
+    shuffled one by one vary too little, and reject far too often. So in each search whole clusters
+    of mated probes are permuted among those with equally many, and members freely within each: a
+    mated probe gets the mate of some member of the cluster that its own is mapped to. With one
+    probe a cluster this is a uniform permutation of the mates; who is nobody's mate is never drawn.
 
     The test has its level where, under the null, equally large clusters of one release may be
-    exchanged, and so may the members of each, without a change in the law of the scores; nothing
-    is asked of the resemblance within a cluster. Rare sizes cost power, not validity. Searches are
-    shuffled independently of each other: no two may be of the same two releases.
+    exchanged, and so may the members of each, without a change in the law of the scores. Rare sizes
+    cost power, not validity. Of several searches no two may be of the same two releases.
 
     Search by search, a shuffle draws one uniform number for each mated probe, less one for each
     size of a cluster. ValueError without a search or for fewer than 999 shuffles.

@@ -10,8 +10,6 @@ or with pytest, where every check becomes a test of its own::
     @parametrize_metric_checks(METRICS)
     def test_metrics(check):
         check()
-
-A package rather than one file, so that ``python -m`` and an import see one `Metrics` class.
 """
 
 from collections.abc import Iterator, Sequence
