@@ -167,7 +167,8 @@ def widths(one: Contrasts, section: Floats) -> Widths:
     `section` is `furthest` over all contrasts that are tested together, (B,).
     """
     t = stdtrit(np.maximum(one.degrees, 1.0), _TAIL)
-    q = critical(one, section, _TAIL)
+    # Where counts give every interval there is no q, and the descriptor is uncertain all the same.
+    q = np.maximum(critical(one, section, _TAIL), t)
     down, up = q * one.errors, t * one.errors
     if one.is_exact.any():
         size, n = np.abs(one.gaps[0]), one.degrees + 1.0

@@ -106,6 +106,15 @@ class TestEnds:
         assert spread.widths(one, one.furthest).up[1] == pytest.approx(1 - 0.0125 ** (1 / 100))
 
 
+    def test_where_only_counts_are_left_the_error_of_the_descriptor_still_widens_them(self):
+        """The counts speak of who is linked, the standard error of where the curve is read, too."""
+        few = {"degrees": [21.0], "discordant": [[0.19], [0.0], [4.0]], "fall_degrees": 21.0}
+        answer, low, _ = decision(contrasts([0.19], [0.01], **few))
+        assert (answer, low > rules.SUCCESS_MARGIN) == (rules.DOES_NOT, True)
+        answer, low, _ = decision(contrasts([0.19], [0.23], **few))
+        assert (answer, low) == (rules.BETWEEN, 0.0)
+
+
 class TestDecision:
     """Two contrasts, sure to a point of a hundred or so."""
 
