@@ -105,7 +105,6 @@ class TestEnds:
         assert one.furthest == pytest.approx(np.abs(one.gaps[1:, 0]) / 0.01)
         assert spread.widths(one, one.furthest).up[1] == pytest.approx(1 - 0.0125 ** (1 / 100))
 
-
     def test_where_only_counts_are_left_the_error_of_the_descriptor_still_widens_them(self):
         """The counts speak of who is linked, the standard error of where the curve is read, too."""
         few = {"degrees": [21.0], "discordant": [[0.19], [0.0], [4.0]], "fall_degrees": 21.0}
