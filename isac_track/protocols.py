@@ -178,40 +178,10 @@ class LinkageTrainingSet:
         object.__setattr__(self, "mate", read_only(mate.astype(np.int64, copy=False)))
 
 
-def _granted(what: Knowledge) -> Any:  # noqa: ANN401 - each kind has a type of its own
-    """Return the property that hands out what was granted."""
-
-    def held(context: AttackContext) -> object:
-        if what not in context._held:  # noqa: SLF001 - it is its property
-            raise KnowledgeDenied(
-                f"{what.name} was not granted; an attack gets what its adversary knows and what "
-                "it declares in `requires` or `uses`"
-            )
-        return context._held[what]  # noqa: SLF001 - as above
-
-    return property(held)
-
-
 class AttackContext:
-    """What an attack is given to prepare with; it holds nothing that was not granted.
-
-    KnowledgeDenied for whoever asks for that.
-    """
+    """What an attack is given to prepare with; it holds nothing that was not granted."""
 
     __slots__ = ("_held", "epsilon_m", "granted", "rng")
-
-    mechanism: Any = _granted(Knowledge.MECHANISM)
-    """The frozen mechanism object with its parameters (Kerckhoffs)."""
-    train: Any = _granted(Knowledge.TRAIN)
-    """A `TrainingSet`, or a `LinkageTrainingSet` for a linkage attack."""
-    repeats: tuple[Release, ...] = _granted(Knowledge.REPEATS)
-    """Further releases of the same walks, sample by sample at the same instants."""
-    anchor: Release = _granted(Knowledge.ANCHOR)
-    """One true position of each walk, in the frame and on the clock of the release."""
-    companions: tuple[Release, ...] = _granted(Knowledge.COMPANIONS)
-    """Releases in the same frame: track i is of who walks along with track i.
-
-    It has one sample where nobody does."""
 
     def __init__(
         self,
@@ -245,6 +215,45 @@ class AttackContext:
         missing = sorted(what.name for what, held in self._held.items() if held is None)
         if missing:
             raise ValueError(f"granted, but not given: {', '.join(missing)}")
+
+    @property
+    def mechanism(self) -> Any:  # noqa: ANN401 - whichever class the mechanism is
+        """The frozen mechanism object with its parameters (Kerckhoffs)."""
+        return self._get(Knowledge.MECHANISM)
+
+    @property
+    def train(self) -> Any:  # noqa: ANN401 - of one of two kinds
+        """A `TrainingSet`, or a `LinkageTrainingSet` for a linkage attack."""
+        return self._get(Knowledge.TRAIN)
+
+    @property
+    def repeats(self) -> tuple[Release, ...]:
+        """Further releases of the same walks, sample by sample at the same instants."""
+        repeats: tuple[Release, ...] = self._get(Knowledge.REPEATS)
+        return repeats
+
+    @property
+    def anchor(self) -> Release:
+        """One true position of each walk, in the frame and on the clock of the release."""
+        anchor: Release = self._get(Knowledge.ANCHOR)
+        return anchor
+
+    @property
+    def companions(self) -> tuple[Release, ...]:
+        """Releases in the same frame: track i is of who walks along with track i.
+
+        It has one sample where nobody does.
+        """
+        companions: tuple[Release, ...] = self._get(Knowledge.COMPANIONS)
+        return companions
+
+    def _get(self, what: Knowledge) -> Any:  # noqa: ANN401 - each kind has a type of its own
+        if what not in self._held:
+            raise KnowledgeDenied(
+                f"{what.name} was not granted; an attack gets what its adversary knows and what "
+                "it declares in `requires` or `uses`"
+            )
+        return self._held[what]
 
 
 def grants(

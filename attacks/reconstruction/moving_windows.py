@@ -1,6 +1,7 @@
 """The first that anybody does to a noisy track: a mean, or a parabola, over neighbours."""
 
 from dataclasses import dataclass
+from importlib import import_module
 from typing import ClassVar
 
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from attacks.parameters import positive, tried
 from attacks.reconstruction.learning import around, smoother
 from isac_track.protocols import AttackContext, Reconstructor
-from isac_track.types import Floats, Ints, Knowledge, Reconstruction, Release, stretches
+from isac_track.types import Floats, Ints, Knowledge, Reconstruction, Release
 
 REFERENCE_STD_M = 0.5
 """Noise per axis at which a window has its nominal width; no matter but a scale."""
@@ -43,7 +44,7 @@ class MovingAverage:
     def smooth(release: Release, variance: Floats, width_s: float) -> Reconstruction:
         """Return the average of every track over windows fit for its noise."""
         half = half_windows(release, variance, width_s=width_s, bias_order=2)
-        return Reconstruction(centred_means(release, half))
+        return Reconstruction(filtered(release, half, loop="centred_means"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +73,7 @@ class Savgol(MovingAverage):
         half = half_windows(release, variance, width_s=width_s, bias_order=4)
         # A parabola through three samples smooths nothing.
         half = np.minimum(np.maximum(half, 2), (np.diff(release.offsets) - 1) // 2)
-        return Reconstruction(parabolas(release, half))
+        return Reconstruction(filtered(release, half, loop="fit_parabolas"))
 
 
 def half_windows(release: Release, variance: Floats, *, width_s: float, bias_order: int) -> Ints:
@@ -85,59 +86,22 @@ def half_windows(release: Release, variance: Floats, *, width_s: float, bias_ord
     Modelling*, 1996, 3.2.3), rounded to an odd number of samples of the track's mean interval.
     `variance`, (M,) m^2, is that of s, alike along a track.
     """
-    growth = (variance[release.offsets[:-1]] / REFERENCE_STD_M**2) ** (1.0 / (2 * bias_order + 1))
-    half = np.rint((width_s * growth / _intervals_s(release) - 1.0) / 2.0)
+    first, last = release.offsets[:-1], release.offsets[1:] - 1
+    growth = (variance[first] / REFERENCE_STD_M**2) ** (1.0 / (2 * bias_order + 1))
+    interval_s = np.ones(first.size)  # of a single sample any will do
+    lasts_s = release.t[last] - release.t[first]
+    np.divide(lasts_s, last - first, out=interval_s, where=last > first)
+    half = np.rint((width_s * growth / interval_s - 1.0) / 2.0)
     longest = np.diff(release.offsets)  # wider than any window that fits
     return np.minimum(half, longest).clip(0).astype(np.int64)
 
 
-def _intervals_s(release: Release) -> Floats:
-    """Return the mean interval of each track, (N,) s; of a single sample any will do."""
-    first, last = release.offsets[:-1], release.offsets[1:] - 1
-    lasts_s = np.where(last > first, release.t[last] - release.t[first], 1.0)
-    return np.asarray(lasts_s / np.maximum(last - first, 1))
+def filtered(release: Release, half: Ints, *, loop: str) -> Floats:
+    """Return positions, (M, 2) m, over windows of ``2 half + 1`` samples for each track, (N,).
 
-
-def centred_means(release: Release, half: Ints) -> Floats:
-    """Return means over up to `half`, (N,), samples to either side, (M, 2) m, fewer at the ends."""
-    sizes, row = np.diff(release.offsets), np.arange(release.t.size)
-    first, last = (np.repeat(end, sizes) for end in (release.offsets[:-1], release.offsets[1:] - 1))
-    side = np.minimum(np.repeat(half, sizes), np.minimum(row - first, last - row))
-    # Sums of small numbers lose less: every track is summed up from its first position.
-    origin = release.xy[first]
-    total = np.concatenate([np.zeros((1, 2)), np.cumsum(release.xy - origin, axis=0)])
-    within = total[row + side + 1] - total[row - side]
-    return np.asarray(within / (2 * side + 1)[:, None] + origin)
-
-
-def parabolas(release: Release, half: Ints) -> Floats:
-    """Return positions, (M, 2) m, by parabolas over windows of ``2 half + 1`` samples, (N,).
-
-    With half 0 a track is left as it is; no window may exceed its track.
+    `loop` is one of `_window_loops`. No window of parabolas may exceed its track.
     """
-    sizes, first, last = np.diff(release.offsets), release.offsets[:-1], release.offsets[1:] - 1
-    since_s = release.t - np.repeat(release.t[first], sizes)
-    # One clock for all, in mean intervals: a track lasts from the number of its first sample on.
-    even = np.arange(release.t.size)
-    place = np.repeat(first, sizes) + since_s / np.repeat(_intervals_s(release), sizes)
-    place[last] = last
-    origin = np.repeat(release.xy[first], sizes, axis=0)
-    grid = np.column_stack([np.interp(even, place, one) for one in (release.xy - origin).T])
-    for size in np.unique(half[half > 0]).tolist():
-        alike = half == size
-        rows, offsets = stretches(first[alike], sizes[alike])
-        grid[rows] = _slid(grid[rows], offsets, size)
-    smooth = np.column_stack([np.interp(place, even, one) for one in grid.T])
-    return np.where(np.repeat(half > 0, sizes)[:, None], smooth + origin, release.xy)
-
-
-def _slid(values: Floats, offsets: Ints, half: int) -> Floats:
-    """Fit a parabola to each window of even steps; at an end the outermost one is carried on."""
-    window = np.arange(2 * half + 1)
-    basis = np.linalg.qr(np.vander(window - float(half), 3))[0]
-    fit = basis @ basis.T  # from a window's values to its parabola's
-    fitted = np.column_stack([np.convolve(one, fit[half], "same") for one in values.T])
-    begin, end = (at[:, None] + window for at in (offsets[:-1], offsets[1:] - window.size))
-    fitted[begin[:, :half]] = fit[:half] @ values[begin]
-    fitted[end[:, half + 1 :]] = fit[half + 1 :] @ values[end]
-    return fitted
+    out = np.empty_like(release.xy)
+    arrays = map(np.ascontiguousarray, (release.t, release.xy, release.offsets, half))
+    getattr(import_module("attacks.reconstruction._window_loops"), loop)(*arrays, out)
+    return out

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.random import Generator
 
 from attacks.tasks.task_list import Task
-from isac_track.datasets.repair import walking_groups
 from isac_track.types import Bools, Floats, Ints, Tracks, read_only
 
 N_FOLDS = 2
@@ -92,14 +91,17 @@ def joined(first: Sequence[str], second: Sequence[str]) -> tuple[str, ...]:
 
     Each is called by the first name, in alphabetical order, of its groups in the first session.
     """
-    people = tuple(map(str, range(len(first))))
-    # Labels of the first session come first, and name the clusters.
-    sides = (("0", first), ("1", second))
-    labels = [
-        (who, side + name) for side, one in sides for who, name in zip(people, one, strict=True)
-    ]
-    clusters = walking_groups(ids=people, members=labels)
-    return tuple(name.removeprefix("group:0") for name in clusters)
+    # Heavy, and workers get sessions made.
+    from scipy.sparse import coo_array  # noqa: PLC0415 - as said
+    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415 - as said
+
+    names, one = np.unique(first, return_inverse=True)
+    names_later, other = np.unique(second, return_inverse=True)
+    size = names.size + names_later.size
+    people = coo_array((np.ones(one.size), (one, names.size + other)), shape=(size, size))
+    component = connected_components(people, directed=False)[1][: names.size]
+    first_name = names[np.unique(component, return_index=True)[1]]
+    return tuple(first_name[component[one]].tolist())
 
 
 def halves(group: tuple[str, ...], *, rng: Generator) -> Ints:

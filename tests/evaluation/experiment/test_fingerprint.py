@@ -146,7 +146,7 @@ def test_a_plug_in_is_its_own_code_and_nobody_elses(monkeypatch):
 
     before = keys()
     assert len(set(before.values())) == len(consumers)
-    change_code(monkeypatch, "attacks.reconstruction.moving_windows")
+    change_code(monkeypatch, "attacks.reconstruction._window_loops")
     after = keys()
     changed = {label.partition(" ")[0] for label in before if before[label] != after[label]}
     assert changed == {"savgol", "rerelease/shape@savgol"}

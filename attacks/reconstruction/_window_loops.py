@@ -1,0 +1,104 @@
+"""Compiled loops over windows that slide along a track: of means and of parabolas."""
+
+import numpy as np
+
+from isac_track.compiling import compiled, part_of_loop, read, written
+from isac_track.types import Floats, Ints
+
+
+@compiled(read(1), read(2), read(1, "int64"), read(1, "int64"), written(2))
+def centred_means(_: Floats, xy: Floats, offsets: Ints, half: Ints, out: Floats) -> None:
+    """Fill `out` with the mean over up to `half` neighbours on each side, fewer near the ends."""
+    total = np.zeros((len(xy) + 1, 2))
+    for i in range(half.size):
+        first, last = offsets[i], offsets[i + 1] - 1
+        for axis in range(2):
+            # Sums of small numbers lose less: every track is summed up from its first position.
+            origin = xy[first, axis]
+            for k in range(first, last + 1):
+                total[k + 1, axis] = total[k, axis] + (xy[k, axis] - origin)
+            for k in range(first, last + 1):
+                side = min(half[i], k - first, last - k)
+                within = total[k + side + 1, axis] - total[k - side, axis]
+                out[k, axis] = within / (2 * side + 1) + origin
+
+
+@part_of_loop
+def _to_grid(t: Floats, values: Floats, step_s: float, grid: Floats) -> None:
+    """Interpolate onto as many instants at the mean interval, from the first value on."""
+    last = t.size - 1
+    k = 0
+    for i in range(t.size):
+        at = t[0] + i * step_s
+        while k < last - 1 and t[k + 1] <= at:
+            k += 1
+        share = min((at - t[k]) / (t[k + 1] - t[k]), 1.0)
+        grid[i] = values[k] - values[0] + share * (values[k + 1] - values[k])
+
+
+@part_of_loop
+def _from_grid(t: Floats, grid: Floats, step_s: float, origin: float, out: Floats) -> None:
+    """Interpolate back onto the samples' own instants."""
+    last = t.size - 1
+    for i in range(t.size):
+        place = min((t[i] - t[0]) / step_s, float(last))
+        k = min(int(place), last - 1)
+        out[i] = origin + grid[k] + (place - k) * (grid[k + 1] - grid[k])
+
+
+@part_of_loop
+def _slide(grid: Floats, half: int, fitted: Floats) -> None:
+    """Fit a parabola to each window of 2 half + 1 values, from running moments.
+
+    With j counted from the middle of the window, s0, s1 and s2 are the sums of the values times
+    1, j and j^2. At either end the outermost window's parabola is carried on.
+    """
+    n, m = grid.size, half
+    count = 2.0 * m + 1.0
+    j2 = m * (m + 1.0) * count / 3.0
+    j4 = j2 * (3.0 * m * m + 3.0 * m - 1.0) / 5.0
+    spread = j4 - j2 * j2 / count
+    s0 = s1 = s2 = 0.0
+    for middle in range(m, n - m):
+        # Summed up afresh once a window: what running sums lose grows with their square.
+        if (middle - m) % (2 * m + 1) == 0:
+            s0 = s1 = s2 = 0.0
+            for j in range(-m, m + 1):
+                value = grid[middle + j]
+                s0 += value
+                s1 += j * value
+                s2 += j * j * value
+        else:
+            gone, come = grid[middle - m - 1], grid[middle + m]
+            s0 -= gone
+            s1 += m * gone
+            s2 -= m * m * gone
+            s2 += s0 - 2.0 * s1  # j is one less, seen from the next middle
+            s1 -= s0
+            s0 += come
+            s1 += m * come
+            s2 += m * m * come
+        bend = (s2 - s0 * j2 / count) / spread
+        level = (s0 - bend * j2) / count
+        before, after = (m if middle == m else 0), (m if middle == n - 1 - m else 0)
+        for j in range(-before, after + 1):
+            fitted[middle + j] = level + j * (s1 / j2 + j * bend)
+
+
+@compiled(read(1), read(2), read(1, "int64"), read(1, "int64"), written(2))
+def fit_parabolas(t: Floats, xy: Floats, offsets: Ints, half: Ints, out: Floats) -> None:
+    """Smooth every track over windows of ``2 half + 1`` samples; with half 0 leave it as it is."""
+    for i in range(offsets.size - 1):
+        first, end = offsets[i], offsets[i + 1]
+        n = end - first
+        if half[i] == 0:
+            out[first:end] = xy[first:end]
+            continue
+        clock = t[first:end]
+        step_s = (clock[n - 1] - clock[0]) / (n - 1)
+        grid, fitted = np.empty(n), np.empty(n)
+        for axis in range(2):
+            values = xy[first:end, axis]
+            _to_grid(clock, values, step_s, grid)
+            _slide(grid, half[i], fitted)
+            _from_grid(clock, fitted, step_s, values[0], out[first:end, axis])
