@@ -1,11 +1,10 @@
-"""Sections c and d of the verdict: the paper's claim, and inflation.
+"""Section c of the verdict: the paper's claim that FID has the advantage over fixed noise.
 
-The claim is that FID has the advantage over fixed noise at equal missed rate: descriptors as
-shared, the same after attack, and who is linked. Inflation is how much higher each descriptor is
-after attack than as shared. Of FID, and of any other mechanism of the run that has levels.
+At equal missed rate: descriptors as shared, the same after attack, and who is linked. Of FID, and
+of any other mechanism of the run that has levels.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from itertools import product
 from typing import Final
 
@@ -124,39 +123,3 @@ def _claim(
             **({"mechanism": mechanism} if mechanism else {}),
         },
     )
-
-
-def inflation(sweeps: Sweeps, attacks: Iterable[Source]) -> Iterator[Draft]:
-    """Yield an item for every adding rule, mechanism and descriptor, by the strongest attack."""
-    for attack, adding in product(attacks, ADDING_RULES):
-        for mechanism, descriptor in product(sweeps.swept(adding), DESCRIPTORS):
-            measures = attack.measure(descriptor), AS_SHARED.measure(descriptor)
-            levels = sweeps.levels(mechanism)
-            keys = ([one.at(mechanism, level) for one in measures] for level in levels)
-            both = [
-                [sweeps.found[key].drawn for key in of]
-                for of in keys
-                if {*of} <= sweeps.found.keys()
-            ]
-            if not both:
-                continue
-            with np.errstate(divide="ignore", invalid="ignore"):
-                mean = np.mean([np.log(after / before) for after, before in both], axis=0)
-            n, effective = sweeps.rests_on([mechanism], *measures)
-            name = sweeps.known[mechanism].name
-            yield Draft(
-                adding=adding,
-                descriptor=descriptor,
-                subject=attack.label,
-                effect=estimate_of(mean, n=n, effective=effective),
-                parted_at=0.0,
-                above=rules.INFLATED,
-                below=rules.DEFLATED,
-                unit="ratio",
-                sentences={
-                    "": f"After {attack.label} {NAME[descriptor]} under {name} ({adding} adding) "
-                    "is {} what it was as shared (geometric mean over the levels)."
-                },
-                untestable="" if np.isfinite(mean[0]) else f"{NAME[descriptor]} is 0 at a level",
-                details={"of": name, "levels": len(both)},
-            )

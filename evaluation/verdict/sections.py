@@ -1,7 +1,9 @@
 """The verdict: do PLR, AEL and MEL track real linkability? `verdict.json`.
 
 Four sections, each under both adding rules: *validity* across mechanisms, validity *within* a
-level, the paper's *claim*, and *inflation*. What decides is in words in docs/verdict.md.
+level, the paper's *claim* that FID has the advantage over fixed noise at equal missed rate, and
+*inflation*: how much higher each descriptor is after the strongest attack than as shared. What
+decides is in `rules`, in words in docs/verdict.md.
 """
 
 import json
@@ -12,7 +14,7 @@ from typing import Any
 from evaluation.analysis.keys import Source
 from evaluation.analysis.linked_people import LinkedProbes, by_cluster
 from evaluation.analysis.matching import Sweeps
-from evaluation.verdict import claim, rules
+from evaluation.verdict import claim, inflation, rules
 from evaluation.verdict.items import decided
 from evaluation.verdict.validity import validity
 from evaluation.verdict.within_level import within
@@ -53,7 +55,7 @@ def verdict(
         *across["items"],
         *decided(rules.WITHIN, within(levels, sweeps, success=success, seed=seed)),
         *decided(rules.CLAIM, claims),
-        *decided(rules.INFLATION, claim.inflation(sweeps, attacks)),
+        *decided(rules.INFLATION, inflation.inflation(sweeps, attacks)),
     ]
     for one in items:
         if scored and (one["section"] == rules.INFLATION or one.get("of") == claim.AFTER):
