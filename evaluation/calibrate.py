@@ -31,8 +31,7 @@ def _run(options: argparse.Namespace) -> int:
     if options.scenes < 2 or options.seed < 0:  # noqa: PLR2004 - one scene of each label
         raise SettingsError("--scenes must be at least 2 and --seed not negative")
     recorded = datasets.load(options.dataset).tracks
-    cases: dict[str, dict[str, float]] = {"as committed": {}}
-    cases |= ridge() if options.ridge else {}
+    cases = {"as committed": dict[str, float]()} | (ridge() if options.ridge else {})
     asked = {"n_scenes": options.scenes, "seed": options.seed}
     show_constants(
         {name: calibrate(recorded, changes=case, **asked) for name, case in cases.items()}

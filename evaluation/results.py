@@ -62,19 +62,11 @@ def run(
 ) -> Results:
     """Run the matrix and return its results as data frames.
 
-    Parameters
-    ----------
-    settings : Settings, optional
-        By default preset `paper`.
-    progress : bool or callable
-        Whether to show the data and how far the run is, on standard error; or what is called with
-        cells finished, cells to do, and what is under way.
-    ready : Plan, optional
-        A plan of `plan`, instead of settings.
-    pictures : bool
-        Without them there are neither figures nor `report.html`; `evaluation.report` draws them.
-    **options
-        Of `Settings`, over those given: `evaluation.run(preset="smoke", mechanisms=["raw"])`.
+    `settings` are by default those of preset `paper`; `options` are put over them, as in
+    `evaluation.run(preset="smoke", mechanisms=["raw"])`; `ready` is a plan of `plan` instead of
+    both. `progress` is whether to show the data and how far the run is, on standard error, or what
+    is called with cells finished, cells to do, and what is under way. Without `pictures` there are
+    neither figures nor `report.html`; `evaluation.report` draws them.
 
     Raises IsacTrackError for anything that a user can mend; finished cells are kept.
     """
@@ -116,9 +108,8 @@ def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> S
             out=usual.out.with_name(f"{usual.out.name}-pilot"),
         )
     )
-    pilot = None if settings.fresh else _finished(ready)
-    if pilot is None:
-        pilot = run(ready=ready, progress=progress, pictures=False)
+    done = None if settings.fresh else _finished(ready)
+    pilot = done or run(ready=ready, progress=progress, pictures=False)
     missed = pilot.summary[pilot.summary["metric"] == "missed_conflict_rate"]
     half = float((missed["ci_high"] - missed["ci_low"]).max()) / 2.0
     if not half > 0.0:
@@ -232,8 +223,7 @@ def study(asked: Sequence[tuple[str, Settings]], *, out: Path) -> tuple[list[Ans
     plans = [(law, plan(settings)) for law, settings in asked]  # all are checked first
     rows, simulated, n_failed = [], set(), 0
     for law, ready in plans:
-        done = _finished(ready)
-        results = done if done is not None else run(ready=ready)
+        results = _finished(ready) or run(ready=ready)
         rows += answers_of(results.out, results.manifest, results.verdict, law=law)
         n_failed += len(results.failed)
         if results.manifest["dataset"].get("simulated"):

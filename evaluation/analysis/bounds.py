@@ -13,15 +13,7 @@ import numpy as np
 import pandas as pd
 
 from evaluation.analysis.keys import Key, Source, Where, worlds_of
-from evaluation.analysis.metrics import (
-    CEILING,
-    EXPOSURE,
-    GAP,
-    OPTIMUM,
-    RANK_GAP,
-    RANK_OPTIMUM,
-    SUCCESS,
-)
+from evaluation.analysis.metrics import BOUNDS, EXPOSURE, GAP, RANK_GAP, RANK_OPTIMUM, SUCCESS
 from evaluation.analysis.strongest import HEADLINE
 from evaluation.experiment.constants import BOUND, MODEL
 from isac_track.intervals import Estimate, difference
@@ -71,22 +63,21 @@ def gaps(summary: pd.DataFrame) -> Sequence[Gap]:
     rows = rows.assign(task=[Source(one).task for one in rows["consumer"]])
     rows["most"] = rows["ci_high"].fillna(rows["value"])  # very few people have no interval
     found = []
-    for gap, metric, optimum in ((GAP, EXPOSURE, OPTIMUM), (RANK_GAP, SUCCESS, RANK_OPTIMUM)):
-        is_bound = rows["metric"].isin([optimum, CEILING] if metric == EXPOSURE else [optimum])
+    for gap, metric, known in ((GAP, EXPOSURE, BOUNDS), (RANK_GAP, SUCCESS, (RANK_OPTIMUM,))):
         able = (rows["metric"] == gap) & rows["knowledge"].isin(HEADLINE) & rows["value"].notna()
-        some = rows[able | is_bound | (rows["metric"] == metric)]
+        some = rows[able | rows["metric"].isin([*known, metric])]
         for place, of in some.groupby(_PLACE, sort=False, dropna=False):
             name, mechanism, level, _ = cast("tuple[str, str, float, str]", place)
             lacking = of[of["metric"] == gap].nsmallest(1, "most")
-            bounds = of[of["metric"].isin([optimum, CEILING])]
+            bounds = of[of["metric"].isin(known)]
             if lacking.empty or bounds.empty:
                 continue
             best = lacking.iloc[0]
             source = Source(best["consumer"], best["knowledge"])
             is_own = (of["consumer"] == source.consumer) & (of["knowledge"] == source.knowledge)
             reached = of.loc[is_own & (of["metric"] == metric)].iloc[0]
-            is_exact = bool((bounds["metric"] == optimum).any())
-            bound = bounds[(bounds["metric"] == optimum) | (not is_exact)].iloc[0]
+            is_exact = known[0] in bounds["metric"].to_numpy()
+            bound = bounds[(bounds["metric"] == known[0]) | (not is_exact)].iloc[0]
             plr, lacks, most = (Estimate(*one[_ENDS]) for one in (reached, best, bound))
             where = mechanism, None if np.isnan(level) else level
             found.append(Gap(name, where, source, plr, lacks, most, is_exact))

@@ -396,14 +396,16 @@ def _beside(names: Iterable[str], others: Iterable[str]) -> list[str]:
 
 def _axes(manifest: Manifest) -> dict[str, list[str]]:
     """Return what a run has cells of, in its order."""
-    of: dict[str, list[str]] = {"predictor": [], "attack": [], "linkage": [], "control": []}
-    for cell in manifest["cells"]:
-        of.setdefault(cell["kind"], []).append(cell["consumer"])
+    cells = manifest["cells"]
+
+    def of(*kinds: str) -> list[str]:
+        return [cell["consumer"] for kind in kinds for cell in cells if cell["kind"] == kind]
+
     return {
-        "mechanisms": [cell["spec"] for cell in manifest["cells"]],
-        "predictors": of["predictor"],
-        "attacks": of["attack"] + [name.partition("/")[2] for name in of["linkage"]],
-        "tasks": [name.partition("/")[0] for name in of["linkage"] + of["control"]],
+        "mechanisms": [cell["spec"] for cell in cells],
+        "predictors": of("predictor"),
+        "attacks": of("attack") + [name.partition("/")[2] for name in of("linkage")],
+        "tasks": [name.partition("/")[0] for name in of("linkage", "control")],
     }
 
 

@@ -18,22 +18,8 @@ from evaluation.analysis.families import RAW
 from evaluation.analysis.keys import AS_SHARED, Key, Source
 from evaluation.analysis.linkability import dataset_of
 from evaluation.analysis.matching import CRITERIA, Sweeps, interpolated, places, with_ends
-from evaluation.analysis.metrics import (
-    DESCRIPTORS,
-    ERROR,
-    EXPOSURE,
-    OF_ROBOT,
-    SUCCESS,
-    SUCCESS_OF_100,
-)
-from evaluation.analysis.strongest import (
-    BEYOND,
-    HEADLINE,
-    by_mechanism,
-    by_task,
-    cross_fitted,
-    strongest_of,
-)
+from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, ROBOTS_OWN, SUCCESS, SUCCESS_OF_100
+from evaluation.analysis.strongest import GROUPS, by_mechanism, by_task, cross_fitted, strongest_of
 from evaluation.runs.cell_files import Summed
 from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, Estimate
 from isac_track.types import Bools, Floats, Ints
@@ -93,7 +79,7 @@ def told(
     every = ((by, by_task(sweeps.found, metric=by)) for by in (EXPOSURE, SUCCESS))
     for by, task, blocks in ((by, *one) for by, tasks in every for one in tasks.items()):
         of = by_mechanism(blocks)
-        for among in (HEADLINE, *((name,) for name in BEYOND)):
+        for among in GROUPS:
             best = {name: strongest_of(levels, among=among) for name, levels in of.items()}
             whose = {name: source for name, source in best.items() if source}
             if RAW not in whose:
@@ -138,7 +124,7 @@ def frontier(
     shared = [(one, _curves(sweeps, one)) for one in every]
     rows: list[dict[str, Any]] = []
     for robot, (criterion, metric) in product(predictors, CRITERIA.items()):
-        own = [Told(name, dict.fromkeys(sweeps.known, Source(robot))) for name in (ERROR, OF_ROBOT)]
+        own = [Told(name, dict.fromkeys(sweeps.known, Source(robot))) for name in ROBOTS_OWN]
         cost = Source(robot).measure(metric)
         rises = {
             name: np.abs(curve - curve[:, -1:])

@@ -58,8 +58,7 @@ def galleries(
                 "dataset": dataset_of(one.linker.consumer, dataset=dataset),
                 "mechanism": one.mechanism,
                 "level": np.nan if one.level is None else one.level,
-                "consumer": one.linker.consumer,
-                "knowledge": one.linker.knowledge,
+                **one.linker._asdict(),
             }
             tpr = found.get(one.linker.measure(_TPR).at(one.mechanism, one.level))
             rows += [
@@ -97,9 +96,8 @@ def _of_level(
     for size in [*within, *steps]:
         rank1 = first[size] if size <= measured else _predicted(first, measured, size)
         yield measured, size, "rank1", rank1
-        low, value, high = (
-            1.0 + (size - 1) * end for end in (ahead.ci_low, ahead.value, ahead.ci_high)
-        )
+        ends = ahead.value, ahead.ci_low, ahead.ci_high
+        value, low, high = (1.0 + (size - 1) * end for end in ends)
         yield measured, size, "expected_rank", Estimate(value, low, high)
         if tpr is not None:
             yield measured, size, _TPR, tpr

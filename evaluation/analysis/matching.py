@@ -121,12 +121,8 @@ class Sweeps:
 
     def rests_on(self, mechanisms: Iterable[str], *measures: Measure) -> tuple[int, float]:
         """Return the least number of clusters, and of effective ones, over all levels and raw."""
-        keys = [
-            one.at(*where)
-            for one in measures
-            for mechanism in mechanisms
-            for where in (*((mechanism, level) for level in self.levels(mechanism)), (RAW, None))
-        ]
+        added = ((name, level) for name in mechanisms for level in self.levels(name))
+        keys = [one.at(*where) for where in (*added, (RAW, None)) for one in measures]
         of = [self.found[key] for key in keys if key in self.found]
         n = min((one.n for one in of), default=0)
         return n, min((one.n_effective for one in of), default=0.0)

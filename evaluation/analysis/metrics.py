@@ -136,12 +136,13 @@ GAP: Final = "plr_gap"  # In model worlds alone.
 OPTIMUM: Final = "plr_optimum"
 RANK_OPTIMUM, RANK_GAP = "rank1_optimum", "rank1_gap"  # The same of rank 1.
 CEILING: Final = "plr_ceiling"
-BOUNDS: Final = (OPTIMUM, CEILING)  # Of PLR after any attack.
+BOUNDS: Final = (OPTIMUM, CEILING)  # Of PLR after any attack, the exact one first.
 MISSED_RATE: Final = "missed_conflict_rate"  # What noise costs a robot.
 EQUAL_ALARMS: Final = "missed_at_equal_false_alarms"
 """The same at the false-alarm rate that the predictor has at raw; not in the summary."""
 ERROR: Final = "distance_mae"  # How far off the separation is that a robot foresees.
 OF_ROBOT: Final = "plr_robot"  # What a robot itself knows of where somebody was.
+ROBOTS_OWN: Final = (ERROR, OF_ROBOT)  # What is told of a robot at a price.
 EXPOSURE: Final = "plr"  # The descriptor that reconstructions are ranked by.
 SUCCESS: Final = "rank1"  # What linkers are ranked by.
 SUCCESS_OF_100: Final = "rank1_g100"  # The same in a gallery of 100: what compares over runs.

@@ -36,6 +36,7 @@ Levels: TypeAlias = "dict[Where, dict[Source, float]]"  # Success of every attac
 HEADLINE: Final = ("blind", INFORMED)  # Adversaries of whom the strongest is the headline.
 BEYOND: Final = ("repeats", "anchor", "companions", "insider")
 """Adversaries who know more: told beside it, where they were run."""
+GROUPS: Final = (HEADLINE, *((name,) for name in BEYOND))  # Each has its strongest.
 
 
 def strongest_of(

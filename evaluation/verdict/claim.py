@@ -13,14 +13,7 @@ import numpy as np
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED
 from evaluation.analysis.frontier import TARGETS
 from evaluation.analysis.keys import AS_SHARED, Measure, Source
-from evaluation.analysis.matching import (
-    AT_EQUAL_ALARMS,
-    CRITERIA,
-    MIN_DEFINED,
-    MISSED,
-    Sweeps,
-    at_changes,
-)
+from evaluation.analysis.matching import CRITERIA, MIN_DEFINED, Sweeps, at_changes
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
 from evaluation.verdict import rules
 from evaluation.verdict.items import Draft
@@ -28,10 +21,8 @@ from evaluation.verdict.rules import NAME, known
 from isac_track.intervals import estimate_of
 from isac_track.types import Floats
 
-_WHERE: Final = {
-    MISSED: "At an equal rise of missed conflicts",
-    AT_EQUAL_ALARMS: "At an equal rise of missed conflicts and equal false alarms",
-}
+_RISE: Final = "At an equal rise of missed conflicts"
+_WHERE: Final = dict(zip(CRITERIA, (_RISE, f"{_RISE} and equal false alarms"), strict=True))
 AS_IS, AFTER, LINKED = "as-shared", "after-attack", "linkage"  # What a claim compares.
 
 

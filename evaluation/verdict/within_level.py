@@ -39,14 +39,11 @@ def within(
     `levels` are by task; clusters are numbered alike at all levels of a task. `sweeps` are of the
     run and say under which rule a mechanism is judged; `success` is the linker of each task.
     """
-    drawn: dict[str, Floats] = {}
-    of_task = {}
-    for task, (one, *_) in levels.items():
-        for name in one.clusters:
-            if name not in drawn:  # by its name: who is in several tasks is drawn once
-                rng = stream(seed, "within", name)
-                drawn[name] = rng.standard_normal(N_REPLICATES)
-        of_task[task] = np.column_stack([drawn[name] for name in one.clusters])
+    clusters = {task: one.clusters for task, (one, *_) in levels.items()}
+    # By its name: who is in several tasks is drawn once.
+    names = {name for of in clusters.values() for name in of}
+    drawn = {name: stream(seed, "within", name).standard_normal(N_REPLICATES) for name in names}
+    of_task = {task: np.column_stack([drawn[name] for name in of]) for task, of in clusters.items()}
     for adding in ADDING_RULES:
         wanted = (RAW, *sweeps.swept(adding))
         for descriptor in DESCRIPTORS:
