@@ -16,7 +16,7 @@ import pandas as pd
 from scipy.special import ndtri, stdtr
 
 from evaluation.analysis.families import LEVEL_UNITS, families_in
-from evaluation.analysis.keys import Key
+from evaluation.analysis.keys import Key, keys_of
 from evaluation.analysis.linkability import cards
 from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS, SUCCESS_OF_100
 from evaluation.analysis.strongest import strongest
@@ -310,14 +310,10 @@ def _lead(
     }
     levels = [at[spec] for spec in PRESETS["smoke"].mechanisms if spec in at]
     levels = levels or list(dict.fromkeys(at.values()))[:_MOST_LEVELS]
-    keys = rows[["mechanism_a", "level_a", "consumer", "metric", "knowledge"]]
-    place = {
-        Key(name, None if math.isnan(level) else level, *of): row
-        for row, name, level, *of in keys.itertuples(name=None)
-    }
-    return rows.loc[
-        [place[one] for of in wanted for where in levels if (one := of.at(*where)) in place]
-    ]
+    of_a = rows.rename(columns={"mechanism_a": "mechanism", "level_a": "level"})
+    place = dict(zip(keys_of(of_a), rows.index, strict=True))
+    asked = (measure.at(*where) for measure in wanted for where in levels)
+    return rows.loc[[place[key] for key in asked if key in place]]
 
 
 def short_list(names: Sequence[str]) -> str:

@@ -106,6 +106,16 @@ def rows_of(frame: pd.DataFrame) -> list[dict[str, Any]]:
     return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
+def keys_of(rows: pd.DataFrame) -> list[Key]:
+    """Return what the rows of a summary are about."""
+    texts = rows["knowledge"].astype(object).fillna("")
+    columns = [*(rows[name] for name in ("mechanism", "level", "consumer", "metric")), texts]
+    return [
+        Key(name, None if math.isnan(at) else at, *of)
+        for name, at, *of in zip(*columns, strict=True)
+    ]
+
+
 def worlds_of(frame: pd.DataFrame) -> pd.Series[str]:
     """Return of which of `WORLDS` the rows of a summary are; empty: that of the run."""
     known = "|".join(map(re.escape, sorted(WORLDS, key=len, reverse=True)))

@@ -198,18 +198,17 @@ def answered(rows: Sequence[Mapping[str, Any]], *, simulated: frozenset[str]) ->
         seeds: dict[str, list[Mapping[str, Any]]] = {}
         for row in of:
             seeds.setdefault(row["recording"], []).append(row)
-        averages = [_averaged(seeds[name]) for name in sorted(seeds, key=simulated.__contains__)]
+        averages = [
+            {**one[0], "seed": MEAN, "n": min(row["n"] for row in one)}
+            | {name: float(np.mean([row[name] for row in one])) for name in _ENDS}
+            for one in (seeds[name] for name in sorted(seeds, key=simulated.__contains__))
+        ]
         real = [row for row in averages if row["recording"] not in simulated]
         errors = [(row["ci_high"] - row["ci_low"]) / (2.0 * _NORMAL) for row in real]
         able = len(real) >= FEWEST and all(one > 0.0 for one in errors)
         pooled = pool([row["value"] for row in real], errors) if able else None
         found.append(Answered(order[place], adding, law, averages, len(real), pooled))
     return found
-
-
-def _averaged(seeds: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    means = {name: float(np.mean([row[name] for row in seeds])) for name in _ENDS}
-    return {**seeds[0], **means, "seed": MEAN, "n": min(row["n"] for row in seeds)}
 
 
 def to_frame(rows: Sequence[Mapping[str, Any]], of: Sequence[Answered]) -> pd.DataFrame:

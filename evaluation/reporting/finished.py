@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
+from evaluation.analysis.keys import keys_of
 from evaluation.analysis.metrics import EXPOSURE, SUCCESS
 from evaluation.analysis.strongest import strongest
-from evaluation.reporting.rows import Results, keys_of
+from evaluation.reporting.rows import Results
 from evaluation.runs.files import FRAMES, content_of, from_csv
 from evaluation.runs.manifest import read_manifest
 from isac_track.errors import DataError

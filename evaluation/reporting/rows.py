@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, LEVEL_UNITS, Family, families_in
-from evaluation.analysis.keys import Key, Source, Where, level_text
+from evaluation.analysis.keys import Key, Source, Where, keys_of, level_text
 from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS
 from evaluation.experiment.presets import DISSOCIATION, SHARED
 from evaluation.reporting.table import Column, level, said
@@ -262,16 +262,6 @@ def mechanism_columns(known: Mapping[str, Family]) -> list[Column]:
         said("mechanism", lambda record: family_of(known, record["mechanism"]).name),
         said("adding", lambda record: family_of(known, record["mechanism"]).adding),
         Column("level", lambda record: level(record["level"])),
-    ]
-
-
-def keys_of(rows: pd.DataFrame) -> list[Key]:
-    """Return what the rows of a summary are about."""
-    texts = rows["knowledge"].astype(object).fillna("")
-    columns = [*(rows[name] for name in ("mechanism", "level", "consumer", "metric")), texts]
-    return [
-        Key(name, None if math.isnan(at) else at, *of)
-        for name, at, *of in zip(*columns, strict=True)
     ]
 
 

@@ -20,7 +20,7 @@ from rich.text import Text
 
 from evaluation.analysis import weak_attacks
 from evaluation.analysis.families import families_in
-from evaluation.analysis.keys import INFORMED, Source, worlds_of
+from evaluation.analysis.keys import INFORMED, Source, keys_of, worlds_of
 from evaluation.analysis.metrics import RECONSTRUCTION, SUCCESS, SUCCESS_OF_100, UTILITY
 from evaluation.reporting import answer_tables as answers
 from evaluation.reporting import result_tables as measured
@@ -31,7 +31,7 @@ from evaluation.reporting.bounds import bound_table, linked_bound_table
 from evaluation.reporting.first_screen import TABLES, data_line, first_screen
 from evaluation.reporting.headline import headline, headline_table
 from evaluation.reporting.markup import latex, markdown
-from evaluation.reporting.rows import Results, by_level, keys_of, telling
+from evaluation.reporting.rows import Results, by_level, telling
 from evaluation.reporting.table import Cell, Table, built, estimated, held, said
 from evaluation.reporting.terminal import Part
 from evaluation.runs.files import to_csv, write_whole

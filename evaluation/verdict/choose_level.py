@@ -16,7 +16,7 @@ import pandas as pd
 
 from evaluation.analysis import linkability
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW, Family, families_in
-from evaluation.analysis.keys import AS_SHARED, Key, Source, Where
+from evaluation.analysis.keys import AS_SHARED, Source, Where, keys_of
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE, SUCCESS
 from evaluation.analysis.strongest import BEYOND, by_task, strongest_of
 from evaluation.analysis.summary import COLUMNS
@@ -314,11 +314,8 @@ def _levels(
     every = identity.get("scenes_utility", identity["scenes"]) if is_in_all else identity["scenes"]
     # What holds under other assumptions, another error law say, has a data set of its own.
     summary = summary[~summary["dataset"].str.startswith(f"{dataset}:")]
-    rows = summary[[*Key._fields, "value", *_ENDS]].itertuples(index=False)
-    found = {
-        Key(name, None if math.isnan(level) else level, *of): Estimate(value, low, high)
-        for name, level, *of, value, low, high in rows
-    }
+    numbers_of = (summary[name] for name in ("value", *_ENDS))
+    found = dict(zip(keys_of(summary), map(Estimate, *numbers_of), strict=True))
 
     def numbers(where: Where, source: Source, names: Sequence[str]) -> dict[str, Estimate]:
         measures = {name: source.measure(METRIC_OF[name]) for name in names}

@@ -150,8 +150,8 @@ def contrasts(
     *,
     others: Sequence[int],
     fid: Sequence[int] = (),
-) -> tuple[Contrasts, Ints]:
-    """Return the contrasts of FID at its quartiles and of other levels, and their clusters, (K,).
+) -> Contrasts:
+    """Return the contrasts of FID at its quartiles and of other levels.
 
     `rates` are `Sums.drawn` under the weights of `drawn_weights`.
     """
@@ -188,11 +188,12 @@ def contrasts(
     ratio = np.log(np.maximum(shows[:, raw], floor) / np.maximum(shows[:, least], floor))
     whole_range = _filled(np.column_stack([success[:, raw] - success[:, least], ratio]))
     fall_error, span_error = spread.standard_error(whole_range[1:n_drawn], whole_range[n_drawn:])
-    found = Contrasts(
+    return Contrasts(
         gaps=gaps[:n_drawn],
         errors=np.where(is_shown, errors, np.nan),
         side=np.where(is_known, side, NEITHER),
         degrees=degrees,
+        people=np.where(rests_on, people, people.max()).min(axis=1),
         discordant=discordant,
         decides=np.array(
             [True] * (len(side) - len(others)) + [not of.is_hidden(place) for place in others],
@@ -205,7 +206,6 @@ def contrasts(
         fall_degrees=float(effective[fixed].min()) - 1.0,
         is_whole=not of.missing,
     )
-    return found, np.where(rests_on, people, people.max()).min(axis=1)
 
 
 def _filled(values: Floats) -> Floats:

@@ -36,6 +36,7 @@ class Contrasts:
     errors: Floats  # (K,) standard error of D_k; NaN where nothing is known
     side: Ints  # (K,) `BOTH`, `ONLY_MORE` below the fixed sweep, `ONLY_FEWER` above raw, `NEITHER`
     degrees: Floats  # (K,) effective clusters less one, the least over all that a contrast rests on
+    people: Ints  # (K,) clusters, likewise
     discordant: Floats
     """(3, K) shares of people linked more and less often than under fixed noise; how many in all"""
     decides: Bools  # (K,) not where a difference is there by construction

@@ -24,7 +24,7 @@ from evaluation.verdict.rules import BETWEEN, NAME, known, with_interval
 from evaluation.verdict.spread import BOTH, NEITHER, ONLY_FEWER, ONLY_MORE, Contrasts, Widths
 from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE, Estimate
 from isac_track.rng import stream
-from isac_track.types import Floats, Ints
+from isac_track.types import Floats
 
 CONSTRUCTION, SHOWN, ATTACKS = "construction", "shown", "attacks"
 """Kinds of evidence: the task hides what the mechanism changes; more people are linked; fewer are,
@@ -50,14 +50,13 @@ class Tested:
     of: Panel
     descriptor: str
     found: Contrasts
-    people: Ints  # (K,) clusters of each contrast, the least over all that it rests on
-    beside: tuple[Contrasts, Ints] | None = None  # Of mechanisms that the panel has not.
+    beside: Contrasts | None = None  # Of mechanisms that the panel has not.
     errors: tuple[Squared, Squared] | None = None
 
     @property
     def n(self) -> int:
         """Clusters, the least over all contrasts."""
-        return int(self.people.min(initial=max(self.people, default=0)))
+        return int(self.found.people.min(initial=max(self.found.people, default=0)))
 
 
 def validity(
@@ -91,9 +90,9 @@ def validity(
                     sums, rates = drawn[name]
                     own = contrasts(sums, rates, of, others=of.others, fid=of.fid)
                     more = contrasts(sums, rates, of, others=of.beside) if of.beside else None
-                    tested.append(Tested(of, name, *own, more, errors[name]))
+                    tested.append(Tested(of, name, own, more, errors[name]))
             own = contrasts(half, half.drawn(weights), of, others=of.others, fid=of.fid)
-            halves.append(Tested(of, "", *own))
+            halves.append(Tested(of, "", own))
     section, apart = (spread.together([one.found for one in of]) for of in (tested, halves))
     return {
         "items": [_item(one, section) for one in tested],
@@ -153,10 +152,9 @@ def _item(one: Tested, section: Floats) -> dict[str, Any]:
     of, found = one.of, one.found
     wide, answer = _answer(one, section, span=found.span[:1])
     decision, low, high = (answer[name] for name in ("decision", "spread_low", "spread_high"))
-    compared, beside = _contrasts(of, of.compared, found, one.people, wide), []
+    compared, beside = _contrasts(of, of.compared, found, wide), []
     if one.beside is not None:
-        theirs = spread.widths(one.beside[0], section)
-        beside = _contrasts(of, of.beside, *one.beside, theirs)
+        beside = _contrasts(of, of.beside, one.beside, spread.widths(one.beside, section))
     sure = [gap for gap in compared if gap["reading"] == rules.DIFFERS]
     is_flat = decision == rules.DOES_NOT and low <= rules.SUCCESS_MARGIN
     # What is equal, and what a flat descriptor misses, is so as far as these attacks go.
@@ -214,7 +212,7 @@ def _answer(one: Tested, section: Floats, *, span: Floats) -> tuple[Widths, dict
 
 
 def _contrasts(
-    of: Panel, places: Sequence[int], found: Contrasts, people: Ints, wide: Widths
+    of: Panel, places: Sequence[int], found: Contrasts, wide: Widths
 ) -> list[dict[str, Any]]:
     """Return contrasts as in `verdict.json`, each with its own interval, not adjusted."""
     low, high = (one[0] for one in spread.ends(found, wide, found.gaps[:1]))
@@ -238,7 +236,7 @@ def _contrasts(
                 "ci_low": known(gap - half[k]),
                 "ci_high": known(gap + half[k]),
                 "unit": "fraction",
-                "n": int(people[k]),
+                "n": int(found.people[k]),
                 "reading": next((name for name, is_so in readings.items() if is_so), BETWEEN),
                 "evidence": CONSTRUCTION if of.is_hidden(place) else shown,
                 "only": _ONLY.get(int(found.side[k]), ""),

@@ -24,6 +24,7 @@ def contrasts(gaps, errors, *, rng=None, n_drawn=4000, **changed):
         errors=errors,
         side=np.full(k, BOTH),
         degrees=np.full(k, MANY),
+        people=np.full(k, 100),
         discordant=np.full((3, k), 50.0),
         decides=np.full(k, True),
         fall=np.full(1 + n_drawn, 0.5) + 0.01 * np.append(0.0, rng.normal(size=n_drawn)),
