@@ -16,7 +16,7 @@ import numpy as np
 from isac_track.kalman import Batch, LastState, Moods, imm_last, kalman_last
 from isac_track.kalman.slow_errors import SlowError, added_error, filter_tracks
 from isac_track.noise import MIN_VARIANCE_M2, innovation_variance_m2
-from isac_track.types import ErrorLaw, Floats, Knowledge, Prediction, Release, end_to_end
+from isac_track.types import ErrorLaw, Floats, Knowledge, Prediction, Release, end_to_end, positive
 
 GATE = 18.4  # Chi-square quantile of 0.9999 with two degrees of freedom.
 WINDOW = 160  # Samples; what came before no longer moves the prediction (tested).
@@ -49,10 +49,8 @@ class KalmanCV:
         if type(self) is not KalmanCV and (self.aware or self.added_std_m or self.tau_s):
             raise ValueError("only kalman_cv can be aware of a mechanism")
         SlowError(self.added_std_m, self.tau_s)
-        if not (np.isfinite(self.q) and self.q > 0):
-            raise ValueError(f"q must be positive, got {self.q}")
-        if not self.gate > 0:
-            raise ValueError(f"gate must be positive, got {self.gate}")
+        positive("q", self.q)
+        positive("gate", self.gate, finite=False)
         if self.window < 2:  # noqa: PLR2004 - a velocity needs two samples
             raise ValueError(f"window must be at least 2 samples, got {self.window}")
 

@@ -54,15 +54,15 @@ class Outcome:
         return self.status == "passed"
 
 
-def call(function: Callable[..., Any], *given: object, who: str, case: str = "") -> Any:  # noqa: ANN401 - a stranger's
+def call(function: Callable[..., Any], *given: object, who: str) -> Any:  # noqa: ANN401 - a stranger's
     """Return what a stranger's function makes of its arguments.
 
-    Whatever it raises becomes an AssertionError that tells `who` did, in which line and `case`.
+    Whatever it raises becomes an AssertionError that tells `who` did, in which line.
     """
     try:
         return function(*given)
     except (Exception, SystemExit) as error:
-        raise AssertionError(f"{who} raised {told(error)}{raised_at(error)}{case}") from error
+        raise AssertionError(f"{who} raised {told(error)}{raised_at(error)}") from error
 
 
 def statement_of(function: Body) -> str:
