@@ -122,12 +122,6 @@ class TestCheck:
 
 
 class TestNew:
-    def test_somewhere_else(self, here, capsys):
-        assert main(["new", "my_2nd", "--into", str(here / "of mine" / "deep")]) == 0
-        folder = here / "of mine" / "deep" / "my_2nd"
-        assert "class My2nd:" in (folder / "my_2nd.py").read_text(encoding="utf-8")
-        assert f"  pip install -e '{folder}'\n  pytest '{folder}'\n" in capsys.readouterr().out
-
     @pytest.mark.parametrize(
         ("name", "kind", "checks", "parameter"),
         [
@@ -239,15 +233,6 @@ class TestCommandLine:
     def test_wrong_usage_is_one_line(self, words, capsys):
         assert main(words) == 2
         assert re.fullmatch(r"error: .* \(see --help\)\n", capsys.readouterr().err)
-
-    def test_help_imports_nothing_heavy(self, tmp_path):
-        code = (
-            "import sys\nfrom attacks.__main__ import parser\nprint(parser().format_help())\n"
-            "sys.exit(', '.join({'numpy', 'scipy', 'numba'} & sys.modules.keys()) or 0)"
-        )
-        done = run_python(tmp_path, "-c", code)
-        assert done.returncode == 0, done.stderr
-        assert done.stdout.startswith("usage: python -m attacks")
 
 
 def test_the_guide_runs_as_it_stands(pytester):

@@ -32,7 +32,6 @@ from attacks.testing._reconstruction_cases import ReconstructionCase
 from attacks.testing._releases import RAW_SIGMA_M, of_each
 from isac_track import plugins
 from isac_track.errors import PluginError, SettingsError
-from isac_track.linkability import rank1
 from isac_track.types import Knowledge
 
 KITS = (CHECKS, LINKAGE_CHECKS, MECHANISM_CHECKS, PREDICTOR_CHECKS)
@@ -323,7 +322,6 @@ class TestWithPytest:
 
 whole, _ = ReconstructionCase.ordinary_and_another(frozenset())
 hidden, shown = (LinkageCase.ordinary_and_another(one)[0].noisy for one in (frozenset(), SCENE))
-HIDDEN, SHOWN = hidden(RAW_SIGMA_M, "radial"), shown(RAW_SIGMA_M, "radial")
 
 
 @pytest.mark.parametrize("noisy", [whole.noisy, hidden, shown])
@@ -353,51 +351,3 @@ def test_other_people_and_repeats_are_what_they_should_be():
     assert np.sqrt((errors**2).sum(axis=2).mean()) == pytest.approx(0.3, rel=0.05)
     assert np.abs(np.corrcoef(errors.reshape(3, -1)) - np.eye(3)).max() < 0.06
     assert not np.isin(case.train.truth, case.truth).any()
-
-
-class TestLinkage:
-    def test_walks_are_those_of_people(self):
-        lasting_s = [np.ptp(track.t) for track in HIDDEN.probe]
-        assert lasting_s == pytest.approx([11.5] * 24, abs=1.0)
-        speeds = np.sort(BASE.traits(HIDDEN.probe))
-        assert speeds[[0, -1]] == pytest.approx([0.6, 2.0], abs=0.2)
-        assert np.diff(speeds).max() < 0.2
-
-    def test_hidden_walks_are_recorded_twice_each_in_a_frame_of_its_own(self):
-        for track, mate in zip(HIDDEN.probe, HIDDEN.mate, strict=True):
-            other = HIDDEN.gallery[mate]
-            # The same walk: turned and shifted upon each other they differ by the noise alone.
-            at = np.linspace(track.t[0] + 1.0, track.t[-1], 100)
-            one = complexes(track.t, track.xy, at)
-            two = complexes(other.t + track.t[-1] - other.t[-1], other.xy, at)
-            turn = np.vdot(two, one) / abs(np.vdot(two, one))
-            assert np.sqrt(np.mean(abs(one - turn * two) ** 2)) < 0.1
-            assert abs(turn - 1) > 1e-3
-            assert np.hypot(*(track.xy[-1] - other.xy[-1])) > 0.1
-
-    def test_a_shown_walk_goes_on_after_the_gap(self):
-        assert np.ptp([track.t[-1] for track in SHOWN.probe]) < 1e-6
-        for track, mate in zip(SHOWN.probe, SHOWN.mate, strict=True):
-            other = SHOWN.gallery[mate]
-            silence_s = other.t[0] - track.t[-1]
-            assert 1.0 < silence_s <= 1.125 + 1e-9
-            assert np.hypot(*(other.xy[0] - track.xy[-1])) / silence_s < 3.0
-
-    def test_the_training_set_is_other_people_made_alike(self):
-        train = HIDDEN.train
-        assert sorted(train.mate) == list(range(20))
-        assert not np.isin(train.probe.xy, HIDDEN.probe.xy).any()
-        scores = BASE.link(train.probe, train.gallery)
-        assert rank1(scores=scores, mate=train.mate).sum() > 6
-
-    def test_mates_are_not_where_the_probes_are(self):
-        assert sorted(HIDDEN.mate) == list(range(24))
-        assert np.count_nonzero(HIDDEN.mate == np.arange(24)) < 5
-        alone = [case.mate.tolist().count(-1) for case in HIDDEN.odd()]
-        assert alone[:3] == [0, 3, 0]
-
-
-def complexes(t, xy, at):
-    """Positions at other instants about their mean, as complex numbers."""
-    found = np.interp(at, t, xy[:, 0]) + 1j * np.interp(at, t, xy[:, 1])
-    return found - found.mean()

@@ -178,6 +178,7 @@ def test_side_by_side_results_that_differ_are_an_error_and_what_is_missing_a_lin
     assert row["ratio"] == pytest.approx(row["theirs_ms"] / row["ours_ms"])
 
 
+@pytest.mark.slow
 def test_runs_of_one_seed_pooled_are_that_run(tmp_path):
     """Twice the same run is the run: level, descriptors and the robot's own, with intervals."""
     axes = {"predictors": ("kalman_cv",), "mechanisms": ("raw", "fixed:0.4..1.2/3")}

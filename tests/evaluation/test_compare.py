@@ -288,13 +288,6 @@ class TestMechanisms:
         assert code == 0
         assert " -> ".join(names) in text
 
-    def test_single_levels_meet_whatever_they_are(self, run, both):
-        found = both("base", "base", mechanism_a="raw", mechanism_b="fixed:1")
-        (plr,) = found.rows.query("consumer == 'shared' and metric == 'plr'").to_dict("records")
-        assert plr["b"] == pytest.approx(numbers(run("base"))["value"]["fixed", 1.0, *PLR[2:]])
-        assert plr["difference"] < 0  # noise hides
-        assert "raw -> fixed 1" in shown(found)
-
     @pytest.mark.parametrize(
         ("a", "b", "error", "message"),
         [
@@ -308,20 +301,6 @@ class TestMechanisms:
     def test_what_does_not_fit_is_refused_with_the_way_out(self, both, a, b, error, message):
         with pytest.raises(error, match=message):
             both("base", "base", mechanism_a=a, mechanism_b=b)
-
-
-def test_what_only_one_run_has_is_named_and_counted(run, both):
-    found = both("base", "narrow")
-    assert found.only == {
-        "mechanisms": ([*MECHANISMS[1:], "clean"], []),
-        "predictors": (["least_squares"], []),
-        "attacks": (["kalman_rts", "shape"], []),
-        "tasks": (["rerelease"], []),
-    }
-    assert set(found.rows["finding"]) == {"identical"}
-    n_a, n_b = (len(pd.read_csv(run(name) / "summary.csv")) for name in ("base", "narrow"))
-    assert found.only_numbers == (n_a - n_b, 0)
-    assert "predictors only in A: least_squares" in shown(found)
 
 
 class TestCommand:
@@ -354,13 +333,6 @@ class TestCommand:
         assert counts["differs"] == (found.headline["finding"] == "differs").sum()
         assert sum(counts.values()) == len(some["differences"]) == len(found.headline)
         assert some["numbers"]["in_both"] == len(every["differences"]) == len(found.rows)
-
-    def test_a_heading_that_is_too_long_loses_its_middle(self, both):
-        found = both("base", "wide")
-        found.rows["consumer"] = found.rows["consumer"] + "@" + "x" * 90
-        lines = shown(found, width=80, every=True).splitlines()
-        assert max(map(len, lines)) <= 80
-        assert any("..." in line and line.endswith("fixed:adding=independent") for line in lines)
 
     @pytest.mark.parametrize(
         ("words", "said"),

@@ -1,6 +1,5 @@
 """Variants of a finished run: what is changed, what is run, and what becomes of every item."""
 
-import io
 import json
 import re
 import shutil
@@ -14,7 +13,7 @@ from helpers.summaries import edit_manifest
 
 import evaluation
 from evaluation import sensitivity
-from evaluation.experiment.variants import BASE, RIDGE, parse, settings_of, variants
+from evaluation.experiment.variants import BASE, parse, settings_of, variants
 from evaluation.reporting.difference_tables import turned
 from evaluation.runs.manifest import read_manifest
 from evaluation.sensitivity import main
@@ -22,7 +21,6 @@ from evaluation.verdict import sensitivity as held
 from evaluation.verdict.sensitivity import COLUMNS, attacks_of, folder_of, read_verdict
 from isac_track.errors import DataError, SettingsError
 
-ROOT = Path(evaluation.__file__).parent.parent
 NAMES = (BASE, "law=fixed_direction", "epsilon=1", "predictor=kalman_cv", "privacy.epsilon_m=0.4")
 
 
@@ -97,17 +95,6 @@ class TestNames:
         with pytest.raises((SettingsError, DataError), match=re.escape(said)):
             parse(name)
 
-    def test_the_ridge_is_the_documented_one(self):
-        text = (ROOT / "docs" / "reproduction.md").read_text(encoding="utf-8")
-        lines = text[text.index("**ridge**") :].split("\n\n")[1]
-        table = pd.read_csv(io.StringIO(lines), sep=r"\s*\|\s*", engine="python", index_col=1)
-        table.columns = table.columns.str.replace(r" (m|dB)$", "", regex=True)
-        names = ["processing gain (dB)", "large-scale spread (dB)", "CRB gap (dB)"]
-        for point, constants in RIDGE.items():
-            told = table.loc[names, point.replace("=", " ")].astype(float)
-            keys = ("processing_gain_db", "large_scale_db", "crb_gap_db")
-            assert [constants[key] for key in keys] == [*told], point
-
     def test_what_the_run_did_itself_is_left_out(self, finished):
         manifest = read_manifest(finished)
         recordings = {"recording=students03", "recording=zara01", "recording=plaza"}
@@ -168,30 +155,6 @@ class TestChanges:
         assert turned(rows) == [told]
 
 
-class TestAttacks:
-    def test_are_those_that_items_and_differing_contrasts_are_about(self):
-        def about(subject, task="", **more):
-            return item("validity/a", "tracks", 1, subject=subject, task=task, **more)
-
-        contrasts = [
-            {"reading": "differs", "subject": "shape (informed)"},
-            {"reading": "equal", "subject": "dtw (blind)"},
-        ]
-        items = [
-            about("shape@x (blind)", "split"),
-            about("p.q:R:2@x (informed)", "rerelease"),
-            about(""),
-            about("x (blind)"),
-            about("shape@x (blind)", "rerelease", contrasts=contrasts),
-        ]
-        assert attacks_of(items) == {
-            "shape@x": {"split", "rerelease"},
-            "p.q:R:2@x": {"rerelease"},
-            "x": {""},
-            "shape": {"rerelease"},
-        }
-
-
 def settings(finished, name, *, manifest=None, out="nowhere", **more):
     """The settings of a variant of a run, and what is left out."""
     return settings_of(
@@ -218,13 +181,6 @@ class TestSettings:
         for key in ("mechanisms", "tasks"):
             assert getattr(found, key) == tuple(ran[key])
         assert (found.scenes, found.seed) == (ran["scenes"], ran["seed"])
-
-    def test_a_setting_of_the_run_stays_and_scenes_and_jobs_may_be_others(self, finished):
-        manifest = read_manifest(finished)
-        manifest["settings"]["stages"]["sensing.power_dbm"] = 20.0
-        found, _ = settings(finished, "epsilon=0.2", manifest=manifest, scenes=8, jobs=2)
-        assert (found.stages.sensing.power_dbm, found.stages.privacy.epsilon_m) == (20.0, 0.2)
-        assert (found.scenes, found.jobs) == (8, 2)
 
     def test_another_recording_brings_its_own_format_and_leaves_out_what_it_is_too_small_for(
         self, finished, tmp_path
@@ -263,17 +219,6 @@ class TestRun:
         for name in ("summary.csv", "verdict.json"):
             of_variant = folder_of(tried, "epsilon=1") / name
             assert of_variant.read_bytes() == (tmp_path / "alone" / name).read_bytes()
-
-    def test_another_assumption_gives_other_numbers(self, tried):
-        rows = pd.read_csv(tried / "sensitivity.csv").set_index(["variant", "id"])
-        # With 1 m nearly everything shows as shared: less is left for an attack to add.
-        plr = rows["effect"].xs("inflation/linear/fixed/plr", level="id")
-        assert plr["epsilon=1"] < plr[BASE]
-        # Another predictor moves no descriptor, only what is matched by its missed rate.
-        predicted = rows.loc["predictor=kalman_cv"]
-        before, after = predicted["effect_base"], predicted["effect"]
-        same = after.eq(before) | (after.isna() & before.isna())
-        assert (same == (predicted["section"] != "claim")).all()
 
     def test_cells_that_the_run_has_are_not_computed_again(self, tried):
         def cells_of(folder):
@@ -429,15 +374,6 @@ class TestErrors:
         assert "holds another run (scenes 8 -> 10)" in errors
         assert said(*words, 10, "--fresh")[0] == 0
         assert read_manifest(folder_of(out, BASE))["settings"]["scenes"] == 10
-
-    def test_list_runs_nothing(self, out, capsys):
-        assert main([str(out), "--list", "--set", "privacy.epsilon_m=0.45"]) == 0
-        shown = capsys.readouterr().out
-        assert re.search(r"(?m)^ridge exponent=3.5 +sensing.path_loss_exponent = 3.5,", shown)
-        assert "privacy.epsilon_m=0.45" in shown
-        assert not (out / "sensitivity").exists()
-        assert main(["--list"]) == 0
-        assert "recording=students03" in capsys.readouterr().out
 
     def test_an_interrupted_run_says_how_to_continue(self, out, said, monkeypatch):
         def interrupted():

@@ -45,14 +45,6 @@ def test_the_table_has_a_row_a_seed_and_their_mean_and_pools_nothing_simulated(a
     assert {"robot_loses", "left_after_attack", "people_linked"} <= set(table["question"])
 
 
-def test_the_page_says_which_recording_is_simulated_and_where_its_runs_are(answered):
-    _, _, out, _ = answered
-    text = (out / "study.html").read_text()
-    assert "plaza (simulated)" in text
-    assert "plaza-0" in text
-    assert "pooled</" not in text
-
-
 def test_what_is_finished_is_read_again(answered):
     of, _, out, asked = answered
     before = (out / "study.csv").read_bytes()

@@ -109,13 +109,6 @@ def in_place(release):
     return release.xy
 
 
-@fails("inputs_are_not_mutated", "as oracle .* changed context.repeats[1].t", uses=REPEATS)
-def retimes_repeats(context):
-    if Knowledge.REPEATS in context.granted:
-        context.repeats[1].t.flags.writeable = True
-        context.repeats[1].t[:] -= context.repeats[1].t[0]
-
-
 @fails("only_granted_knowledge_is_touched", "(granted nothing), .* MECHANISM was", uses=MECHANISM)
 def never_looks(context):
     """A blind adversary grants it nothing, yet it reads what it only `uses`."""
@@ -127,46 +120,14 @@ def takes_sigma(release):
     return release.xy * (release.sigma * 0.0 + 1.0)[:, None]
 
 
-@fails("only_granted_knowledge_is_touched", "half as informed (gr", uses=TRAIN | REPEATS)
-def half(context):
-    """Looks into what it was granted, and touches something else."""
-    if Knowledge.TRAIN in context.granted:
-        assert context.repeats
-
-
 @fails("order_of_tracks_does_not_matter", "tracks in another order")
 def across_tracks(release):
     return halfway_back(release.xy)
 
 
-@fails("order_of_tracks_does_not_matter", "positions or std differ by 0.5 m")
-def certain_of_the_first(_context):
-    """The positions are right, the claimed standard deviation knows the track's number."""
-    return lambda release: Reconstruction(
-        release.xy, np.repeat(np.arange(len(release)) * 0.1, np.diff(release.offsets))
-    )
-
-
 @fails("frame_and_clock_do_not_matter", "another frame and clock")
 def by_the_clock(track):
     return track.xy + 0.01 * np.column_stack([np.sin(track.t), np.cos(track.t)])
-
-
-@fails("frame_and_clock_do_not_matter", "walls as blind", uses=SCENE)
-def walls(track):
-    """Knows where the walls are, whether it was granted that or not."""
-    return np.round(track.xy, 1)
-
-
-@fails("frame_and_clock_do_not_matter", "two seeds differ by")
-def leans(context):
-    """Draws, as it may, but more on another clock."""
-
-    def reconstruct(release):
-        drawn = context.rng.normal(0.0, 0.05, release.xy.shape)
-        return Reconstruction(release.xy + drawn * (1.0 + 10.0 * (release.t[:1] > 100.0)))
-
-    return reconstruct
 
 
 @fails("frame_and_clock_do_not_matter", "as oracle (granted REPEATS)", requires=REPEATS)
@@ -185,24 +146,10 @@ def first_by_name(release):
     )
 
 
-@fails("pseudonyms_do_not_matter", "differ by inf m")
-def certain_of_some(_context):
-    """A standard deviation that comes and goes."""
-    return lambda release: Reconstruction(
-        release.xy, np.ones(len(release.t)) if release.pseudonym[0] < "p" else None
-    )
-
-
 @fails("odd_tracks_are_handled", "raised IndexError: .* (broken_attacks.py, line ")
 def needs_three(track):
     assert np.isfinite(track.xy[2]).all()
     return halfway_back(track.xy)
-
-
-@fails("odd_tracks_are_handled", "an answer lies 71 m from the middle of track 0")
-def far_from_a_point(track):
-    """A walk of no extent is sent far away."""
-    return track.xy if len(track.t) > 1 else track.xy + 50.0
 
 
 @fails("odd_tracks_are_handled", "is anything divided by a time step?")

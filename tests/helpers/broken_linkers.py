@@ -99,11 +99,6 @@ def listing(probe, gallery):
     return BASE.link(probe, gallery).tolist()
 
 
-@fails("result_is_a_score_matrix", "got ndarray of int64")
-def whole_numbers(probe, gallery):
-    return np.round(1e9 * BASE.link(probe, gallery)).astype(np.int64)
-
-
 @fails("inputs_are_not_mutated", "as informed (granted TRAIN), .* context.train.mate", uses=TRAIN)
 def crosses_out(context):
     """Marks the training pairs that it has learnt from."""
@@ -116,11 +111,6 @@ def crosses_out(context):
 def likes_the_first(probe, gallery):
     """Breaks ties by the number of the gallery track."""
     return BASE.link(probe, gallery) - 1e-3 * np.arange(len(gallery))
-
-
-@fails("order_of_tracks_does_not_matter", "depend on a track's number?")
-def numbers_probes(probe, gallery):
-    return BASE.link(probe, gallery) - 1e-3 * np.arange(len(probe))[:, None]
 
 
 @fails("frames_and_clocks_do_not_matter", "on absolute times")
@@ -141,33 +131,11 @@ def same_frame_for_both(probe, gallery):
     return BASE.link(probe, gallery) - 1e-4 * away_m
 
 
-@fails("frames_and_clocks_do_not_matter", "as informed (granted TRAIN)", uses=TRAIN)
-def trains_in_one_frame(context):
-    """Learns how far people get between the two releases, in frames that have nothing in common."""
-    if Knowledge.TRAIN not in context.granted:
-        return None
-    train = context.train
-    last, first = ends(train.probe, train.gallery)
-    known = train.mate >= 0
-    away_m = np.hypot(*(last[known] - first[train.mate[known]]).T).mean()
-    return lambda probe, gallery: BASE.link(probe, gallery) * (1.0 + away_m)
-
-
 @fails("pseudonyms_do_not_matter", "other pseudonyms: scores differ by")
 def same_name(probe, gallery):
     """Trusts that nobody changes their pseudonym."""
     same = np.array([[one == other for other in gallery.pseudonym] for one in probe.pseudonym])
     return BASE.link(probe, gallery) + 0.1 * same
-
-
-@fails("odd_tracks_are_handled", "probes of 128 samples against 128: 1 of 1 scores are not")
-def against_the_others(probe, gallery):
-    """Standard scores over the candidates; a single one has no spread."""
-    scores = BASE.link(probe, gallery)
-    gap = scores - scores.mean(axis=1, keepdims=True)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        square = (gap**2).sum(axis=1, keepdims=True) / np.float64(scores.shape[1] - 1)
-    return gap / np.maximum(np.sqrt(square), 1e-9)
 
 
 @fails("odd_tracks_are_handled", "who cannot tell gives all candidates the same score")
@@ -176,16 +144,6 @@ def per_second(track):
     with np.errstate(invalid="ignore"):
         straight = np.hypot(*(track.xy[-1] - track.xy[0])) / (track.t[-1] - track.t[0])
     return BASE.trait(track) + 1e-3 * straight
-
-
-@fails("odd_tracks_are_handled", "steps from 1 ms to 30 s: .* are not finite")
-def rounds_times(release):
-    """Takes the recording to have frames of 10 ms."""
-    step_s = [np.diff(np.round(track.t - track.t[0], 2)) for track in release]
-    way_m = [np.hypot(*np.diff(track.xy, axis=0).T) for track in release]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        fastest = [(m / s).max(initial=0.0) for m, s in zip(way_m, step_s, strict=True)]
-    return BASE.traits(release) + 1e-4 * np.where(np.isinf(fastest), np.nan, fastest)
 
 
 @fails("training_without_mates_is_handled", "a mate of -1 is no index", uses=TRAIN)

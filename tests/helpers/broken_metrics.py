@@ -45,7 +45,6 @@ def without_first_segment(leaked):
     return leaked & (np.arange(leaked.size) >= first)
 
 
-PER_AXIS = plr("per_axis")
 LOSES_FIRST = ael(change=without_first_segment)
 LOSES_LAST = mel(change=lambda leaked: without_first_segment(leaked[::-1])[::-1])
 

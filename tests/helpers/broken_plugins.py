@@ -66,11 +66,6 @@ def undeclared(sensed, rng):
     return NOISE.share(sensed, rng).without_sigma()
 
 
-@fails("sigma_is_that_of_the_error", "times what is declared")
-def declares_raw(sensed, rng):
-    return replace(NOISE.share(sensed, rng), sigma=sensed.sigma_raw)
-
-
 @fails("sigma_is_that_of_the_error", "is 1..*adds_error = False")
 def declares_d_sigma(sensed, rng):
     release = perturb(sensed, 0.1, rng, adding="independent")
@@ -164,8 +159,3 @@ def skewed(release, t_future):
 @fails("track_is_causal", "later samples move what was known before by 7 m")
 def smooths(release):
     return np.repeat(release.xy[-1:], release.t.size, axis=0)
-
-
-@fails("track_is_causal", "must return finite places, (M, 2) = (")
-def last_places(release):
-    return release.xy[release.offsets[1:] - 1]

@@ -84,14 +84,6 @@ def test_the_others_stand_in_the_ring_and_keep_clear(scenes):
     assert scenes.exhausted.sum() == 0
 
 
-def test_exhausted_redraws_keep_the_last_place_and_are_counted(known):
-    crowded = SETTINGS.changed({"scenes.clearance_m": 6.5, "scenes.max_redraws": 3})
-    order = track_order(n_tracks=len(known), n_scenes=10, agents=4, seed=0)
-    scenes = make_scenes(known, order=order, first=0, settings=crowded, seed=0)
-    assert scenes.exhausted.sum() > 0
-    assert (scenes.exhausted <= 3).all()
-
-
 def test_more_redraws_move_nobody_who_has_a_place(known):
     order = track_order(n_tracks=len(known), n_scenes=30, agents=4, seed=0)
     few, many = (

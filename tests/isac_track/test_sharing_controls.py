@@ -75,17 +75,6 @@ class TestSlowErrors:
                     expected = level[0] * np.array([np.cos(angle), np.sin(angle)])
                 np.testing.assert_allclose(found[k], expected, rtol=0, atol=1e-9)
 
-    def test_of_fewer_tracks_are_the_first_of_more_and_there_may_be_none(self, law):
-        batch = sensed(sizes=(40, 30, 20))
-        whole, part, nothing = (
-            correlated_errors(
-                t=batch.t[:n], offsets=batch.offsets[:tracks], law=law, tau_s=1, rng=rng()
-            )
-            for n, tracks in ((90, 4), (70, 3), (0, 1))
-        )
-        np.testing.assert_array_equal(whole[:70], part)
-        assert nothing.shape == (0, 2)
-
 
 def slow_errors(batch, law="radial", tau_s=TAU_S):
     """The errors that a mechanism draws for a batch."""

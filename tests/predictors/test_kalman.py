@@ -5,11 +5,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from helpers.walks import cv_walks, flat_release, release_of
+from helpers.walks import cv_walks, flat_release
 from scipy.stats import chi2
 
-from benchmarks.tune import TUNED, releases, tune
-from isac_track import datasets, plugins
+from isac_track import plugins
 from isac_track.kalman import Batch
 from isac_track.rng import stream
 from isac_track.sharing_controls import Correlated, Offset, correlated_errors
@@ -77,11 +76,6 @@ def test_what_it_tracks_is_filterpy_after_each_sample(tracker, noise):
             assert np.allclose(found[end - 1], mean[0, :, 0], atol=1e-9, rtol=1e-9)
 
 
-def test_others_track_nothing():
-    assert KalmanCA().track is None
-    assert KalmanIMM().track is None
-
-
 @by_name
 def test_a_late_clock_loses_nothing(tracker):
     early, t_early, _ = walks(60)
@@ -98,27 +92,6 @@ def test_the_start_up_needs_no_prior(tracker, monkeypatch):
     after = tracker.predict(release, t_future)
     gap = np.abs(after.mean - before.mean) / np.sqrt(before.cov[..., 0, 0])[..., None]
     assert gap.max() < 0.02  # standard deviations, for a prior ten times as vague
-
-
-@by_name
-def test_the_window_is_the_whole_history(tracker):
-    """On the crowd that ships with the package, with the noise given: only the filter forgets."""
-    long = [track for track in datasets.load("plaza").tracks if track.t.size > 100][:60]
-    clocks = [np.arange(track.t[0], track.t[-1], 0.0833) for track in long]
-    paths = [
-        np.stack([np.interp(t, track.t, axis) for axis in track.xy.T], axis=1)
-        for t, track in zip(clocks, long, strict=True)
-    ]
-    exact = release_of(list(zip(clocks, paths, strict=True)))
-    noise = stream(0, "test", "window").standard_normal(exact.xy.shape)
-    release = replace(exact, xy=exact.xy + noise, sigma=np.full(exact.t.size, np.sqrt(2.0)))
-    t_future = release.t[release.offsets[1:] - 1][:, None] + 0.0833 * np.arange(12)
-    short = replace(tracker, noise="declared")
-    a = short.predict(release, t_future)
-    b = replace(short, window=10**9).predict(release, t_future)
-    gap = np.abs(a.mean - b.mean)[:, -1] / np.sqrt(b.cov[:, -1, 0, 0])[:, None]
-    assert gap.max() < 0.15  # of the forecast's own standard deviation, at 0.92 s
-    assert np.quantile(gap, 0.9) < 0.06
 
 
 @by_name
@@ -191,15 +164,6 @@ def test_the_declared_std_means_what_the_law_says(law, noise_m):
 def test_impossible_parameters_are_refused(spec):
     with pytest.raises(plugins.SettingsError, match="must be"):
         plugins.parse("predictors", spec)
-
-
-@pytest.mark.slow
-def test_the_defaults_are_the_output_of_the_tuning():
-    shared = releases("plaza", n_scenes=60, seed=0)
-    for tracker, names in TUNED.values():
-        found = tune(tracker, names, shared=shared)
-        for name in names:
-            assert getattr(found, name) == pytest.approx(getattr(tracker, name), rel=0.1)
 
 
 def test_who_knows_of_a_slow_error_foresees_better_and_says_how_well():

@@ -96,37 +96,10 @@ def test_too_few_mates_teach_nothing(attack, easy):
         assert np.array_equal(taught, blind)
 
 
-def circle(radius_m, rad_s):
-    t = np.arange(0.0, 12.0, 0.1)
-    return t, radius_m * np.stack([np.cos(rad_s * t), np.sin(rad_s * t)], axis=1)
-
-
-def test_without_turning_a_profile_goes_by_speed_alone():
-    scores = Profile(turn_m=1e-6).fit(context())(
-        release_of([circle(4.0, 0.3)]), release_of([circle(4.0, -0.3), circle(4.0, 0.2)])
-    )
-    assert scores[0, 0] > scores[0, 1] + 2.0
-
-
 def test_a_profile_finds_the_lag():
     probe, gallery, mate = two_releases(12, shift_s=5.0, length_s=12.0)
     assert hits(Profile().fit(context())(probe, gallery), mate) >= 0.9
     assert hits(Profile(reach_s=0.25).fit(context())(probe, gallery), mate) <= 0.6
-
-
-def test_a_glimpse_of_a_shape_is_enough():
-    probe, _, _ = two_releases(12, length_s=10.0)
-    whole, _, _ = two_releases(12, length_s=4.0, shift_s=2.0)
-    scores = Shape().fit(context())(probe, whole)
-    assert hits(scores, np.arange(12)) == 1.0
-
-
-def test_the_shape_of_noise_takes_few_polynomials():
-    probe, gallery, mate = two_releases(60, seed=8, noise_m=2.5, turn_rad_s=0.2)
-    few, many = (
-        log_rank(Shape(rank=rank).fit(context())(probe, gallery), mate=mate) for rank in (5, 24)
-    )
-    assert few < many - 0.1
 
 
 def test_a_given_floor_is_not_learnt():

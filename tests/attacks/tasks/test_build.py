@@ -3,7 +3,7 @@
 import re
 from dataclasses import replace
 from functools import cache
-from itertools import combinations, pairwise
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -149,15 +149,6 @@ def test_in_a_handover_everyone_who_is_there_is_a_candidate_before_or_after_a_si
     # Some have left and some are new.
     assert (found.mate < 0).any()
     assert np.setdiff1d(np.arange(len(found.gallery)), found.mate).size
-
-
-def test_company_of_either_day_is_one_cluster():
-    found = sessions("new_traversal")
-    group = dict(zip(found.source, found.group, strict=True))
-    for tracks in (crowd(), crowd(session=1, groups=(2, 2))):
-        for one, other in pairwise(one for one in tracks if one.source[0] in group):
-            if one.group == other.group:
-                assert group[one.source[0]] == group[other.source[0]]
 
 
 @pytest.mark.parametrize("name", [*CLOSED, *HANDOVERS])
@@ -336,13 +327,6 @@ def test_an_unknown_task_is_refused_with_what_may_be_meant(name, hint):
         task_named(name)
     with pytest.raises(SettingsError, match="unknown task"):
         sessions_of(replace(TASKS["split"], name=name), tracks=crowd(), stages=STAGES, seed=0)
-
-
-def test_windows_before_the_gap_are_the_same_whatever_the_gap():
-    ours, others = (by_person(sessions(f"handover-{gap_s}s"))[0] for gap_s in (1, 5))
-    both = ours.keys() & others.keys()
-    assert both
-    assert all(ours[key] == others[key] for key in both)
 
 
 GROUP = st.sampled_from("abcdef")

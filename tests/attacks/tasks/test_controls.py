@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.walks import flat_release, release_of
+from helpers.walks import release_of
 
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.sessions import COLUMNS
@@ -125,16 +125,6 @@ def test_noise_that_is_alike_or_not_declared_shows_nothing_not_even_through_roun
     assert not CONTROLS["noise_level"].scorer(TASKS["handover-1s"])(alike, alike, rng).any()
     silent = replace(release(rng), sigma=None)
     assert not CONTROLS["noise_level"].score(silent, silent, rng).any()
-
-
-@pytest.mark.parametrize("name", [name for name in LEAKS if name != "sampling_times"])
-def test_tracks_of_one_sample_are_handled(name):
-    xy = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [5.0, 5.0]])
-    one = flat_release(np.arange(4.0), xy, np.array([0, 1, 3, 4]), sigma=np.full(4, 0.1))
-    scores = CONTROLS[name].score(one, one, np.random.default_rng(0))
-    assert np.isfinite(scores).all()
-    blind = name in {"duration", "noise_level", "sample_count"}
-    assert blind or (scores.argmax(axis=1) == [0, 1, 2]).all()
 
 
 def test_frame_and_clock_are_no_shortcuts_where_the_scene_shows():

@@ -143,24 +143,6 @@ def test_tolerances(mechanism, metric, published, goal):
     assert paper.tolerance(mechanism, metric, published) == pytest.approx(goal)
 
 
-def test_what_attacks_get_changes_no_match_and_no_claim():
-    found = results()
-    attacked = found | {Key("fid", 5.0, SHARED, "plr", "blind"): estimate(0.5)}
-    for key in found:
-        if key.consumer == SHARED:
-            for name in (SHARED, PREDICTOR, "kalman_rts"):
-                attacked[key._replace(consumer=name, knowledge="blind")] = estimate(0.5, n=3)
-        elif key.level is not None:
-            other = key._replace(level=key.level + 0.5, knowledge="oracle")
-            attacked[other] = estimate(0.5, n=0)
-    for made in (
-        lambda one: matched(one, dataset="students03", predictors=[PREDICTOR]),
-        claims,
-        lambda one: paper.paper_table(sweeps_of(one), dataset="students03"),
-    ):
-        assert made(attacked).equals(made(found))
-
-
 def test_the_papers_own_error_is_that_of_250_conflicts():
     errors = [
         paper.monte_carlo_error(metric, value)

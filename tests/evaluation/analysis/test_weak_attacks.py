@@ -180,12 +180,6 @@ def test_a_slow_attack_is_compared_on_its_own_tracks_only(plr, gaps):
     assert rows["difference"].tolist() == pytest.approx(gaps)
 
 
-def test_a_predictor_of_the_same_name_is_no_attack():
-    found = run_of({("kalman_rts", BLIND): 0.6})
-    found[Key("fixed", 1.0, "savgol", "plr")] = estimate(0.9)
-    assert flags.flags(found)[0].empty
-
-
 def test_the_file_explains_itself_and_has_a_list_even_if_it_is_empty():
     content = json.loads(flags.to_json(*flags.flags({})))
     assert content["flags"] == []

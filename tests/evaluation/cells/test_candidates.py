@@ -14,7 +14,6 @@ from helpers.walkers import walkers, write_walkers
 import evaluation
 from evaluation.cells import candidates
 from evaluation.cells.candidates import among_candidates
-from evaluation.experiment.plan import plan
 from evaluation.reporting import announcements
 from evaluation.runs.manifest import read_manifest
 from isac_track.linkability import rank1
@@ -135,30 +134,6 @@ class TestScores:
         assert (ranked[:, :3] == worst).all()
         assert (np.diff(ranked[:, 2:], axis=1) < 0).all()
 
-    def test_equal_scores_of_the_first_stage_favour_nobody(self):
-        _, level = linked(sessions_of("rerelease"), "raw", Length())
-        release = level.seen.probe
-        n = len(release)
-        hits = [
-            rank1(
-                scores=among_candidates(
-                    lambda p, g: np.zeros((len(p), len(g))),
-                    *(release, release),
-                    mate=np.arange(n),
-                    first=np.zeros((n, n)),
-                    n_candidates=2,
-                    n_checked=0,
-                    n_at_once=7,
-                    rng=stream(seed, "test", "ties"),
-                ).scores,
-                mate=np.arange(n),
-            )
-            for seed in range(60)
-        ]
-        # Of the n places two are first, at random: each probe's mate is there as often as any.
-        assert np.mean(hits) == pytest.approx(1 / n, abs=0.01)
-        assert np.mean(hits, axis=0).max() < 8 / n
-
 
 class TestWhatIsTold:
     @pytest.mark.parametrize("n", [1, 3, 8])
@@ -233,17 +208,3 @@ class TestWhatIsTold:
         assert len(refused)
         assert refused["value"].isna().all()
         assert json.dumps(manifest["linkage"])  # numbers, no arrays
-
-
-class TestProposal:
-    def test_above_so_many_people_a_plan_proposes_it_in_one_line(self, tmp_path, monkeypatch):
-        write_walkers(tmp_path / "walks.csv")
-        own = {"tasks": ("rerelease",), "attacks": ("shape",), "out": tmp_path / "run"}
-        ready = plan(smoke(tmp_path / "walks.csv", **own))
-        assert not [one for one in announcements.plan_lines(ready) if "candidates" in one]
-        monkeypatch.setattr(announcements, "_LARGE_GALLERY", 19)
-        (line,) = (one for one in announcements.plan_lines(ready) if "candidates" in one)
-        assert line.startswith("notice: rerelease: galleries of up to 20 people")
-        assert "--set linkage.candidates=" in line
-        asked = plan(smoke(tmp_path / "walks.csv", stages=few(3), **own))
-        assert not [one for one in announcements.plan_lines(asked) if "candidates" in one]

@@ -12,7 +12,7 @@ from attacks.reconstruction.averaging import Identity
 from attacks.reconstruction.kalman_rts import RadialRTS
 from attacks.tasks.sessions import Windows
 from evaluation.cells.link_setup import sensed_sessions
-from evaluation.cells.linkage import WINDOW_COLUMNS, sees_times_alone, window_tables
+from evaluation.cells.linkage import WINDOW_COLUMNS, sees_times_alone
 from evaluation.cells.sharing import restricted, samples_shared, share
 from evaluation.cells.work import LinkWork, cells
 from evaluation.experiment.axes import Consumer, axes, windows_of
@@ -204,17 +204,6 @@ class TestScenes:
                 np.testing.assert_array_equal(again.t, release.t)
                 np.testing.assert_allclose(again.xy, release.xy, rtol=0, atol=1e-9)
 
-    def test_one_sample_a_track_is_enough(self, world):
-        consumers = axes(Settings(tasks=())).consumers
-        for rows in rows_of(world, "thin:100000", *consumers):
-            if "plr" in rows:
-                assert (rows["n_samples"] == 1).all()
-                assert np.isin(rows["plr"], [0, 1]).all()
-
-    def test_the_smoother_of_what_is_left_has_a_benchmark_of_its_own(self, world):
-        (few,), (all_of_them,) = (rows_of(world, f"thin:{n}", *attack(Identity())) for n in (4, 1))
-        assert (few["benchmark_mse_m2"] > all_of_them["benchmark_mse_m2"]).all()
-
     @pytest.mark.parametrize("spec", ["correlated:0.5", "offset:0.3"])
     def test_without_independent_errors_there_is_no_linear_benchmark(self, world, spec):
         (rows,) = rows_of(world, spec, *attack(Identity()))
@@ -258,12 +247,6 @@ class TestLinkage:
         assert sees_times_alone(control, at_all)
         assert not sees_times_alone(control, at_none)
         assert not np.array_equal(whole[key].searches[0].scores, few[key].searches[0].scores)
-
-    @pytest.mark.parametrize("task", LINKER)
-    def test_one_sample_a_window_is_enough(self, sessions, task):
-        links = links_of(task, "radial_rts")
-        _, level = linked(sessions[task], "thin:100000", *links, controls=True)
-        assert set(window_tables(windows_of(task), level)["rows"]["n_samples"].to_pylist()) == {1}
 
 
 class TestWindows:

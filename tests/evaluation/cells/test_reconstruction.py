@@ -14,10 +14,8 @@ from helpers.small_runs import smoke
 import evaluation
 from attacks.reconstruction.kalman_rts import KalmanRTS
 from evaluation.cells import reconstruction
-from evaluation.cells.reconstruction import TRAINING_PEOPLE, benchmark, folds
-from evaluation.cells.tables import descriptors
+from evaluation.cells.reconstruction import benchmark, folds
 from evaluation.experiment.axes import Axes
-from isac_track.config import PrivacySettings
 from isac_track.errors import DataError, PluginError
 from isac_track.plugins import Plugin
 from isac_track.protocols import grants
@@ -74,13 +72,6 @@ def test_walking_groups_stay_together_and_are_halved_by_the_seed_alone():
 
 
 class TestBlock:
-    def test_no_more_people_train_than_it_takes(self, tracks, monkeypatch):
-        world = World(tracks, n_scenes=N_SCENES)
-        assert TRAINING_PEOPLE >= 6  # of the twelve here all do
-        assert [scenes.track.size for scenes, _ in world.attacked().training] == [6, 6]
-        monkeypatch.setattr(reconstruction, "TRAINING_PEOPLE", 2)
-        assert [scenes.track.size for scenes, _ in world.attacked().training] == [2, 2]
-
     def test_an_overlap_or_a_walk_that_occurs_twice_in_a_pass_stops_the_run(
         self, tracks, monkeypatch
     ):
@@ -123,16 +114,6 @@ class TestIdentity:
             (shared,), (attacked,) = found[spec, "shared", ""], found[spec, "identity", "blind"]
             assert {"plr", "ael_s", "mse_m2", "track", "scene"} <= shared.keys()
             assert_same(attacked, shared)
-
-    def test_all_columns_of_an_attack_have_one_row_a_track(self, tracks):
-        (rows,) = computed(tracks, "kalman_rts")["raw", "kalman_rts", "blind"]
-        n_rows = dict.fromkeys(rows, 4 * N_SCENES)
-        assert {name: len(values) for name, values in rows.items()} == n_rows
-        assert set(rows) == {
-            *("scene", "agent", "track", "source", "group", "n_samples"),
-            *("plr", "ael_s", "mel_s", "mse_m2"),
-            *("benchmark_mse_m2", "benchmark_plr"),
-        }
 
 
 class TestWhatIsShown:
@@ -358,10 +339,6 @@ class TestSlowAttacks:
             rows = [place.index(one) for one in zip(few["scene"], few["agent"], strict=True)]
             assert_same(all_of, few, rows)
 
-    def test_a_block_without_anybody_new_has_no_rows(self, tracks):
-        found = computed(tracks, plugin(SlowSpy(), "slow"), n_scenes=6, size=3)
-        assert [len(one["track"]) for one in found["raw", "slow", "blind"]] == [12, 0]
-
 
 def expected_of(mechanism, *, n_samples=1, sigma_raw=0.3, law="radial", step_s=0.1, name="mine"):
     """What the benchmark expects of one track at the origin: squared error and PLR."""
@@ -425,21 +402,6 @@ class TestBenchmark:
         for rows in of[1:]:
             np.testing.assert_array_equal(rows["benchmark_mse_m2"], of[0]["benchmark_mse_m2"])
         assert (of[0]["benchmark_mse_m2"] < of[0]["mse_m2"]).all()
-
-
-def test_descriptors_by_hand():
-    rows = descriptors(
-        xy=np.array([[0.1, 0.0], [0.0, 0.5], [0.0, 0.0], [3.0, 4.0]]),
-        truth=np.zeros((4, 2)),
-        t=np.array([0.0, 0.5, 1.0, 7.0]),
-        offsets=np.array([0, 3, 4]),
-        settings=PrivacySettings(),
-    )
-    expected = {"plr": [2 / 3, 0.0], "ael_s": [0.5, 0.0], "mel_s": [0.5, 0.0]}
-    expected |= {"mse_m2": [(0.01 + 0.25) / 3, 25.0]}
-    assert {name: values.tolist() for name, values in rows.items()} == {
-        name: pytest.approx(values) for name, values in expected.items()
-    }
 
 
 @dataclass(frozen=True)
@@ -523,17 +485,3 @@ class TestRuns:
             assert said["rmse_over_benchmark"] == pytest.approx(np.sqrt(mse))
             assert said["plr_over_benchmark"] == pytest.approx(plr)
             assert said["rmse"] == pytest.approx(np.sqrt(rows["mse_m2"].mean()))
-
-    def test_a_mechanism_that_declares_no_sigma_has_no_benchmark_and_every_attack_runs(
-        self, settings
-    ):
-        spec = "helpers.cells:Silent"
-        asked = replace(settings, mechanisms=(spec, "raw"))
-        summary = evaluation.run(asked, pictures=False).summary
-        assert "oracle" in set(summary.loc[summary["mechanism"] == spec, "knowledge"])
-        own = summary[summary["consumer"] == "identity"]
-        table = own.pivot_table("value", index="metric", columns="mechanism", dropna=False)
-        of, ratios = ["plr", "rmse", "ael", "mel"], ["plr_over_benchmark", "rmse_over_benchmark"]
-        np.testing.assert_allclose(table.loc[of, spec], table.loc[of, "raw"])
-        assert table.loc[ratios, spec].isna().all()
-        assert (table.loc[ratios, "raw"] > 0).all()

@@ -90,11 +90,6 @@ def test_an_installed_module_is_its_own_package_alone(folder, monkeypatch):
     assert source_digest("kit.plugin") != before[1]
 
 
-def test_what_has_no_file_is_nothing(monkeypatch):
-    monkeypatch.setattr(sys.modules["__main__"], "__spec__", None)  # as of a script
-    assert source_digest("sys") == source_digest("builtins") == source_digest("__main__")
-
-
 STAGES = (SHARING, RECONSTRUCTION, "rerelease")
 MADE_OF = {
     STAGES: (

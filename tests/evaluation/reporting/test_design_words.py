@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 from helpers.pages import assert_as_approved
-from helpers.summaries import FID, USUAL, asked, edit_manifest, edited, scheme, write_run
+from helpers.summaries import USUAL, asked, edit_manifest, write_run
 from rich.console import Console
 
 from evaluation import matrix
 from evaluation.experiment.axes import axes
-from evaluation.reporting.design_words import closer, notes, reasons, show, to_json
+from evaluation.reporting.design_words import closer, notes, show, to_json
 from isac_track.config import StageSettings
 
 LIMITS = {"missed": 0.23, "plr": 0.42, "rank1": 0.44}
@@ -96,21 +96,6 @@ class TestCloser:
         rates = {"fid": {1.0: 0.30, 10.0: 0.25}, "fixed": {0.2: 0.25, 0.5: 0.30}}
         answer = asked(made(rates), missed=missed, adding=("linear",))
         assert self.options(answer).mechanisms == mechanisms
-
-    def test_is_not_needed_where_the_error_is_full_already(self, made):
-        out = made({"fid": FID})
-
-        def saturated(frame):
-            shared = frame["consumer"] == "shared"
-            first, second = (shared & (frame["level"] == level) for level in ("1.0", "10.0"))
-            names = ["value", "ci_low", "ci_high"]
-            frame.loc[first, names] = frame.loc[second, names].to_numpy()
-            return frame
-
-        edited(out, "summary.csv", saturated)
-        answer = asked(out, missed=0.40, adding=("linear",))
-        assert closer(answer) is None
-        assert "every sample has the full error" in reasons(scheme(answer))[0]
 
     def test_leaves_a_run_of_other_code_alone(self, made):
         out = made(USUAL | {"fid": {1.0: 0.1, 10.0: 0.1}}, code="older")

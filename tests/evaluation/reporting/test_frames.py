@@ -114,7 +114,6 @@ def test_a_table_that_is_not_there_has_a_way_out(made, tmp_path, spoil, told):
 
 
 CSV = {"metric": "plr", "consumer": "shared"}
-BEST = CSV | {"consumer": "kalman_rts"}
 
 
 @pytest.mark.parametrize(
@@ -191,13 +190,3 @@ def test_a_plot_has_units_and_a_line_with_intervals_for_each_family_and_rule(mad
     assert again is axes
     assert "d_sigma in m" in axes.get_xlabel()
     plt.close(axes.figure)
-
-
-def test_it_is_told_in_a_line_and_as_html(made):
-    text = repr(made.loaded)
-    assert len(text) < 200
-    assert text.endswith("run: walks, 20 scenes, seed 0, 5 levels>")
-    html = made.loaded._repr_html_()
-    assert "<table" in html
-    assert html.count("<li>") == len(made.run.verdict["answer"])
-    assert "PLR (%), as shared" in html

@@ -157,24 +157,6 @@ class TestTables:
         tab.locator(f"{self.PAPER} th button").first.click()
         assert tab.locator(f"{self.PAPER} th[aria-sort]").count() == 1
 
-    def test_the_keyboard_does_the_same_and_words_sort_as_words(self, opened):
-        tab = self.unfolded(opened)
-        before = self.values(tab, 0)
-        assert before != sorted(before)
-        tab.locator(f"{self.PAPER} th button").first.focus()
-        tab.keyboard.press("Enter")
-        assert self.values(tab, 0) == sorted(before)
-
-    def test_what_is_empty_comes_last_either_way(self, opened):
-        tab = self.unfolded(opened)
-        head = tab.locator(f"{self.PAPER} th button").nth(2)
-        for _ in range(2):
-            head.click()
-            levels = self.values(tab, 2)
-            n_empty = levels.count("")
-            assert n_empty > 0
-            assert levels[-n_empty:] == [""] * n_empty
-
     @pytest.mark.parametrize("has_clipboard", [True, False])
     def test_copy_gives_the_table_as_csv_with_or_without_a_clipboard(self, opened, has_clipboard):
         options = {"permissions": ["clipboard-read", "clipboard-write"]} if has_clipboard else {}

@@ -114,10 +114,6 @@ class TestWhereTheFolderCannotBeUsed:
         assert matrix.main([*options, "--config", str(config), *["--dry-run"] * dry]) == 2
         assert r"'a\x00b' cannot be the name of a folder; choose another" in one_line(capsys)
 
-    def test_half_a_surrogate_pair_is_no_name(self):
-        with pytest.raises(SettingsError, match=r"'\\ud800' cannot be the name of a folder"):
-            store.check_folder(Path("\ud800"))
-
     def test_somebody_elses_folder_is_named(self, tmp_path, tiny):
         out = tmp_path / "run"
         ready = plan(replace(tiny, out=out))
@@ -136,15 +132,6 @@ class TestWhereTheFolderCannotBeUsed:
             for look in (lambda: [*plan_lines(ready)], lambda: evaluation.run(ready=ready)):
                 with pytest.raises(IsacTrackError, match=f"{out}.*Permission denied"):
                     look()
-
-    def test_a_cell_that_cannot_be_dropped_is_named(self, out, monkeypatch, tiny):
-        def refuse(path, **_):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
-
-        change_code(monkeypatch, "isac_track.sensing")
-        monkeypatch.setattr(Path, "unlink", refuse)
-        with pytest.raises(SettingsError, match=f"cannot use {out}/cells/.*: Permission denied"):
-            evaluation.run(replace(tiny, out=out), pictures=False)
 
     @pytest.mark.parametrize(
         ("name", "command", "said"),
@@ -288,30 +275,6 @@ class TestChecksums:
         after = self.check(out)
         assert after == {path.name for path in (out / "cells").iterdir()}
         assert after.isdisjoint(before)
-
-    def test_have_one_line_of_a_cell_whose_first_line_was_damaged(self, out, tiny):
-        path = out / "SHA256SUMS"
-        first, second = path.read_text().splitlines()
-        path.write_text(f"{'0' * 64}{first[64:]}\n{second}\n{first}\n")
-        stamps = {cell: cell.stat().st_mtime_ns for cell in (out / "cells").iterdir()}
-        evaluation.run(replace(tiny, out=out), pictures=False)
-        assert len(self.check(out)) == 2
-        assert all(cell.stat().st_mtime_ns == stamp for cell, stamp in stamps.items())
-
-    def test_keep_the_lines_of_finished_cells_that_another_axis_has(self, out, tiny):
-        before = self.check(out)
-        lost = min((out / "cells").iterdir())
-        lost.unlink()
-        evaluation.run(replace(tiny, out=out, mechanisms=("clean",)), pictures=False)
-        assert self.check(out) >= before - {lost.name}
-        assert lost.name not in self.check(out)
-
-    def test_are_not_touched_where_they_are_as_they_should_be(self, out, tiny):
-        stamp = (out / "SHA256SUMS").stat().st_mtime_ns
-        inode = (out / "SHA256SUMS").stat().st_ino
-        evaluation.run(replace(tiny, out=out), pictures=False)
-        assert (out / "SHA256SUMS").stat().st_mtime_ns == stamp
-        assert (out / "SHA256SUMS").stat().st_ino == inode
 
     def test_stay_as_they_were_where_they_cannot_be_written_anew(self, out, monkeypatch, tiny):
         (cell, *_) = sorted((out / "cells").iterdir())

@@ -174,23 +174,6 @@ def test_of_the_next_attack_on_the_same_people_it_is_the_same_whether_pairs_are_
     assert scales._weighed.cache_info().hits > hits
 
 
-def test_the_layout_of_a_search_does_not_matter():
-    searches = random_searches(stream(22, "test", "layout"), 0)
-    others = [
-        Search(
-            np.asfortranarray(s.scores.astype(np.float32)),
-            np.repeat(s.mate.astype(np.int32), 2)[::2],
-            s.probe_cluster.astype(np.uint8),
-            s.gallery_cluster.astype(np.int16),
-            s.scale,
-        )
-        for s in searches
-    ]
-    options = {"n_clusters": 6, "calibration": CALIBRATION, "no_match_score": [0.0, 0.5, 1.0]}
-    one, two = card(searches, **options), card(others, **options)
-    assert_alike(one, two, rtol=1e-6)
-
-
 def test_an_open_set_counts_who_is_linked_though_absent_by_the_search_s_own_score():
     rng = stream(23, "test", "thresholds")
     linked = []

@@ -14,7 +14,6 @@ from helpers.finished_runs import (
     emptied,
     levels,
     make_frontier,
-    make_linkability,
     make_run,
     make_summary,
     with_links,
@@ -101,43 +100,6 @@ def test_the_paper_is_marked_on_its_own_recording_under_linear_adding_only():
 
     assert papers("students03") == [3, 0, 3, 0, 4, 0]
     assert not any(papers("plaza") + papers("students03", "sweep-ou", STRANGERS))
-
-
-@pytest.mark.parametrize(
-    ("keep", "expected"),
-    [
-        (lambda f: f["mechanism"] == "fid", [True, False, True]),
-        (lambda f: f["mechanism"].isin(["raw", "fixed"]), [False, True, True]),
-        (lambda f: f["mechanism"] == "raw", [False] * 3),
-        (lambda f: f["consumer"] == "shared", [True, True, False]),
-        (lambda f: f["metric"] == "missed_conflict_rate", [True, True, False]),
-        (lambda f: f["level"].isna() | (f["level"] == 1.0), [True, True, True]),
-    ],
-)
-def test_missing_parts_leave_out_no_more_than_they_must(keep, expected):
-    frame = make_summary(LINEAR, attacks=())
-    frame[["ci_low", "ci_high"]] = np.nan
-    found = drawn(summary=frame[keep(frame)], linkability=make_linkability(LINEAR)[:0])
-    assert [name in found for name in NAMES[:3]] == expected
-    assert found.keys().isdisjoint(NAMES[3:])
-
-
-def test_attacks_have_looks_of_their_own_and_the_control_has_none():
-    many = [("identity", "blind"), *((f"mine_{n}", "blind") for n in range(9)), ("o", "oracle")]
-    one = drawn(summary=make_summary(BOTH, attacks=many))["after_attack"]
-    assert list(one.key) == ["as shared", *(f"mine_{n} (blind)" for n in range(6)), "o (oracle)"]
-    assert len(set(one.key.values())) == len(one.key)
-    assert [name for name, look in one.key.items() if look.hollow] == ["o (oracle)"]
-    assert len(one.panels) == 4
-
-
-def test_the_strongest_linkers_of_each_task_come_first():
-    tasks = {"rerelease": {"shape": 0.3, "dtw": 0.6}, "split": {"histogram": 0.3, "dtw": 0.1}}
-    linked = make_linkability(LINEAR, tasks=tasks)
-    one = drawn(summary=make_summary(LINEAR), linkability=linked)["linkability"]
-    assert list(one.key) == ["dtw (informed)", "histogram (informed)", "shape (informed)"]
-    heads = [heading.partition(":")[0] for heading, _ in one.panels]
-    assert heads == ["rerelease", "rerelease", "split", "split"]
 
 
 class TestFiles:

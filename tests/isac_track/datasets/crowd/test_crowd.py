@@ -93,13 +93,6 @@ def test_anticipation_is_the_gradient_of_the_time_to_collision_energy():
     assert np.allclose(force, -np.array(slope), rtol=1e-5)
 
 
-def test_people_who_walk_together_or_apart_do_not_anticipate():
-    x = np.array([[0.0, 0.0], [3.0, 0.1]])
-    apart = np.array([[-1.0, 0.0], [1.0, 0.0]])
-    for v, together in ((apart, np.eye(2)), (-apart, np.ones((2, 2)))):
-        assert np.allclose(model._avoidance(x, v, together=together.astype(bool)), 0, atol=1e-6)
-
-
 # the bundled sessions
 
 
