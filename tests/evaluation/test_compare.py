@@ -194,22 +194,6 @@ def test_another_seed_moves_no_headline_number_and_the_text_says_what_is_paired(
     assert "AUC" in every
 
 
-def test_it_begins_with_missed_conflicts_plr_after_attack_and_rank_1(run, both):
-    found = both("base", "wide")
-    at = [("raw", ""), ("fid", 1.0), ("fixed", 0.7), ("fixed", 1.0)]  # of the smoke preset
-    lead = found.lead.astype({"level_a": object}).fillna({"level_a": ""})
-    whose = ["least_squares", "kalman_rts", "rerelease/shape"]
-    metrics = ["missed_conflict_rate", "plr", "rank1"]
-    wanted = [(*where, *of) for of in zip(whose, metrics, strict=True) for where in at]
-    columns = ["mechanism_a", "level_a", "consumer", "metric"]
-    assert [*lead[columns].itertuples(index=False, name=None)] == wanted
-    # Of two adversaries, the one that gets more.
-    plr = numbers(run("base"))["value"].xs("kalman_rts", level="consumer").xs("plr", level="metric")
-    mean = plr.groupby(level="knowledge").mean()
-    assert mean[lead["knowledge"].iloc[4]] == mean.drop("oracle", errors="ignore").max()
-    assert "What tells most" in shown(found).split("What changed")[0]
-
-
 @pytest.mark.parametrize(
     ("name", "value", "scenes", "linkage"),
     [

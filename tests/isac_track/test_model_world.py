@@ -19,7 +19,7 @@ from isac_track.model_world import (
 from isac_track.protection import Forecast, Laplace, Ou
 from isac_track.rng import stream
 from isac_track.sensing import unit_errors
-from isac_track.sharing import Clean, Fixed, Raw
+from isac_track.sharing import Fixed, Raw
 from isac_track.sharing_controls import Correlated, Offset, Thin
 from isac_track.types import Sensed, Tracks
 
@@ -141,17 +141,6 @@ def test_one_gaussian_sample_is_known_as_the_rayleigh_law_says():
         **one, errors=Errors(np.array([0.04])), q=0.05, speed_mps=1.0, epsilon_m=0.3
     )
     assert share == pytest.approx(stats.rayleigh(scale=0.2).cdf(0.3), rel=1e-5)
-
-
-def test_clean_walks_are_known(walks):
-    of = sensed(walks, "radial")
-    errors = errors_of(
-        release=Clean().share(of, rng("share")), sensed=of, mechanism=Clean(), rng=rng("genie")
-    )
-    known = known_share(
-        t=of.t, offsets=OFFSETS, errors=errors, q=MOTION.q, speed_mps=1.0, epsilon_m=0.3
-    )
-    np.testing.assert_allclose(known, 1.0)
 
 
 @pytest.mark.parametrize(

@@ -96,12 +96,6 @@ def test_too_few_mates_teach_nothing(attack, easy):
         assert np.array_equal(taught, blind)
 
 
-def test_a_profile_finds_the_lag():
-    probe, gallery, mate = two_releases(12, shift_s=5.0, length_s=12.0)
-    assert hits(Profile().fit(context())(probe, gallery), mate) >= 0.9
-    assert hits(Profile(reach_s=0.25).fit(context())(probe, gallery), mate) <= 0.6
-
-
 def test_a_given_floor_is_not_learnt():
     probe, gallery, _ = two_releases(12)
     train = LinkageTrainingSet(*two_releases(40, seed=7))
