@@ -33,9 +33,7 @@ def _run(options: argparse.Namespace) -> int:
     recorded = datasets.load(options.dataset).tracks
     cases = {"as committed": dict[str, float]()} | (ridge() if options.ridge else {})
     asked = {"n_scenes": options.scenes, "seed": options.seed}
-    show_constants(
-        {name: calibrate(recorded, changes=case, **asked) for name, case in cases.items()}
-    )
+    show_constants({name: calibrate(recorded, changes=of, **asked) for name, of in cases.items()})
     return DONE
 
 

@@ -63,20 +63,18 @@ def _plan(arguments: Sequence[str]) -> int:
     ):
         shown = f"{about} (default: {default:g})"
         add(f"--{name}", type=float, default=default, metavar="X", help=shown)
-    asked = command.parse_args(arguments)
+    given = command.parse_args(arguments)
     for name in ("missed", "rank1"):
-        limit = getattr(asked, f"max_{name}")
+        limit = getattr(given, f"max_{name}")
         if limit is not None and not 0.0 <= limit <= 1.0:
             what = "fraction from 0 to 1 (0.2 for 20 %)"
             raise SettingsError(f"--max-{name} is a {what}, got {limit:g}")
     try:
-        lines = noise_plan.told(
-            plr=asked.max_plr, epsilon_m=asked.epsilon, q=asked.q, dt_s=asked.dt
-        )
+        told = noise_plan.told(plr=given.max_plr, epsilon_m=given.epsilon, q=given.q, dt_s=given.dt)
     except ValueError as error:
         raise SettingsError(f"design --plan: {error}") from None
-    sys.stdout.write("\n".join(lines) + "\n")
-    return DONE if asked.max_missed is None and asked.max_rank1 is None else LIMIT_NOT_MET
+    sys.stdout.write("\n".join(told) + "\n")
+    return DONE if given.max_missed is None and given.max_rank1 is None else LIMIT_NOT_MET
 
 
 def _run(arguments: Sequence[str]) -> int:

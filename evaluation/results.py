@@ -167,7 +167,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
     probes = read_probes(out, manifest, sweeps, strongest=best)
     seed = manifest["identity"]["seed"]
     crossed, halves = cross_fitted(attacked, known, best.get("", AS_SHARED), seed=seed)
-    every_sum = summary.linkage_sums(read) | attacked
+    sums = summary.linkage_sums(read) | attacked
     judged = Sweeps({**sweeps.found, **crossed}, known) if crossed else sweeps
     said = verdict.verdict(judged, probes, strongest=best, scored=halves, manifest=manifest)
     tidy = summary.to_frame({**found, **linked}, worlds=worlds, known=known, dataset=dataset)
@@ -180,9 +180,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
         paper_table=paper.paper_table(sweeps, dataset=dataset),
         claims=paper.claims(sweeps, at_equal, dataset=dataset, history=manifest["history"]),
         matched=at_equal,
-        frontier=frontier(
-            sweeps, predictors=predictors, dataset=dataset, sums=every_sum, seed=seed
-        ),
+        frontier=frontier(sweeps, predictors=predictors, dataset=dataset, sums=sums, seed=seed),
         decisions=decided,
         curves=curves,
         flags=flagged,

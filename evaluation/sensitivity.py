@@ -6,10 +6,10 @@ about. OUT/sensitivity.csv holds what becomes of every item; docs/sensitivity.md
 it.
 """
 
-import argparse
 import json
 import sys
 import time
+from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return exit_code(lambda: _command(command.parse_args(arguments)), interrupted=kept)
 
 
-def _command(options: argparse.Namespace) -> int:
+def _command(options: Namespace) -> int:
     manifest = None
     if options.out is not None:
         from evaluation.runs.manifest import read_manifest  # noqa: PLC0415 - --help answers at once
@@ -72,9 +72,7 @@ def _command(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _run(
-    options: argparse.Namespace, variants: Sequence[Variant], manifest: Mapping[str, Any]
-) -> int:
+def _run(options: Namespace, variants: Sequence[Variant], manifest: Mapping[str, Any]) -> int:
     from evaluation.experiment.plan import plan  # noqa: PLC0415 - as above
     from evaluation.reporting import difference_tables  # noqa: PLC0415 - for --help
     from evaluation.results import run  # noqa: PLC0415 - for --help

@@ -229,9 +229,8 @@ def _matched_levels(
             "name one level of each, such as fid:1000"
         )
     theirs = {(key.measure, single or key.level): key for key in of_b}
-    return [
-        (key, theirs[at]) for key in of_a if (at := (key.measure, single or key.level)) in theirs
-    ]
+    mine = {(key.measure, single or key.level): key for key in of_a}
+    return [(key, theirs[at]) for at, key in mine.items() if at in theirs]
 
 
 def _rows(
@@ -305,9 +304,8 @@ def _lead(
         of_100 = linker.measure(SUCCESS_OF_100)
         wanted.append(of_100 if of_100 in known else linker.measure(SUCCESS))
     there = {key.where for key in found}
-    at = {
-        one["spec"]: where for one in cells if (where := (one["mechanism"], one["level"])) in there
-    }
+    at = {one["spec"]: (one["mechanism"], one["level"]) for one in cells}
+    at = {spec: where for spec, where in at.items() if where in there}
     levels = [at[spec] for spec in PRESETS["smoke"].mechanisms if spec in at]
     levels = levels or list(dict.fromkeys(at.values()))[:_MOST_LEVELS]
     of_a = rows.rename(columns={"mechanism_a": "mechanism", "level_a": "level"})

@@ -46,33 +46,20 @@ def galleries(
 
     `probes` is what `read_probes` returns, `found` all estimates of linkers.
     """
-    rows: list[dict[str, Any]] = []
+    rows: list[tuple[Any, ...]] = []
     for task, levels in probes.items():
         if not levels:
             continue
-        n = len(levels[0].clusters)
-        of = ("gallery", task)
-        weights = cluster_weights(n_clusters=n, n_replicates=_REPLICATES, seed=seed, of=of)
+        n, name = len(levels[0].clusters), ("gallery", task)
+        weights = cluster_weights(n_clusters=n, n_replicates=_REPLICATES, seed=seed, of=name)
         for one in levels:
-            about = {
-                "dataset": dataset_of(one.linker.consumer, dataset=dataset),
-                "mechanism": one.mechanism,
-                "level": np.nan if one.level is None else one.level,
-                **one.linker._asdict(),
-            }
+            own = dataset_of(one.linker.consumer, dataset=dataset)
+            about = own, one.mechanism, np.nan if one.level is None else one.level, *one.linker
             tpr = found.get(one.linker.measure(_TPR).at(one.mechanism, one.level))
             rows += [
-                {
-                    **about,
-                    "gallery": size,
-                    "metric": metric,
-                    "value": estimate.value,
-                    "ci_low": estimate.ci_low,
-                    "ci_high": estimate.ci_high,
-                    "predicted": size > measured,
-                }
-                for measured, size, metric, estimate in _of_level(one, weights, tpr)
-                if np.isfinite(estimate.value)
+                (*about, size, metric, of.value, of.ci_low, of.ci_high, size > measured)
+                for measured, size, metric, of in _of_level(one, weights, tpr)
+                if np.isfinite(of.value)
             ]
     return pd.DataFrame(rows, columns=COLUMNS)
 
@@ -86,9 +73,8 @@ def _of_level(
     steps = [size for size in SIZES if measured < size <= reach(measured)]
     within = sorted(size for size in {*SIZES, measured} if 1 < size <= measured)
     tried = [measured * measured // size for size in steps]  # see `_predicted`
-    every = sorted(
-        {*within, *tried, *(max(2, size // REACH) for size in (*tried, measured) if steps)}
-    )
+    parts = (max(2, size // REACH) for size in (*tried, measured) if steps)
+    every = sorted({*within, *tried, *parts})
     rates = _ratios(one, [first_among(one.strangers, size) for size in every], weights)
     first = dict(zip(every, rates, strict=True))
     share = (above + 0.5 * (tied - 1)) / np.maximum(candidates - 1, 1)
@@ -106,11 +92,17 @@ def _of_level(
 def _predicted(first: Mapping[int, Estimate], measured: int, size: int) -> Estimate:
     """Return rank 1 in a larger gallery, corrected by what the same step misses within.
 
-    That step ends at the gallery that was measured; the prediction (`predicted_rank1`) is divided
-    by the factor that it misses, and what that changes widens the interval on both sides.
+    A step is predicted from one gallery and a tenth of it. The same one is tried up to the gallery
+    that was measured; the prediction is divided by the factor that this misses, and what that
+    changes widens the interval on both sides.
     """
-    trial = _step(first, measured * measured // size, measured)
-    found = _step(first, measured, size)
+
+    def step(of: int, to: int) -> Floats:
+        sizes = max(2, of // REACH), of
+        small, large = (first[one].drawn for one in sizes)
+        return predicted_rank1(small=small, large=large, sizes=sizes, gallery=to)
+
+    trial, found = step(measured * measured // size, measured), step(measured, size)
     known = first[measured].drawn
     factor = np.divide(known, trial, out=np.ones_like(trial), where=trial > 0.0)
     corrected = np.minimum(found * factor, known)  # no larger gallery is easier
@@ -122,21 +114,13 @@ def _predicted(first: Mapping[int, Estimate], measured: int, size: int) -> Estim
     return Estimate(float(corrected[0]), low, high)
 
 
-def _step(first: Mapping[int, Estimate], of: int, size: int) -> Floats:
-    """Return rank 1 in a gallery by those of a smaller one and a tenth of it, and replicates."""
-    sizes = max(2, of // REACH), of
-    small, large = (first[one].drawn for one in sizes)
-    return predicted_rank1(small=small, large=large, sizes=sizes, gallery=size)
-
-
 def _ratios(one: LinkedProbes, of: Sequence[Floats], weights: Floats) -> list[Estimate]:
     """Return the means of some values of each probe, (N,)."""
-    n_clusters = len(one.clusters)
     if not of or not one.cluster.size:
         return [Estimate(np.nan) for _ in of]
-    sums = [cluster_sums(values=one_, cluster=one.cluster, n_clusters=n_clusters) for one_ in of]
-    count = cluster_sums(
-        values=np.ones(one.cluster.size), cluster=one.cluster, n_clusters=n_clusters
+    n_clusters, every = len(one.clusters), (*of, np.ones(one.cluster.size))
+    *sums, count = (
+        cluster_sums(values=values, cluster=one.cluster, n_clusters=n_clusters) for values in every
     )
     return ratio_estimates(
         numerator=np.stack(sums),

@@ -113,13 +113,10 @@ def read_probes(
 
 def _linkers(sweeps: Sweeps, levels: Levels, linker: Source) -> Iterator[tuple[Where, Source]]:
     """Yield the levels of a task and who links there."""
-    plain = [
-        RAW,
-        *(sweeps.named(one, adding=rule) for rule in ADDING_RULES for one in (FIXED, FID)),
-    ]
+    swept = [sweeps.named(one, adding=rule) for rule in ADDING_RULES for one in (FIXED, FID)]
     of = by_mechanism(levels)
     for where in levels:
-        if where[0] in plain:
+        if where[0] in (RAW, *swept):
             yield where, linker
         elif sweeps.known[where[0]].is_added:
             yield where, strongest_of(of[where[0]]) or linker

@@ -124,10 +124,8 @@ def claims(
     - *history*: 366 points within 4, at 0.083 to 0.084 s; of the paper's recording only.
     """
     # What attacks get is no part of the claims, and may be known of fewer people.
-    plain = (
-        one.n for key, one in sweeps.found.items() if not key.knowledge and "/" not in key.consumer
-    )
-    n_clusters = min(plain, default=0)
+    plain = (key for key in sweeps.found if not key.knowledge and "/" not in key.consumer)
+    n_clusters = min((sweeps.found[key].n for key in plain), default=0)
     rows: list[tuple[object, ...]] = []
     for adding in ADDING_RULES:
         fixed, fid = (sweeps.named(family, adding=adding) for family in (FIXED, FID))

@@ -97,16 +97,14 @@ def _at(
     found: Mapping[Key, Estimate], where: Where, best: Mapping[str, Source]
 ) -> dict[str, Estimate]:
     """Return the answers that are read at one level."""
-    told = {}
+    pairs = {}
     if missed := next((key.measure for key in found if key.metric == MISSED_RATE), None):
-        strict, raw = found.get(missed.at(*where)), found.get(missed.at(RAW, None))
-        if strict and raw:
-            told["robot_loses"] = difference(strict, raw)
+        pairs["robot_loses"] = missed.at(*where), missed.at(RAW, None)
     if "" in best:
-        pair = best[""], AS_SHARED
-        attacked, shared = (found.get(one.measure(EXPOSURE).at(*where)) for one in pair)
-        if attacked and shared:
-            told["left_after_attack"] = difference(attacked, shared)
+        attacked, shared = (one.measure(EXPOSURE).at(*where) for one in (best[""], AS_SHARED))
+        pairs["left_after_attack"] = attacked, shared
+    known = {name: pair for name, pair in pairs.items() if {*pair} <= found.keys()}
+    told = {name: difference(found[a], found[b]) for name, (a, b) in known.items()}
     if LINKED_IN in best:
         for metric in (SUCCESS, SUCCESS_OF_100):  # the latter, where galleries are large enough
             one = found.get(best[LINKED_IN].measure(metric).at(*where))

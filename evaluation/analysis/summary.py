@@ -129,7 +129,7 @@ def _estimates(metrics: Sequence[str], sums: Floats, weights: Floats) -> Iterato
 def linkage_estimates(read: Cards) -> dict[Key, Estimate]:
     """Return every metric of the linkage cells; `read` is what `linkability.cards` returns."""
     return {
-        key_of(entry, metric): one for entry, card in read for metric, one in card.estimates.items()
+        key_of(entry, name): one for entry, card in read for name, one in card.estimates.items()
     }
 
 

@@ -18,7 +18,7 @@ from evaluation.analysis import linkability
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW, Family, families_in
 from evaluation.analysis.keys import AS_SHARED, Source, Where, keys_of
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE, SUCCESS
-from evaluation.analysis.strongest import BEYOND, by_task, strongest_of
+from evaluation.analysis.strongest import GROUPS, by_task, strongest_of
 from evaluation.analysis.summary import COLUMNS
 from evaluation.experiment.constants import SHARED
 from evaluation.experiment.fingerprint import code_hash
@@ -205,10 +205,8 @@ class Choice:
         found: dict[str, list[Scheme]] = {}
         for scheme in self.schemes:
             found.setdefault(scheme.name, []).append(scheme)
-        rules = len(self.adding)
-        return {
-            name: of for name, of in found.items() if len(of) == rules or of[0].family.has_one_rule
-        }
+        n = len(self.adding)
+        return {name: of for name, of in found.items() if len(of) == n or of[0].family.has_one_rule}
 
     @property
     def met(self) -> bool:
@@ -250,10 +248,9 @@ def choose(
         linked = linkability.linked_tasks(_table(out, "linkability.csv", linkability.COLUMNS))
     levels = _levels(summary, linked, [robot, *(one for one in robots if one != robot)], manifest)
     raw = next((one for one in levels if one.mechanism == RAW), None)
-    # FID is shown first, then fixed noise, all others as they were run.
-    order = {FID: 0, FIXED: 1}
     added = [one for one in families_in(summary).values() if one.is_added]
-    families = sorted(added, key=lambda one: order.get(one.name, 2))
+    # FID is shown first, then fixed noise, all others as they were run.
+    families = sorted(added, key=lambda one: {FID: 0, FIXED: 1}.get(one.name, 2))
     for name in only:
         known = dict.fromkeys(text for one in families for text in (one.family, one.name))
         if name not in known:
@@ -278,10 +275,8 @@ def choose(
         tasks=next((one.tasks for one in levels), ()),
         is_current=manifest.get("code") == code_hash(),
     )
-    is_attacked = any(one.after_attack for one in levels)
-    _refuse_missing(
-        choice, {one.adding: one.family.family for one in every}, is_attacked=is_attacked
-    )
+    have = {one.adding: one.family.family for one in every}
+    _refuse_missing(choice, have, is_attacked=any(one.after_attack for one in levels))
     return choice
 
 
@@ -311,7 +306,8 @@ def _levels(
     dataset, identity = manifest["dataset"]["name"], manifest["identity"]
     n_files = {one["consumer"]: len(one["files"]) for one in manifest["cells"]}
     is_in_all = n_files.get(robot.consumer, 0) != n_files.get(SHARED)
-    every = identity.get("scenes_utility", identity["scenes"]) if is_in_all else identity["scenes"]
+    attacked = identity["scenes"]
+    scenes = attacked, identity.get("scenes_utility", attacked) if is_in_all else attacked
     # What holds under other assumptions, another error law say, has a data set of its own.
     summary = summary[~summary["dataset"].str.startswith(f"{dataset}:")]
     numbers_of = (summary[name] for name in ("value", *_ENDS))
@@ -325,18 +321,13 @@ def _levels(
     for where, exposed in by_task(found, metric=EXPOSURE).get("", {}).items():
         is_foreseen = where[0] == RAW or robot.measure(MISSED_RATE).at(*where) in found
         if AS_SHARED in exposed and is_foreseen:
-            best = strongest_of([exposed])
-            attacked = best and Attacked(*best, numbers(where, best, DESCRIPTORS))
             known = numbers(where, robot, TARGETS) | numbers(where, AS_SHARED, DESCRIPTORS)
+            every = (strongest_of([exposed], among=group) for group in GROUPS)
+            of = [one and Attacked(*one, numbers(where, one, DESCRIPTORS)) for one in every]
             linked = tuple(_strongest(task, where, dataset) for task in tasks)
-            more = (strongest_of([exposed], among=(name,)) for name in BEYOND)
-            beyond = tuple(Attacked(*one, numbers(where, one, DESCRIPTORS)) for one in more if one)
-            costs = {
-                name: found.get(Source(name).measure(MISSED_RATE).at(*where), UNKNOWN)
-                for name in robots
-            }
-            scenes = identity["scenes"], every
-            levels.append(Level(*where, *scenes, known, attacked, linked, costs, beyond))
+            costs = {name: numbers(where, Source(name), TARGETS)["missed"] for name in robots}
+            beyond = tuple(one for one in of[1:] if one)
+            levels.append(Level(*where, *scenes, known, of[0], linked, costs, beyond))
     return levels
 
 
@@ -360,9 +351,8 @@ def _refuse_missing(choice: Choice, have: Mapping[str, str], *, is_attacked: boo
     if not choice.answers:
         rule = next((one for one in choice.adding if one not in have), choice.adding[-1])
         family = next(iter(have.values()), FID)
-        spec = _SWEEPS.get(family, f"{family}:LEVEL") + f",adding={rule}" * (
-            rule != ADDING_RULES[0]
-        )
+        own = f",adding={rule}" * (rule != ADDING_RULES[0])
+        spec = _SWEEPS.get(family, f"{family}:LEVEL") + own
         narrower = f", or ask for --adding {next(iter(have))} alone" if have else ""
         raise SettingsError(
             f"{out} has no level of {family} with {rule} adding for {choice.predictor}; add some "

@@ -174,9 +174,8 @@ def contrasts(
     rests_on[:, fixed] = True
     degrees = np.where(rests_on, effective, np.inf).min(axis=1) - 1.0
     mass = sums.probes[fixed[-1]] / sums.probes[fixed[-1]].sum()
-    apart = (own - _over(fixed, where, own.shape[1])) @ (
-        sums.success / np.maximum(sums.probes, 1.0)
-    )
+    linked = sums.success / np.maximum(sums.probes, 1.0)
+    apart = (own - _over(fixed, where, own.shape[1])) @ linked
     more, fewer = np.maximum(apart, 0.0) @ mass, np.maximum(-apart, 0.0) @ mass
     discordant = np.array([more, fewer, np.abs(apart).sum(axis=1)])
     # All people alike: replicates have no spread, and say nothing of others.

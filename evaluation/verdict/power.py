@@ -46,11 +46,8 @@ def answers(one: Contrasts, wide: Widths, families: Sequence[str]) -> dict[str, 
 
 def of_each(table: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
     """Return how probable each decision is where it is right: all equal, or 10 points apart."""
-    apart = table.get(next(iter(PLANTED)), {})
-    return {
-        rules.TRACKS: table[EQUAL][rules.TRACKS],
-        rules.DOES_NOT: apart.get(rules.DOES_NOT, 0.0),
-    }
+    apart = table.get(next(iter(PLANTED)), {}).get(rules.DOES_NOT, 0.0)
+    return {rules.TRACKS: table[EQUAL][rules.TRACKS], rules.DOES_NOT: apart}
 
 
 def clusters_needed(one: Contrasts, wide: Widths, n: int) -> int | None:

@@ -37,13 +37,9 @@ def attacks_of(items: Iterable[Mapping[str, Any]]) -> dict[str, frozenset[str]]:
     """
     found: defaultdict[str, set[str]] = defaultdict(set)
     for one in items:
-        contrasts = [pair for pair in one.get("contrasts", ()) if pair["reading"] == "differs"]
-        subjects = (
-            one["subject"],
-            *one.get("scored", ()),
-            *(two.get("subject") for two in contrasts),
-        )
-        for subject in filter(None, subjects):
+        apart = [pair for pair in one.get("contrasts", ()) if pair["reading"] == "differs"]
+        others = (*one.get("scored", ()), *(pair.get("subject") for pair in apart))
+        for subject in filter(None, (one["subject"], *others)):
             found[subject.rpartition(" (")[0]].add(one["task"])
     return {spec: frozenset(tasks) for spec, tasks in found.items()}
 

@@ -200,9 +200,8 @@ def _control(one: Tested, section: Floats) -> dict[str, Any]:
 def _answer(one: Tested, section: Floats, *, span: Floats) -> tuple[Widths, dict[str, Any]]:
     """Return how far the ends lie from the estimates, and decision and spread."""
     wide, found = spread.widths(one.found, section), one.found
-    codes, low, high = spread.decided(
-        found, wide, gaps=found.gaps[:1], fall=found.fall[:1], span=span
-    )
+    gaps, fall = found.gaps[:1], found.fall[:1]
+    codes, low, high = spread.decided(found, wide, gaps=gaps, fall=fall, span=span)
     return wide, {
         "decision": spread.ANSWERS[codes[0]],
         "spread": spread.shown(found),
