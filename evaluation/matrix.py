@@ -108,9 +108,8 @@ def settings_from(options: argparse.Namespace) -> Settings:
     """
     stage_values: dict[str, Any] = {}
     given = [_read_config(options.config, stage_values), options] if options.config else [options]
-    values = {
-        key: getattr(one, key) for one in given for key in _OPTIONS if getattr(one, key) is not None
-    }
+    named = ((key, getattr(one, key)) for one in given for key in _OPTIONS)
+    values = {key: value for key, value in named if value is not None}
     for text in options.set:
         name, equals, value = text.partition("=")
         if not equals:

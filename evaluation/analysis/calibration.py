@@ -156,9 +156,7 @@ def fit(
     def net_for(spread: float) -> float:
         return _root(lambda net: trial(net, spread)[0] - raw_plr, _GAINS, what="raw PLR")
 
-    spread_db = _root(
-        lambda spread: trial(net_for(spread), spread)[1] - raw_mel_s, _SPREADS, what="raw MEL"
-    )
+    spread_db = _root(lambda db: trial(net_for(db), db)[1] - raw_mel_s, _SPREADS, what="raw MEL")
     net_db = net_for(spread_db)
     gap_db = _root(
         lambda gap: trial(net_db, spread_db, gap, eta=_FID_ETA)[0] - fid_plr,

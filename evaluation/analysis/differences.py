@@ -344,11 +344,8 @@ def pairing(first: Manifest, second: Manifest, *, consumer: str) -> str:
 
 
 def _unequal(a: Manifest, b: Manifest) -> Apart:
-    return {
-        name: (a.get(name), b.get(name))
-        for name in dict.fromkeys((*a, *b))
-        if a.get(name) != b.get(name)
-    }
+    both = {name: (a.get(name), b.get(name)) for name in (*a, *b)}
+    return {name: pair for name, pair in both.items() if pair[0] != pair[1]}
 
 
 def about(out: Path, manifest: Manifest, *, mechanism: str | None) -> dict[str, Any]:

@@ -110,10 +110,8 @@ def keys_of(rows: pd.DataFrame) -> list[Key]:
     """Return what the rows of a summary are about."""
     texts = rows["knowledge"].astype(object).fillna("")
     columns = [*(rows[name] for name in ("mechanism", "level", "consumer", "metric")), texts]
-    return [
-        Key(name, None if math.isnan(at) else at, *of)
-        for name, at, *of in zip(*columns, strict=True)
-    ]
+    every = zip(*columns, strict=True)
+    return [Key(name, None if math.isnan(at) else at, *of) for name, at, *of in every]
 
 
 def worlds_of(frame: pd.DataFrame) -> pd.Series[str]:

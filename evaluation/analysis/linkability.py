@@ -92,8 +92,7 @@ def linkability(read: Cards, *, dataset: str) -> pd.DataFrame:
         if entry["kind"] == "control":
             found = BEATS_CHANCE if p_value <= LEVEL else AT_CHANCE
         else:
-            ceiling = ceilings[consumer, entry["knowledge"]]
-            found = outcome(p_value=p_value, ceiling_p_value=ceiling)
+            found = outcome(p_value=p_value, ceiling_p_value=ceilings[consumer, entry["knowledge"]])
         rank1 = card.estimates["rank1"]
         row = {
             **{name: entry[name] for name in ("mechanism", "consumer", "knowledge")},
@@ -108,10 +107,8 @@ def linkability(read: Cards, *, dataset: str) -> pd.DataFrame:
             **dict(zip(_SIZES, numbers["gallery_sizes"], strict=True)),
             "inverted": numbers["is_inverted"],
         }
-        rows += [
-            {**row, "cohort": name, **cohort}
-            for name, cohort in {"all": everybody, **card.cohorts}.items()
-        ]
+        cohorts = {"all": everybody, **card.cohorts}
+        rows += [{**row, "cohort": name, **cohort} for name, cohort in cohorts.items()]
     return pd.DataFrame(rows, columns=COLUMNS)
 
 

@@ -137,9 +137,8 @@ def _probes(
         values = tracks[column].to_numpy().astype(np.float64)
         return np.column_stack([values[side] for side in sides])
 
-    above, tied, *along = (
-        probes[name].to_numpy().astype(np.int64) for name in ("above", "tied", *COMPANIONS)
-    )
+    counts = (probes[name].to_numpy() for name in ("above", "tied", *COMPANIONS))
+    above, tied, *along = (one.astype(np.int64) for one in counts)
     chance = probes["chance"].to_numpy()
     strangers = among_strangers(above, tied, chance, np.stack(along, axis=1))
     clusters, cluster = np.unique(probes["group"].to_numpy().astype(str), return_inverse=True)

@@ -128,9 +128,7 @@ def _estimates(metrics: Sequence[str], sums: Floats, weights: Floats) -> Iterato
 
 def linkage_estimates(read: Cards) -> dict[Key, Estimate]:
     """Return every metric of the linkage cells; `read` is what `linkability.cards` returns."""
-    return {
-        key_of(entry, name): one for entry, card in read for name, one in card.estimates.items()
-    }
+    return {key_of(entry, of): one for entry, card in read for of, one in card.estimates.items()}
 
 
 def linkage_sums(read: Cards) -> dict[Key, Summed]:
@@ -204,8 +202,6 @@ def ratios(kind: str, table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
         known = ~np.isnan(over if metric.over else values)
         if metric.name in {*BOUNDS, GAP} and not known.any():
             continue
-        found[metric.name] = (
-            np.where(known & ~np.isnan(values), values, 0.0),
-            np.where(known, over, 0.0),
-        )
+        values = np.where(known & ~np.isnan(values), values, 0.0)
+        found[metric.name] = values, np.where(known, over, 0.0)
     return found

@@ -97,11 +97,8 @@ def panel(
     if not raw or not plain[FIXED]:
         return None
     swept = {*plain[FIXED], *plain[FID]}
-    judged = [
-        place
-        for place, one in enumerate(of)
-        if one.is_added and adding in one.rules and place not in swept
-    ]
+    added = [place for place, one in enumerate(of) if one.is_added and adding in one.rules]
+    judged = [place for place in added if place not in swept]
     where = [(level.mechanism, level.level) for level in task.levels]
     others = [place for place in judged if where[place] in wanted]
     controls = [

@@ -80,9 +80,8 @@ def read_verdict(out: Path) -> dict[str, Any]:
     """Return the verdict of a run folder; DataError if there is none, or it has no items."""
     said = verdict_of(out)
     if not said["items"]:
-        raise DataError(
-            f"the verdict of {out} has no items: nothing was compared, nothing can change"
-        )
+        why = "nothing was compared, nothing can change"
+        raise DataError(f"the verdict of {out} has no items: {why}")
     return said
 
 

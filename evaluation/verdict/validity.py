@@ -8,7 +8,7 @@ people be linked. Who is compared is in `panel`, what follows in `spread`; here 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from scipy.special import stdtrit
@@ -40,6 +40,7 @@ _WHY_ONE_SIDED: Final = {
     ONLY_FEWER: "has a higher {} than raw, so that only fewer could be seen",
     NEITHER: "has a {} of too few people",
 }
+Errors: TypeAlias = "tuple[Squared, Squared] | None"  # Of a descriptor, and of none.
 _QUARTILE: Final = dict(zip(spread.QUARTILES, ("low", "middle", "high"), strict=True))
 
 
@@ -51,7 +52,7 @@ class Tested:
     descriptor: str
     found: Contrasts
     beside: Contrasts | None = None  # Of mechanisms that the panel has not.
-    errors: tuple[Squared, Squared] | None = None
+    errors: Errors = None
 
     @property
     def n(self) -> int:
@@ -114,7 +115,7 @@ def _half(task: LinkedTask, every: Sums, seed: int) -> Sums:
     return Sums(*(one * mine for one in linked), *(one * ~mine for one in linked))
 
 
-def _errors(of: Panel, name: str, rates: tuple[Floats, Floats]) -> tuple[Squared, Squared] | None:
+def _errors(of: Panel, name: str, rates: tuple[Floats, Floats]) -> Errors:
     """Return the squared prediction error of a descriptor, and that without one."""
     levels = [*of.fixed, *of.fid[:-1], *of.others]
     success, shows = (one[: 1 + _N_FOR_ERRORS, levels] for one in rates)
@@ -122,9 +123,7 @@ def _errors(of: Panel, name: str, rates: tuple[Floats, Floats]) -> tuple[Squared
     return prediction_errors(-shows if name in FALLING else shows, success, kinds)
 
 
-def _on_trial(
-    of: Panel, errors: Mapping[str, tuple[Squared, Squared] | None]
-) -> list[dict[str, Any]]:
+def _on_trial(of: Panel, errors: Mapping[str, Errors]) -> list[dict[str, Any]]:
     """Return how well each descriptor foretells linkage, and whether one does so surely best."""
     have = {name: pair[0] for name, pair in errors.items() if pair is not None}
     return [
@@ -140,7 +139,7 @@ def _on_trial(
     ]
 
 
-def _error_numbers(pair: tuple[Squared, Squared] | None) -> dict[str, float | None]:
+def _error_numbers(pair: Errors) -> dict[str, float | None]:
     keys = ("prediction_error", "prediction_error_low", "prediction_error_high")
     values = (None, None, None) if pair is None else pair[0].roots
     null = None if pair is None else pair[1].roots[0]
