@@ -15,8 +15,7 @@ from isac_track.types import Floats, Ints
 
 CONFIDENCE = 0.95
 FEW_CLUSTERS: Final = 40.0
-"""Effective clusters below which an interval is the jackknife's. Of 16 to 33, percentile
-intervals hold shares of 10 and 85 % in 87 to 94 of 100 studies, the jackknife's in 94 to 98."""
+"""Effective clusters below which an interval is the jackknife's: docs/metrics.md says why."""
 LEAST_CLUSTERS: Final = 15.0
 """Effective clusters below which there is no interval, but an exact one of a count."""
 FEWEST_EFFECTIVE: Final = 20  # Effective clusters below which nothing is decided.

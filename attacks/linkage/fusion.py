@@ -36,9 +36,7 @@ class Fusion:
     error variance, weighted (`conditional_logit`) and shrunk towards `likelihood_ratio` alone. The
     scores learnt from are those of people from whom the linkers have not learnt: of either half of
     the mates, by linkers fitted on the other. All linkers are then fitted on everybody.
-
-    Before, scores are cut off at a low quantile of strangers' and, but for `likelihood_ratio`'s,
-    divided by their spread, both of the training set: a pair's score hangs on nobody else.
+    Before, they are scaled by what the training set holds: a pair's score hangs on nobody else.
 
     References
     ----------

@@ -125,10 +125,6 @@ def _frame(release: Release) -> Floats:
     return np.column_stack([(early + late) / 2.0, heading])
 
 
-def _lasts_s(release: Release) -> Floats:
-    return np.asarray(release.t[release.offsets[1:] - 1] - release.t[release.offsets[:-1]])
-
-
 _Times = partial(Control, sees_times_only=True)
 CONTROLS: Final[Mapping[str, Control]] = {
     "random": Control(
@@ -137,7 +133,10 @@ CONTROLS: Final[Mapping[str, Control]] = {
         is_audit=False,
     ),
     "shuffled": Control("an attack's scores with shuffled mates", None, is_audit=False),
-    "duration": _Times("how long a release lasts", _alike(_lasts_s)),
+    "duration": _Times(
+        "how long a release lasts",
+        _alike(lambda one: one.t[one.offsets[1:] - 1] - one.t[one.offsets[:-1]]),
+    ),
     "sample_count": _Times("how many samples it has", _alike(lambda one: np.diff(one.offsets))),
     "sampling_times": _Times("how its sampling steps vary", _alike(_sampling_times)),
     "noise_level": Control(

@@ -83,7 +83,7 @@ def simulate(
     arrival_s = np.array([party.arrival_s for party in plan.parties])
     arrival_frame = np.maximum(0, np.ceil(arrival_s / settings.frame_s))
     frames, people, places = [], [], []
-    for frame in range(settings.n_frames):
+    for frame in range(round(settings.duration_s / settings.frame_s) + 1):  # the first at time 0
         for arrived in np.flatnonzero(arrival_frame == frame):
             _enter(crowd, plan, int(arrived), noise)
         rows = np.flatnonzero(crowd["here"])

@@ -24,11 +24,6 @@ class CrowdSettings:
     tail_s: float = 4.0  # nobody arrives in the last seconds, so that every walk has some length
     area_m: tuple[float, float, float, float] = (-6.1, -6.1, 7.5, 7.4)  # x_min, y_min, x_max, y_max
 
-    @property
-    def n_frames(self) -> int:
-        """Recorded frames, the first at time 0."""
-        return round(self.duration_s / self.frame_s) + 1
-
 
 Traits: TypeAlias = "np.recarray[Any, Any]"
 """(N,) what persists about people; its fields are those of the table below."""
