@@ -24,12 +24,7 @@ from isac_track.testing import (
     select_checks,
 )
 from isac_track.testing.__main__ import main
-from isac_track.testing._descriptor_checks import (
-    by_definition,
-    longest_run_expected,
-    plain_track,
-    random_tracks,
-)
+from isac_track.testing._descriptor_checks import by_definition, plain_track, random_tracks
 
 DOCS = ROOT / "docs" / "metrics.md"
 
@@ -102,12 +97,6 @@ class TestTheOracleOfTheSuite:
         assert {"0", "1"} <= set(patterns)
         assert any("1" * 6 in pattern for pattern in patterns)
         assert any(pattern.replace("0", " ").count("1 ") > 3 for pattern in patterns)
-
-    @pytest.mark.slow
-    def test_expected_longest_run_of_the_paper(self):
-        # fid at eta = 1: PLR 18.4 % of 366 samples every 0.083 s, and a MEL of 0.28 s. Tracks
-        # that differ in PLR make it a little longer than one common PLR does.
-        assert longest_run_expected(366, 0.184) * 0.083 == pytest.approx(0.28, abs=0.015)
 
 
 class TestRunning:

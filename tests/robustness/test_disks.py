@@ -1,7 +1,6 @@
 """No room, no folder, no lock: one line with the way out, and what is finished is kept."""
 
 import resource
-import shutil
 
 import pytest
 from helpers.commands import FEW, UNDRAWN, assert_refused, assert_same, content, run
@@ -38,10 +37,3 @@ def test_without_room_for_a_file_of_some_size(most_bytes, place, tmp_path):
     assert matrix(place, out).code == 0
     assert_same(out, content(place / "undisturbed"))
     assert all(one.stat().st_mtime_ns == at for one, at in kept.items())
-
-
-def test_a_lock_that_a_dead_run_left_keeps_nobody_out(place, tmp_path):
-    out = shutil.copytree(place / "undisturbed", tmp_path / "run")
-    (out / ".lock").write_text("1\n")
-    assert matrix(place, out).code == 0
-    assert_same(out, content(place / "undisturbed"))

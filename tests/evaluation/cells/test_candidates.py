@@ -151,12 +151,6 @@ class TestWhatIsTold:
             assert loss == pytest.approx(hits[0].mean() - hits[1].mean(), abs=1e-12)
             assert cell.scored.estimates["rank1"].value == pytest.approx(hits[1].mean())
 
-    def test_of_many_probes_some_are_searched_in_full(self, monkeypatch):
-        monkeypatch.setattr("evaluation.cells.linkage.CHECKED", 10)
-        found, *_ = linked(sessions_of("rerelease"), "raw", Length(), stages=few(3))
-        ((_, cell),) = found.items()
-        assert [one.size for one in cell.checked] == [10, 10]
-
     def test_what_needs_all_pairs_is_refused_and_ranks_are_not(self):
         for task in ("rerelease", "handover-2s"):
             found, *_ = linked(
