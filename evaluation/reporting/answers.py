@@ -9,8 +9,7 @@ import numpy as np
 
 from evaluation.analysis.families import ADDING_RULES, CLEAN, RAW, SWEPT
 from evaluation.analysis.keys import Where
-from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE
-from evaluation.analysis.strongest import by_task, strongest_of
+from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.reporting.bounds import gap_text
 from evaluation.reporting.charts import share
 from evaluation.reporting.headline import TASKS, Headline, Shown, headline, robot_name
@@ -164,13 +163,13 @@ def _told(items: Sequence[Mapping[str, Any]]) -> str:
 
 def _chosen(of: Headline) -> str:
     """Return the level that costs a robot least while most positions stay unknown after attack."""
-    options: dict[Where, tuple[Estimate, Estimate]] = {}
-    for where, values in by_task(of.found, metric=EXPOSURE).get("", {}).items():
-        # As `design` judges: by the attack that is strongest here.
-        best = strongest_of([values])
-        cost = of.at(where, of.robots[0]) if of.robots else None
-        if best is not None and cost is not None:
-            options[where] = cost, of.found[best.measure(EXPOSURE).at(*where)]
+    # By the adversary of the table: `design` asks who is strongest at each level.
+    options = {
+        where: (cost, left)
+        for where in of.wheres
+        if of.robots and of.attacked
+        if (cost := of.at(where, of.robots[0])) and (left := of.at(where, of.attacked))
+    }
     if not options:
         return f"{_UNTESTED}that takes a predictor and a reconstruction attack."
     rule_of = {where: of.known[where[0]].adding for where in options}
