@@ -9,7 +9,8 @@ import numpy as np
 
 from evaluation.analysis.families import ADDING_RULES, CLEAN, RAW, SWEPT
 from evaluation.analysis.keys import Where
-from evaluation.analysis.metrics import DESCRIPTORS
+from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE
+from evaluation.analysis.strongest import BEYOND, by_task, strongest_of
 from evaluation.reporting.bounds import gap_text
 from evaluation.reporting.charts import share
 from evaluation.reporting.headline import TASKS, Headline, Shown, headline, robot_name
@@ -203,7 +204,15 @@ def _choice(of: Headline, options: Mapping[Where, tuple[Estimate, Estimate]]) ->
         for one in of.linked[-1:]
         if (found := of.at(at, one))
     ]
-    fewest = f"{of.name(at)} misses fewest conflicts: {share(cost)} at {share(left)}"
+    everybody = by_task(of.found, metric=EXPOSURE)[""][at]
+    more = [
+        f"{share(of.found[best.measure(EXPOSURE).at(*at)])} after {best.label}"
+        for name in BEYOND
+        if (best := strongest_of([everybody], among=(name,)))
+    ]
+    # Who sees a walk twice, or knows where it was once, undoes what a slow error hides.
+    beyond = ", ".join(more) or "not tried: repeats, a known position"
+    fewest = f"{of.name(at)} misses fewest conflicts: {share(cost)} at {share(left)} ({beyond})"
     return f"{by}of the levels that keep {limit}, {fewest}" + "".join(again)
 
 

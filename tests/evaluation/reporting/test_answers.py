@@ -125,6 +125,16 @@ def test_of_a_dozen_people_without_intervals_the_values_alone_choose_a_level():
     assert said.startswith(f"{expected} attacked PLR below 50 %, fixed:1 misses")
 
 
+def test_a_level_is_proposed_with_what_could_undo_it():
+    alone, more = ((("kalman_rts", name),) for name in ("blind", "repeats"))
+    said = [
+        answers(make_run(summary=make_summary(attacks=one), strongest={"": Source(*alone[0])}))[4]
+        for one in (alone, alone + more)
+    ]
+    assert "(not tried: repeats, a known position)" in said[0].sentence
+    assert re.search(r" \(\d+\.\d % .* after kalman_rts \(repeats\)\)", said[1].sentence)
+
+
 def test_a_robot_that_knows_the_mechanism_is_in_the_first_answer_beside_the_others():
     robots = ("least_squares", "kalman_cv", "kalman_cv:aware=true")
     run = make_run(summary=make_summary(predictors=robots))
