@@ -12,6 +12,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -49,6 +50,7 @@ _NUMBERS = (
     "minimum_detectable_rank1",
 )
 _NEVER = 1e300  # A score that no pair reaches.
+_NOTHING: Final[Mapping[int, Any]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -73,10 +75,10 @@ def read_off(
     scores: Mapping[int, Floats],
     *,
     known: SensedSessions,
-    calibration: Mapping[int, linkability.Calibration],
-    no_match: Mapping[int, float],
     drawn_from: Generator | tuple[int, *tuple[str, ...]],
-    control: Control | None,
+    calibration: Mapping[int, linkability.Calibration] = _NOTHING,
+    no_match: Mapping[int, float] = _NOTHING,
+    control: Control | None = None,
     checked: tuple[Floats, Floats] | None = None,
 ) -> Linked:
     """Return the scorecard of an attack or a control, and of an attack without confounders.

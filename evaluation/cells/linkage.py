@@ -72,16 +72,16 @@ _LEAST_WEIGHT = 0.1
 class _Sides:
     """Both releases as some linkers get them, and the windows of each pairing so far."""
 
-    probe: Release
-    gallery: Release
+    both: tuple[Release, ...]
     std: tuple[Floats | None, ...] = ()  # (M,) m of either, that the reconstruction in front claims
     found: dict[int, tuple[Release, Release]] = field(default_factory=dict)
 
     def of(self, pairing: Pairing) -> tuple[Release, Release]:
         """Return the windows of a pairing, the same ones every time."""
         if id(pairing) not in self.found:
-            probe = part(self.probe, pairing.probe)
-            self.found[id(pairing)] = probe, part(self.gallery, pairing.gallery)
+            probe, gallery = self.both
+            own = part(probe, pairing.probe), part(gallery, pairing.gallery)
+            self.found[id(pairing)] = own
         return self.found[id(pairing)]
 
 
@@ -94,18 +94,14 @@ class LinkedLevel:
     known: SensedSessions
     """Without the samples that were left out; the same as `whole` if there are none."""
     shared: tuple[Release, ...]  # Of the probe and of the gallery side, in the true frame.
-    seen: _Sides  # The same in the frames of the adversary, with the declared standard deviations.
+    blind: _Sides  # The same in the frames of the adversary,
+    seen: _Sides  # and with the declared standard deviations.
     sides: dict[tuple[object, ...], _Sides] = field(default_factory=dict)
     """By whether SIGMA shows, the reconstruction in front, what it was granted, and fold."""
 
     def showing(self, granted: frozenset[Knowledge]) -> _Sides:
         """Return both releases as they show, the same ones every time."""
-        if Knowledge.SIGMA in granted:
-            return self.seen
-        if (False,) not in self.sides:
-            probe, gallery = self.seen.probe, self.seen.gallery
-            self.sides[False,] = _Sides(probe.without_sigma(), gallery.without_sigma())
-        return self.sides[False,]
+        return self.seen if Knowledge.SIGMA in granted else self.blind
 
 
 def linked_level(mechanism: Plugin, whole: SensedSessions) -> LinkedLevel:
@@ -123,7 +119,8 @@ def linked_level(mechanism: Plugin, whole: SensedSessions) -> LinkedLevel:
             walks = np.repeat(np.arange(len(release)), np.diff(release.offsets))
             release = whole.frames[number].of(walks).release(release)
         seen.append(release)
-    return LinkedLevel(mechanism, whole, known, tuple(shared), _Sides(seen[0], seen[1]))
+    blind = _Sides(tuple(one.without_sigma() for one in seen))
+    return LinkedLevel(mechanism, whole, known, tuple(shared), blind, _Sides(tuple(seen)))
 
 
 def sees_times_alone(consumer: Consumer, level: LinkedLevel) -> bool:
@@ -149,11 +146,11 @@ def link(consumer: Consumer, level: LinkedLevel) -> Linked:
     if consumer.kind == "control":
         return _controlled(consumer, level)
     known = level.known
+    if known.candidates:
+        return _approximated(consumer, level)
     scores: dict[int, Floats] = {}
     calibration: dict[int, Calibration] = {}
     no_match: dict[int, float] = {}
-    if known.candidates:
-        return _approximated(consumer, level)
     for fold, half in enumerate(known.halves):
         score, sides = _fitted(consumer, level, fold), _sides(consumer, level, fold)
         for number, pairing in half.searches:
@@ -170,7 +167,6 @@ def link(consumer: Consumer, level: LinkedLevel) -> Linked:
         calibration=calibration,
         no_match=no_match,
         drawn_from=(known.seed, "linkage", "scorecard", consumer.spec, consumer.knowledge),
-        control=None,
     )
 
 
@@ -182,31 +178,25 @@ def bound(level: LinkedLevel, motion: Motion | None) -> Linked:
 
     Raises PluginError for a mechanism whose errors are not white and of known laws.
     """
-    known, batches = level.known, []
     assert motion is not None
-    lags_s, weight = _lags(known.sessions)
+    known, batches, (lags_s, weight) = level.known, [], _lags(level.known.sessions)
     for side, release, sensed in zip(SIDES, level.shared, known.sensed, strict=True):
         rng = stream(known.seed, "genie", "linkage", level.mechanism.spec, side)
         of = {"release": release, "sensed": sensed, "mechanism": level.mechanism.instance}
         errors = errors_of(**of, rng=rng)
         if errors is None or errors.slow is not None:
             raise PluginError(f"the optimum behind {level.mechanism.spec} is not known")
-        prior = (START_STD_M, motion.speed_mps)
-        batches.append((release, errors.variance, prior))
-    scores = {}
+        batches.append((release, errors.variance))
+    scores, prior = {}, (START_STD_M, motion.speed_mps)
     for number, pairing in known.searches.items():
         walks = []
-        for (release, variance, prior), rows in zip(
-            batches, (pairing.probe, pairing.gallery), strict=True
-        ):
-            samples = sharing.samples_of(release.offsets, rows)
+        for side, (release, variance) in zip(SIDES, batches, strict=True):
+            samples = sharing.samples_of(release.offsets, getattr(pairing, side))
             t, xy, var = (one[samples.rows] for one in (release.t, release.xy, variance))
             walks.append(Batch(t, xy, var, samples.offsets, prior))
         scores[number] = log_ratios(*walks, motion=motion, lags_s=lags_s, weight=weight)
     drawn_from = (known.seed, "linkage", "scorecard", BOUND)
-    return read_off(
-        scores, known=known, calibration={}, no_match={}, drawn_from=drawn_from, control=None
-    )
+    return read_off(scores, known=known, drawn_from=drawn_from)
 
 
 def _lags(sessions: Sessions) -> tuple[Floats, Floats]:
@@ -247,10 +237,7 @@ def _approximated(consumer: Consumer, level: LinkedLevel) -> Linked:
     return read_off(
         {number: one.scores for number, one in found.items()},
         known=known,
-        calibration={},
-        no_match={},
         drawn_from=(known.seed, "linkage", "scorecard", consumer.spec, consumer.knowledge),
-        control=None,
         checked=(exact, approximate),
     )
 
@@ -275,7 +262,6 @@ def _controlled(consumer: Consumer, level: LinkedLevel) -> Linked:
     task = known.sessions.task
     score = control.scorer(task)
     scores: dict[int, Floats] = {}
-    blind = level.showing(frozenset())
     for number, pairing in known.searches.items():
         first, second = known.sessions.probe.about, known.sessions.gallery.about
         if control.circumstance and first is not None and second is not None:
@@ -288,11 +274,9 @@ def _controlled(consumer: Consumer, level: LinkedLevel) -> Linked:
             scores[number] = score(*level.seen.of(pairing), rng)
             continue
         attack = Shape() if not (task.shows_scene or known.candidates) else first_stage(task)
-        real = _untaught(attack, blind, pairing, known)
+        real = _untaught(attack, level.blind, pairing, known)
         scores[number] = real[:, rng.permutation(real.shape[1])]
-    return read_off(
-        scores, known=known, calibration={}, no_match={}, drawn_from=rng, control=control
-    )
+    return read_off(scores, known=known, drawn_from=rng, control=control)
 
 
 def _sides(consumer: Consumer, level: LinkedLevel, fold: int) -> _Sides:
@@ -317,7 +301,7 @@ def _smoothed(
     """Return both releases with the positions that a reconstruction attack makes of them."""
     name = f"attack {behind.spec}"
     who = f"{name} (behind {consumer.label})"
-    known, releases = level.known, (level.seen.probe, level.seen.gallery)
+    known = level.known
     granted = granted_at(consumer, behind, *level.shared, who=name, mechanism=level.mechanism)
     sides = level.showing(granted)
     train, rows = None, known.halves[fold].learns.probe
@@ -333,15 +317,12 @@ def _smoothed(
         train=train,
     )
     attack = sharing.guarded(who, lambda: behind.instance.fit(context))
-    found = [
-        reconstructed(attack, sharing.handed(view, behind), who=who)
-        for view in (sides.probe, sides.gallery)
-    ]
-    first, second = (
-        showing(derived(release, xy=one.xy), shows)
-        for release, one in zip(releases, found, strict=True)
-    )
-    return _Sides(first, second, std=tuple(one.std for one in found))
+    rebuilt, std = list[Release](), []
+    for release, view in zip(level.seen.both, sides.both, strict=True):
+        found = reconstructed(attack, sharing.handed(view, behind), who=who)
+        rebuilt.append(showing(derived(release, xy=found.xy), shows))
+        std.append(found.std)
+    return _Sides(tuple(rebuilt), tuple(std))
 
 
 def _true_walks(level: LinkedLevel, side: int) -> Floats:
@@ -362,7 +343,6 @@ def _fitted(
     sides = _sides(consumer, level, fold)
     name = f"attack {plugin.spec}"
     granted = granted_at(consumer, plugin, *level.shared, who=name, mechanism=level.mechanism)
-
     learns = known.halves[fold].learns
     train = None
     if Knowledge.TRAIN in granted:
@@ -383,7 +363,6 @@ def _fitted(
         train=train,
     )
     attack = sharing.guarded(who, lambda: plugin.instance.fit(context))
-
     return partial(scores_of, attack, plugin=plugin, who=who)
 
 
@@ -425,7 +404,7 @@ def window_tables(consumer: Consumer, level: LinkedLevel) -> Tables:
     smooth = _sides(consumer, level, 0)
     sides = []
     for number, side in enumerate(SIDES):
-        release, attacked = level.shared[number], (smooth.probe, smooth.gallery)[number].xy
+        release, attacked = level.shared[number], smooth.both[number].xy
         whole: Windows = getattr(sessions, side)
         truth, walked = getattr(known.sessions, side).xy, _true_walks(level, number)
         exposed, left = (

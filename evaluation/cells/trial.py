@@ -6,7 +6,7 @@ All of it has streams of its own: a run comes out the same with it as without.
 from __future__ import annotations
 
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,10 +14,9 @@ import numpy as np
 
 from evaluation.cells import sharing
 from evaluation.cells.adversary import declared, showing
-from evaluation.cells.forecasts import sharing_rows
 from evaluation.cells.linkage import scores_of
-from evaluation.cells.reconstruction import attack_rows, attacked_block, attacked_level
 from evaluation.cells.where import note
+from evaluation.cells.work import Block, cells
 from isac_track import plugins
 from isac_track.errors import PluginError, raised_at
 from isac_track.protocols import AttackContext, LinkageTrainingSet
@@ -83,35 +82,22 @@ def _call(trial: Trial, stages: StageSettings) -> None:
     order = track_order(
         n_tracks=len(tracks), n_scenes=-(-N_PEOPLE // agents), agents=agents, seed=_SEED
     )
+    own: dict[str, Any] = {"stages": stages, "seed": _SEED}
+    mechanism, consumer = plugins.parse("mechanisms", _MECHANISM)[0], trial.consumer
+    if consumer is None or consumer.kind != "linkage":
+        level = (trial.plugin, ()) if consumer is None else (mechanism, (consumer,))
+        list(cells(Block(0, 0, order, (level,)), tracks=tracks, **own))
+        return
     scenes = make_scenes(tracks, order=order, first=0, settings=stages, seed=_SEED)
     sensed = sense_scenes(scenes, settings=stages.sensing, seed=_SEED)
-    consumer = trial.consumer
-    if consumer is None:
-        sharing.share(trial.plugin, sensed, "trial", seed=_SEED)
-        return
-    mechanism = plugins.parse("mechanisms", _MECHANISM)[0]
-    release = sharing.share(mechanism, sensed, "trial", seed=_SEED)
-    if consumer.kind == "linkage":
-        again = sharing.share(mechanism, sensed, "trial", "again", seed=_SEED)
-        _link(consumer, trial.plugin, (release, again), mechanism=mechanism, stages=stages)
-    elif consumer.kind == "attack":
-        block = attacked_block(
-            scenes=scenes,
-            sensed=sensed,
-            tracks=tracks,
-            repeats=Knowledge.REPEATS in consumer.granted,
-            stages=stages,
-            seed=_SEED,
-        )
-        attack_rows(consumer, attacked_level(mechanism, release, block, [consumer]))
-    else:
-        sharing_rows(consumer, release, scenes, mechanism=mechanism, stages=stages)
+    releases = [sharing.share(mechanism, sensed, "trial", n, seed=_SEED) for n in range(2)]
+    _link(consumer, trial.plugin, releases, mechanism=mechanism, stages=stages)
 
 
 def _link(
     consumer: Consumer,
     plugin: Plugin,
-    releases: tuple[Release, Release],
+    releases: Sequence[Release],
     *,
     mechanism: Plugin,
     stages: StageSettings,

@@ -180,8 +180,8 @@ def read_rows(
     Raises DataError if a cell is missing or broken, or has no such column; the message names it.
     """
     found = []
-    for path, tables in _tables(out, entry, {*columns, *beside}):
-        rows = tables[ROWS]
+    for path, whole, index in _opened(out, entry, {*columns, *beside}):
+        rows = whole.slice(*_held(path, index, entry).tables[ROWS])
         for column in columns:
             is_there = column in rows.column_names
             if not is_there or rows[column].null_count == max(rows.num_rows, 1):
@@ -305,15 +305,6 @@ def _weights(drawn_as: tuple[int, ...], n_groups: int, task: str, seed: int) -> 
     return linkage_weights(places, n_groups=n_groups, task=task, seed=seed)
 
 
-def _tables(
-    out: Path, entry: Mapping[str, Any], columns: Collection[str] | None = None
-) -> Iterator[tuple[Path, dict[str, pa.Table]]]:
-    """Yield the tables of a consumer by file, each with some columns, or all but raw scores."""
-    for path, whole, index in _opened(out, entry, columns):
-        held = _held(path, index, entry)
-        yield path, {name: whole.slice(*at) for name, at in held.tables.items()}
-
-
 def _held(path: Path, index: Index, entry: Mapping[str, Any]) -> Held:
     label = label_of(entry)
     if label not in index.consumers:
@@ -326,7 +317,7 @@ def _held(path: Path, index: Index, entry: Mapping[str, Any]) -> Held:
 def _opened(
     out: Path, entry: Mapping[str, Any], columns: Collection[str] | None
 ) -> list[tuple[Path, pa.Table, Index]]:
-    """Return the content of the files of a cell."""
+    """Return the content of the files of a cell: some columns, or all but raw scores."""
     stamped = []
     for name in entry["files"]:
         path = out / FOLDER / name
