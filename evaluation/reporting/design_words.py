@@ -195,7 +195,9 @@ def sentence(choice: design.Choice) -> str:
         if why := _failing(schemes):
             failing.setdefault(why, []).append(name)
         else:
-            met.append(_with_levels(name, schemes))
+            under = " ({})" if schemes[0].family.adding else ""
+            at = (f"{_at(one, one.chosen)}{under.format(one.adding)}" for one in schemes)
+            met.append(f"{name} {' and '.join(dict.fromkeys(at))}")
     people = " (simulated people)" * bool(choice.manifest["dataset"]["simulated"])
     if not met:
         told = (f"{why}: {', '.join(names)}" for why, names in failing.items())
@@ -231,13 +233,6 @@ def _failing(schemes: Sequence[design.Scheme]) -> str:
         heads = [head for head, its in found.items() if its == text]
         why += [f"{text} {' and '.join(heads)}"] if heads else []
     return ", ".join(why)
-
-
-def _with_levels(name: str, schemes: Sequence[design.Scheme]) -> str:
-    """Return a mechanism with its level under every rule."""
-    under = " ({})" if schemes[0].family.adding else ""
-    at = dict.fromkeys(f"{_at(one, one.chosen)}{under.format(one.adding)}" for one in schemes)
-    return f"{name} {' and '.join(at)}"
 
 
 def notes(choice: design.Choice) -> list[str]:

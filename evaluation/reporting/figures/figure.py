@@ -1,6 +1,6 @@
 """The figures of a run: panels of charts, on the page and as files of their own.
 
-A file in this folder with a function `figures` makes some.
+A file in this folder with a function `figures` makes some; those without a panel are none.
 """
 
 import contextlib
@@ -62,11 +62,12 @@ class Layout(NamedTuple):
 
 
 def figures_of(run: Results) -> list[Figure]:
-    """Return the figures of a run, of every file of this folder that has any."""
+    """Return the figures of a run that have a panel, of every file of this folder."""
     folder = __name__.rpartition(".")[0]
     names = [one.name for one in iter_modules(import_module(folder).__path__)]
     modules = [import_module(f"{folder}.{name}") for name in names]
-    return [one for module in modules if hasattr(module, "figures") for one in module.figures(run)]
+    every = (one for of in modules if hasattr(of, "figures") for one in of.figures(run))
+    return [one for one in every if one.panels]
 
 
 def write(figures: Iterable[Figure], *, folder: Path, dataset: str, pdf: bool) -> None:

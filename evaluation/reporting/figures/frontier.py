@@ -38,12 +38,9 @@ def figures(run: Results) -> Iterator[Figure]:
             if curves:
                 x, y = Axis("rise of missed conflicts (points)"), Axis("PLR, attacked (%)")
                 panels.append((f"{robot}{which}", curves_chart(curves, x=x, y=y, marked=marked)))
-    if panels:
-        title = "PLR after attack where misses have risen"
-        said = (
-            "At raw's false alarms. Hollow: after repeats, an anchor, companions. Down is better."
-        )
-        yield Figure("frontier", "plane", title, panels, 2, key, said)
+    title = "PLR after attack where misses have risen"
+    said = "At raw's false alarms. Hollow: after repeats, an anchor, companions. Down is better."
+    yield Figure("frontier", "plane", title, panels, 2, key, said)
 
 
 def _drawn(

@@ -91,10 +91,9 @@ def _sweep(run: picked.Results, known: Sequence[picked.Scheme], *, name: str) ->
                 chart = curves_chart(curves, x=x, y=y, across=across, marked=marked)
                 panels.append((f"{scheme.title}, {scheme.rule_text}", chart))
                 key |= {"paper (raw at the edge)": _PAPER_LOOK} if marked else {}
-    if panels:
-        title = f"Missed conflicts, PLR and exposure over the level: {known[0].title}"
-        said = "Dashed: raw."
-        yield Figure(name, "figures", title, panels, len(known), key, said)
+    title = f"Missed conflicts, PLR and exposure over the level: {known[0].title}"
+    said = "Dashed: raw."
+    yield Figure(name, "figures", title, panels, len(known), key, said)
 
 
 def _papers(metric: str, scheme: picked.Scheme) -> list[tuple[Look, float, float, str]]:
@@ -143,9 +142,8 @@ def _attacked(run: picked.Results) -> Iterator[Figure]:
             chart = curves_chart(curves, x=x, y=y, across=[("k6", one) for one in raw])
             panels.append((f"{scheme.title}, {scheme.rule_text}", chart))
     title = "PLR as shared and after each attack, over the level"
-    if panels:
-        said = "Dashed: raw as shared. Hollow: the oracle, a reference."
-        yield Figure("after_attack", "after", title, panels, 2, key, said)
+    said = "Dashed: raw as shared. Hollow: the oracle, a reference."
+    yield Figure("after_attack", "after", title, panels, 2, key, said)
 
 
 def _attack_looks(rows: pd.DataFrame) -> Mapping[Source, Look]:

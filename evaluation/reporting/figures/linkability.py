@@ -47,11 +47,10 @@ def figures(run: picked.Results) -> Iterator[Figure]:
                 x, y = Axis(scheme.label, scheme.log), Axis("rank 1 (%)")
                 heading = f"{task.name}: {scheme.title}, {scheme.rule_text}"
                 panels.append((heading, curves_chart(curves, x=x, y=y, across=across)))
-    if panels:
-        title = "Rank 1 of the strongest attacks over the level, task by task"
-        said = "Dashed: raw of each attack; in black chance, and above it no error at all."
-        columns, key = max(2, len(known)), dict(sorted(key.items(), key=lambda one: one[1]))
-        yield Figure("linkability", "linkability", title, panels, columns, key, said)
+    title = "Rank 1 of the strongest attacks over the level, task by task"
+    said = "Dashed: raw of each attack; in black chance, and above it no error at all."
+    columns, key = max(2, len(known)), dict(sorted(key.items(), key=lambda one: one[1]))
+    yield Figure("linkability", "linkability", title, panels, columns, key, said)
 
 
 def rank1_rows(task: LinkedTask, source: Source) -> pd.DataFrame:

@@ -44,10 +44,9 @@ def figures(run: picked.Results) -> Iterator[Figure]:
                 chart = curves_chart(curves, x=x_axis, y=y, marked=marked)
                 panels.append((f"{rule} adding", chart))
                 key |= {"raw": Look(LOOKS - 1)} if marked else {}
-    if panels:
-        title = f"Each descriptor as shared against missed conflicts, predictor {predictor}"
-        said = "Down and to the left is better."
-        yield Figure("operating_points", "plane", title, panels, len(DESCRIPTORS), key, said)
+    title = f"Each descriptor as shared against missed conflicts, predictor {predictor}"
+    said = "Down and to the left is better."
+    yield Figure("operating_points", "plane", title, panels, len(DESCRIPTORS), key, said)
 
 
 def _plane(summary: pd.DataFrame, predictor: str, metric: str) -> pd.DataFrame:

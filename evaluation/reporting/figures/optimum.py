@@ -29,7 +29,6 @@ def figures(run: Results) -> Iterator[Figure]:
         names = [short_name(run.families, one.where) for one in of]
         chart = rows_chart(names, series, x_label="PLR (%)")
         panels.append((f"error law: {law_of(world, run)}", chart))
-    if panels:
-        title = "Attacks beside what none exceeds, in worlds of the fitted motion"
-        said = "Ceiling: of a genie who is told the scale of every error; no attack need reach it."
-        yield Figure("optimum", "bounds", title, panels, 2, key, said)
+    title = "Attacks beside what none exceeds, in worlds of the fitted motion"
+    said = "Ceiling: of a genie who is told the scale of every error; no attack need reach it."
+    yield Figure("optimum", "bounds", title, panels, 2, key, said)
