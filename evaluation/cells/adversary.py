@@ -47,10 +47,10 @@ class Frame:
         """Return a release in the frame and on the clock."""
         return replace(release, xy=self.points(release.xy), t=release.t + self.clock_s)
 
-    def of(self, walks: Ints) -> Frame:
-        """Return the frame of each sample, of frames of walks and the walk of each sample."""
+    def of(self, offsets: Ints) -> Frame:
+        """Return the frame of each sample of walks that begin and end at offsets, of their own."""
         arrays = (self.turn, self.shift_m, self.clock_s)
-        return Frame(*(np.take(one, walks, axis=0) for one in arrays))
+        return Frame(*(np.repeat(one, np.diff(offsets), axis=0) for one in arrays))
 
 
 def view_of(

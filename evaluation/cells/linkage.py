@@ -116,8 +116,7 @@ def linked_level(mechanism: Plugin, whole: SensedSessions) -> LinkedLevel:
             known = replace(known, sessions=replace(known.sessions, **{side: windows}))
         shared.append(release)
         if whole.frames:
-            walks = np.repeat(np.arange(len(release)), np.diff(release.offsets))
-            release = whole.frames[number].of(walks).release(release)
+            release = whole.frames[number].of(release.offsets).release(release)
         seen.append(release)
     blind = _Sides(tuple(one.without_sigma() for one in seen))
     return LinkedLevel(mechanism, whole, known, tuple(shared), blind, _Sides(tuple(seen)))
@@ -328,10 +327,8 @@ def _smoothed(
 def _true_walks(level: LinkedLevel, side: int) -> Floats:
     """Return the true positions of a side's samples, (M, 2) m, in the frames of the adversary."""
     windows: Windows = getattr(level.known.sessions, SIDES[side])
-    if not level.known.frames:
-        return windows.xy
-    walks = np.repeat(np.arange(len(windows)), np.diff(windows.offsets))
-    return level.known.frames[side].of(walks).points(windows.xy)
+    frames = level.known.frames
+    return frames[side].of(windows.offsets).points(windows.xy) if frames else windows.xy
 
 
 def _fitted(

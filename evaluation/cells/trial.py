@@ -44,15 +44,8 @@ class Trial(NamedTuple):
     consumer: Consumer | None = None  # None: the plug-in is a mechanism.
 
 
-class Fault(NamedTuple):
-    """What a plug-in did wrong, and its traceback."""
-
-    why: str
-    trace: str
-
-
-def attempted(trial: Trial, *, stages: StageSettings) -> Iterator[Fault]:
-    """Yield the fault of a plug-in, if a call shows one.
+def attempted(trial: Trial, *, stages: StageSettings) -> Iterator[tuple[str, str]]:
+    """Yield what a plug-in does wrong, if a call shows it, and the traceback.
 
     What fails in our own code, or for the settings, is left to the run, which tells it.
     """
@@ -62,7 +55,7 @@ def attempted(trial: Trial, *, stages: StageSettings) -> Iterator[Fault]:
     except PluginError as error:
         is_told = error.__cause__ is not None and raised_at(error.__cause__)
         why = str(error) if is_told else f"{error}{defined_at(trial.plugin.instance)}"
-        yield Fault(why, "".join(traceback.format_exception(error)))
+        yield why, "".join(traceback.format_exception(error))
     except Exception:  # noqa: BLE001 - no fault of the plug-in's by its contract
         return
 

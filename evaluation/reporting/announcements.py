@@ -49,11 +49,11 @@ def near(path: Path) -> Path:
     return path
 
 
-def wrapped(text: str, *, width: int = WIDTH) -> list[str]:
+def wrapped(text: str) -> list[str]:
     """Return a text in lines; a number and its unit stay together."""
     lines = textwrap.wrap(
         text.replace(" %", "\0%"),
-        width,
+        WIDTH,
         subsequent_indent="  ",
         break_on_hyphens=False,
         break_long_words=False,

@@ -142,13 +142,9 @@ def counted(name: str, unit: str, *keys: str, **shown: Any) -> Column:  # noqa: 
     return Column(name, lambda record: number(*(record[key] for key in keys), **shown), unit)
 
 
-def measured(name: str, *keys: str, metric: str = "", sign: str = "-") -> Column:
-    """Return a column of a metric, or of the one that each record names, as it is shown."""
-
-    def cell(record: Any) -> Cell:  # noqa: ANN401 - a mapping
-        return amount(metric or record["metric"], *(record[key] for key in keys), sign=sign)
-
-    return Column(name, cell, METRICS[metric].unit if metric else "")
+def measured(name: str, *keys: str, sign: str = "-") -> Column:
+    """Return a column of the metric that each record names, as it is shown."""
+    return Column(name, lambda one: amount(one["metric"], *(one[key] for key in keys), sign=sign))
 
 
 def word(text: object) -> Cell:

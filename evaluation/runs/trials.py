@@ -7,7 +7,7 @@ from functools import partial
 from typing import Final
 
 from evaluation.cells.adversary import declared
-from evaluation.cells.trial import Fault, Trial, attempted, defined_at
+from evaluation.cells.trial import Trial, attempted, defined_at
 from evaluation.experiment.fingerprint import has_strangers, is_strange
 from evaluation.experiment.plan import Plan, Unit
 from evaluation.runs.files import PLUGIN_ERROR, write_whole
@@ -40,8 +40,8 @@ def try_plugins(ready: Plan) -> list[str]:
     works = deque(_trials(missing))
     for trial, found in spread(call, works, jobs=1, limit_s=limit_s, apart=True, alone=True):
         for one in found:
-            if isinstance(one, Fault):
-                raise _failed(ready, one.why, one.trace)
+            if isinstance(one, tuple):
+                raise _failed(ready, *one)
             if one.is_late and limit_s != allowed_s:
                 given_up.append(trial.plugin.spec)
             else:
