@@ -24,8 +24,8 @@ def entry_of(out, spec, consumer, knowledge=""):
 def rows_of(out, spec, consumer, knowledge=""):
     """All rows of a consumer at a level, with all of its columns."""
     entry = entry_of(out, spec, consumer, knowledge)
-    (_, tables), *_ = cell_files._tables(out, entry)
-    first = tables[ROWS]
+    (path, whole, index), *_ = cell_files._opened(out, entry, None)
+    first = whole.slice(*cell_files._held(path, index, entry).tables[ROWS])
     columns = [name for name in first.column_names if first[name].null_count == 0]
     return cell_files.read_rows(out, entry, columns=columns).to_pandas()
 
