@@ -139,12 +139,12 @@ class Results:
             who = robot or next(iter(rows["consumer"]), "")
         elif place == "descriptor" and not after:
             who = SHARED
-        elif after in ("", STRONGEST):
-            best = self.strongest.get(task, Source(""))
-            who = f"{task}/{best.consumer}" if task else best.consumer
-            rows = rows[rows["knowledge"] == best.knowledge]
         else:
-            who = f"{task}/{after}" if task else after
+            who = after
+            if after in ("", STRONGEST):
+                who, knowledge = self.strongest.get(task, Source(""))
+                rows = rows[rows["knowledge"] == knowledge]
+            who = f"{task}/{who}" if task else who
         found = rows[rows["consumer"] == who]
         if found.empty:
             there = ", ".join(dict.fromkeys(rows["consumer"])) or "nobody in this task"
@@ -277,13 +277,12 @@ def by_level(frame: pd.DataFrame) -> dict[Where, dict[Source, dict[str, Estimate
 
     Levels rise, mechanisms stand as in the run.
     """
-    found: dict[str, dict[Where, dict[Source, dict[str, Estimate]]]]
-    found = {name: {} for name in frame["mechanism"].unique()}
+    found: dict[Where, dict[Source, dict[str, Estimate]]] = {}
     ordered = frame.sort_values("level", kind="stable", na_position="first")
     for key, one in estimates(ordered).items():
-        at = found[key.mechanism].setdefault(key.where, {})
-        at.setdefault(key.measure.source, {})[key.metric] = one
-    return {where: of for level in found.values() for where, of in level.items()}
+        found.setdefault(key.where, {}).setdefault(key.measure.source, {})[key.metric] = one
+    place = {name: n for n, name in enumerate(frame["mechanism"].unique())}
+    return dict(sorted(found.items(), key=lambda one: place[one[0][0]]))
 
 
 def of_source(frame: pd.DataFrame, source: Source) -> pd.DataFrame:

@@ -247,11 +247,9 @@ def losses_of(out: Path, entries: Iterable[dict[str, Any]]) -> dict[str, Any]:
     found: dict[str, list[tuple[float, int, str, str]]] = defaultdict(list)
     linked = [entry for entry in entries if entry["kind"] == "linkage"]
     for entry, outcome in zip(linked, read_outcomes(out, linked, drawn=()), strict=True):
-        numbers = outcome.numbers
-        if numbers.get("n_checked"):
-            loss, n_checked = float(numbers["rank1_loss"]), int(numbers["n_checked"])
-            task = entry["consumer"].partition("/")[0]
-            found[task].append((loss, n_checked, label_of(entry), entry["spec"]))
+        if n_checked := outcome.numbers.get("n_checked"):
+            cell = outcome.numbers["rank1_loss"], n_checked, label_of(entry), entry["spec"]
+            found[entry["consumer"].partition("/")[0]].append(cell)
     losses = {}
     for task, cells in found.items():
         most, _, consumer, spec = max(cells)
