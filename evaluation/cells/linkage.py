@@ -258,23 +258,21 @@ def _controlled(consumer: Consumer, level: LinkedLevel) -> Linked:
     known, control = level.known, CONTROLS[consumer.control]
     key = () if control.sees_times_only else (level.mechanism.spec,)
     rng = stream(known.seed, "controls", consumer.spec, *key)
-    task = known.sessions.task
+    task, scores = known.sessions.task, dict[int, Floats]()
     score = control.scorer(task)
-    scores: dict[int, Floats] = {}
+    first, second = known.sessions.probe.about, known.sessions.gallery.about
+    columns = list(control.circumstance)
     for number, pairing in known.searches.items():
-        first, second = known.sessions.probe.about, known.sessions.gallery.about
-        if control.circumstance and first is not None and second is not None:
-            columns = list(control.circumstance)
+        if columns and first is not None and second is not None:
             scores[number] = closeness(
                 first[pairing.probe][:, columns], second[pairing.gallery][:, columns]
             )
-            continue
-        if score is not None:
+        elif score is not None:
             scores[number] = score(*level.seen.of(pairing), rng)
-            continue
-        attack = Shape() if not (task.shows_scene or known.candidates) else first_stage(task)
-        real = _untaught(attack, level.blind, pairing, known)
-        scores[number] = real[:, rng.permutation(real.shape[1])]
+        else:
+            attack = Shape() if not (task.shows_scene or known.candidates) else first_stage(task)
+            real = _untaught(attack, level.blind, pairing, known)
+            scores[number] = real[:, rng.permutation(real.shape[1])]
     return read_off(scores, known=known, drawn_from=rng, control=control)
 
 
