@@ -92,7 +92,7 @@ class TestScores:
             sides = [
                 side.tracks(rows)
                 for side, rows in zip(
-                    (level.seen.probe.without_sigma(), level.seen.gallery.without_sigma()),
+                    level.blind.both,
                     (pairings[number].probe, pairings[number].gallery),
                     strict=True,
                 )
@@ -116,7 +116,7 @@ class TestScores:
     @pytest.mark.parametrize("worst", [-3e38, -1e-30, 0.0, 5.0, 3e38])
     def test_others_are_below_whatever_was_scored(self, worst):
         _, level = linked(sessions_of("rerelease"), "raw", Length())
-        release, worst = level.seen.probe, float(np.float32(worst))
+        release, worst = level.seen.both[0], float(np.float32(worst))
         n, first = len(release), stream(0, "test", "first").random((len(release),) * 2)
         found = among_candidates(
             lambda p, g: np.full((len(p), len(g)), worst),
