@@ -6,7 +6,7 @@ All of it has streams of its own: a run comes out the same with it as without.
 from __future__ import annotations
 
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -23,7 +23,7 @@ from isac_track.protocols import AttackContext, LinkageTrainingSet
 from isac_track.rng import stream
 from isac_track.scenes import cut, make_scenes, track_order
 from isac_track.sensing import sense_scenes
-from isac_track.types import Knowledge, Release, Tracks
+from isac_track.types import Knowledge, Tracks
 
 if TYPE_CHECKING:
     from evaluation.experiment.axes import Consumer
@@ -83,25 +83,14 @@ def _call(trial: Trial, stages: StageSettings) -> None:
         return
     scenes = make_scenes(tracks, order=order, first=0, settings=stages, seed=_SEED)
     sensed = sense_scenes(scenes, settings=stages.sensing, seed=_SEED)
-    releases = [sharing.share(mechanism, sensed, "trial", n, seed=_SEED) for n in range(2)]
-    _link(consumer, trial.plugin, releases, mechanism=mechanism, stages=stages)
-
-
-def _link(
-    consumer: Consumer,
-    plugin: Plugin,
-    releases: Sequence[Release],
-    *,
-    mechanism: Plugin,
-    stages: StageSettings,
-) -> None:
-    """Let a linker link people who all come again, after it has learnt on them if it learns."""
-    granted, who = consumer.granted & declared(plugin), f"attack {consumer.label}"
+    # Everybody comes again, and who learns has learnt on the same people.
+    plugin, granted = trial.plugin, consumer.granted & declared(trial.plugin)
+    releases = (sharing.share(mechanism, sensed, "trial", n, seed=_SEED) for n in range(2))
     probe, gallery = (showing(one, granted) for one in releases)
     train = None
     if Knowledge.TRAIN in granted:
-        own = sharing.copied(probe), sharing.copied(gallery)
-        train = LinkageTrainingSet(*own, np.arange(len(probe)))
+        copies = sharing.copied(probe), sharing.copied(gallery)
+        train = LinkageTrainingSet(*copies, np.arange(len(probe)))
     context = AttackContext(
         rng=stream(_SEED, "attacks", "trial"),
         epsilon_m=stages.privacy.epsilon_m,
@@ -109,6 +98,7 @@ def _link(
         mechanism=mechanism.instance,
         train=train,
     )
+    who = f"attack {consumer.label}"
     attack = sharing.guarded(who, lambda: plugin.instance.fit(context))
     scores_of(attack, probe, gallery, plugin=plugin, who=who)
 
