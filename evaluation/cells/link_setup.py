@@ -86,19 +86,8 @@ def sensed_sessions(
     `motion` people walk as that says, and all else is as it was recorded.
     """
     key = hashlib.sha256(pickle.dumps((sessions, groups, motion, stages, seed))).digest()
-    found = _last.get(key)
-    if found is None:
-        found = _sense_sessions(sessions, groups=groups, stages=stages, seed=seed)
-        if motion is not None:
-            found = _modelled(found, motion)
-        _last.clear()
-        _last[key] = found
-    return found
-
-
-def _sense_sessions(
-    sessions: Sessions, *, groups: Sequence[str], stages: StageSettings, seed: int
-) -> SensedSessions:
+    if key in _last:
+        return _last[key]
     names, cluster = np.unique(sessions.group, return_inverse=True)
     known = {name: place for place, name in enumerate(groups)}
     drawn_as = np.array([known.get(name, -1) for name in names.tolist()])
@@ -108,7 +97,7 @@ def _sense_sessions(
     folds = range(len(sessions.learns)) if task.comes_back else np.unique(sessions.fold).tolist()
     halves = tuple(_half(sessions, fold) for fold in folds)
     frames = () if task.shows_scene else tuple(_frames(sessions, one, seed=seed) for one in SIDES)
-    return SensedSessions(
+    found = SensedSessions(
         sessions=sessions,
         sensed=tuple(_sensed(sessions, one, stages=stages, seed=seed) for one in SIDES),
         frames=frames,
@@ -122,6 +111,9 @@ def _sense_sessions(
         seed=seed,
         candidates=candidates if candidates < largest else 0,
     )
+    _last.clear()
+    _last[key] = found if motion is None else _modelled(found, motion)
+    return _last[key]
 
 
 def _modelled(found: SensedSessions, motion: Motion) -> SensedSessions:
