@@ -142,8 +142,8 @@ class Results:
         else:
             who = after
             if after in ("", STRONGEST):
-                who, knowledge = self.strongest.get(task, Source(""))
-                rows = rows[rows["knowledge"] == knowledge]
+                who, knows = self.strongest.get(task, Source(""))
+                rows = rows[rows["knowledge"] == knows]
             who = f"{task}/{who}" if task else who
         found = rows[rows["consumer"] == who]
         if found.empty:
