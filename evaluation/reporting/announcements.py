@@ -277,7 +277,11 @@ def same_run(manifest: Mapping[str, Any], *, axes: Sequence[str] = CONSUMERS) ->
     named = [("--session", path) for path in dataset.get("sessions", ())] or whole
     words += [word for pair in named for word in pair]
     words += ["--persistent-ids"] * bool(identity.get("persistent_ids"))
-    given = {"format": dataset["format"], "fps": identity.get("fps"), "unit": identity.get("unit")}
+    given = {
+        "format": dataset.get("format"),
+        "fps": identity.get("fps"),
+        "unit": identity.get("unit"),
+    }
     for option, value in given.items():
         words += [f"--{option}", str(value)] if value and not known else []
     every = identity.get("scenes_utility", identity["scenes"])
