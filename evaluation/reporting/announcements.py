@@ -277,13 +277,9 @@ def same_run(manifest: Mapping[str, Any], *, axes: Sequence[str] = CONSUMERS) ->
     named = [("--session", path) for path in dataset.get("sessions", ())] or whole
     words += [word for pair in named for word in pair]
     words += ["--persistent-ids"] * bool(identity.get("persistent_ids"))
-    given = {
-        "format": dataset.get("format"),
-        "fps": identity.get("fps"),
-        "unit": identity.get("unit"),
-    }
-    for option, value in given.items():
-        words += [f"--{option}", str(value)] if value and not known else []
+    for option in ("format", "fps", "unit"):
+        if not known and identity.get(option):
+            words += [f"--{option}", str(identity[option])]
     every = identity.get("scenes_utility", identity["scenes"])
     if (identity["scenes"], every) != (usual.scenes, usual.utility_scenes):
         words += ["--scenes", str(identity["scenes"])]
