@@ -1,7 +1,7 @@
 """Figures over the level: what is shared and missed, and what attacks leave."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import groupby
 from operator import attrgetter
 
@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from evaluation.analysis.families import FID, FIXED, RAW
-from evaluation.analysis.keys import AS_SHARED, ORACLE, Source, is_attack
+from evaluation.analysis.keys import AS_SHARED, ORACLE, is_attack
 from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE
 from evaluation.analysis.paper import DATASET, PREDICTOR, PUBLISHED
 from evaluation.analysis.strongest import most_knowing
@@ -124,7 +124,12 @@ def _attacked(run: picked.Results) -> Iterator[Figure]:
     """
     rows = after_attack(run.ours)
     rows = rows[rows["metric"] == EXPOSURE]
-    looks = _attack_looks(rows)
+    chosen = [source for source in most_knowing(sources_of(rows)) if source.consumer != IDENTITY]
+    oracle = [source for source in chosen if source.knowledge == ORACLE]
+    others = [source for source in chosen if source.knowledge and source not in oracle]
+    looks = {AS_SHARED: Look(LOOKS - 1)} if AS_SHARED in chosen else {}
+    looks |= {of: Look(place) for place, of in enumerate(others[: LOOKS - 1])}
+    looks |= {of: Look(place, hollow=True) for place, of in enumerate(oracle[: LOOKS - 1])}
     if not looks.keys() - {AS_SHARED}:
         return
     of = {source: picked.of_source(rows, source) for source in looks}
@@ -144,13 +149,3 @@ def _attacked(run: picked.Results) -> Iterator[Figure]:
     title = "PLR as shared and after each attack, over the level"
     said = "Dashed: raw as shared. Hollow: the oracle, a reference."
     yield Figure("after_attack", "after", title, panels, 2, key, said)
-
-
-def _attack_looks(rows: pd.DataFrame) -> Mapping[Source, Look]:
-    """Return whose positions are drawn, and how."""
-    chosen = [source for source in most_knowing(sources_of(rows)) if source.consumer != IDENTITY]
-    oracle = [source for source in chosen if source.knowledge == ORACLE]
-    others = [source for source in chosen if source.knowledge and source not in oracle]
-    looks = {AS_SHARED: Look(LOOKS - 1)} if AS_SHARED in chosen else {}
-    looks |= {of: Look(place) for place, of in enumerate(others[: LOOKS - 1])}
-    return looks | {of: Look(place, hollow=True) for place, of in enumerate(oracle[: LOOKS - 1])}
