@@ -1,6 +1,10 @@
 """No room, no folder, no lock: one line with the way out, and what is finished is kept."""
 
+import fcntl
+import os
 import resource
+import shutil
+from pathlib import Path
 
 import pytest
 from helpers.commands import FEW, UNDRAWN, assert_refused, assert_same, content, run
@@ -8,7 +12,9 @@ from helpers.small_runs import write_walks
 
 pytestmark = pytest.mark.slow
 
+REPORT = ("-c", UNDRAWN[1].replace("matrix", "report"))
 KEPT = "finished cells are kept"
+OTHER = "choose another --out"
 
 
 @pytest.fixture(scope="module")
@@ -37,3 +43,62 @@ def test_without_room_for_a_file_of_some_size(most_bytes, place, tmp_path):
     assert matrix(place, out).code == 0
     assert_same(out, content(place / "undisturbed"))
     assert all(one.stat().st_mtime_ns == at for one, at in kept.items())
+
+
+def a_file(path):
+    path.write_text("precious")
+
+
+def a_link(path):
+    path.symlink_to(path.parents[1] / "precious")
+
+
+NO_FOLDER = {
+    # What the folder is called; what stands in place of which of its files; what is said.
+    "a file": ("run", "", a_file, "is a file"),
+    "below a file": ("at/run", "..", a_file, "is a file"),
+    "a link to nowhere": ("run", "", lambda path: path.symlink_to("gone/far"), "cannot write"),
+    "a name too long": ("n" * 300, "..", None, "File name too long"),
+    "cells is a file": ("run", "cells", a_file, "cells"),
+    "the manifest is a folder": ("run", "manifest.json", Path.mkdir, "manifest.json"),
+    "the manifest is nonsense": ("run", "manifest.json", a_file, "manifest.json"),
+    "a table is a folder": ("run", "summary.csv", Path.mkdir, "summary.csv: Is a directory"),
+    "the checksums are a pipe": ("run", "SHA256SUMS", os.mkfifo, "SHA256SUMS"),
+    "the lock is a link": ("run", ".lock", a_link, ".lock"),
+    "the tables are a link": ("run", "tables", a_link, "tables is a link"),
+}
+
+
+@pytest.mark.parametrize("what", NO_FOLDER)
+def test_where_no_run_can_be(what, place, tmp_path):
+    name, inside, plant, says = NO_FOLDER[what]
+    out = tmp_path / name
+    if inside not in ("", ".."):
+        shutil.copytree(place / "undisturbed", out)
+        if (out / inside).exists():
+            (shutil.rmtree if (out / inside).is_dir() else Path.unlink)(out / inside)
+    (tmp_path / "precious").mkdir()
+    if plant:
+        plant(out.parent if inside == ".." else out / inside)
+    ended = matrix(place, out)
+    assert_refused(ended, says)
+    assert any(way in ended.err for way in (OTHER, KEPT, "--fresh", "elete it", "remove it")), ended
+    assert list((tmp_path / "precious").iterdir()) == []
+
+
+@pytest.mark.parametrize("second", ["matrix", "report"])
+def test_while_somebody_else_writes(second, place, tmp_path):
+    out = shutil.copytree(place / "undisturbed", tmp_path / "run")
+    with (out / ".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        ended = matrix(place, out) if second == "matrix" else run(place, *REPORT, out)
+        assert_refused(ended, f"another run is writing to {out}", f"wait for it or {OTHER}")
+    assert matrix(place, out).code == 0
+    assert_same(out, content(place / "undisturbed"))
+
+
+def test_a_lock_that_a_dead_run_left_keeps_nobody_out(place, tmp_path):
+    out = shutil.copytree(place / "undisturbed", tmp_path / "run")
+    (out / ".lock").write_text("1\n")
+    assert matrix(place, out).code == 0
+    assert_same(out, content(place / "undisturbed"))

@@ -6,12 +6,13 @@ import signal
 
 import pytest
 from helpers.commands import assert_refused, run, start
-from helpers.mirror import endless, serving, silent
+from helpers.mirror import closed, endless, serving, silent, trickling
 from helpers.processes import wait_for
 
 pytestmark = pytest.mark.slow
 
 WALK = b"1 1 0 0 0 0 0 0\n11 1 0.4 0 0 0 0 0\n"
+OTHER = WALK + b"\n"
 FETCH = f"""
 import sys
 from isac_track.datasets import registry
@@ -47,9 +48,19 @@ def slow_header(handler):
 
 FAILS = {
     # What the server does: and what is said of it.
+    "not there": (404, "the server answered 404"),
     "forbidden": (403, "the server answered 403"),
+    "overloaded": (503, "the server answered 503"),
+    "another file": (OTHER, "not the expected file: sha256 is"),
+    "nothing": (b"", "not the expected file: sha256 is e3b0c442"),
+    "cut short": ((len(WALK), WALK[:10], None), "the connection broke off"),
     "longer than announced": ((10, WALK, None), "not the expected file: sha256 is"),
+    "hangs up": (closed, "no connection, or it broke off"),
+    "says nothing": (silent, "no answer in time"),
+    "falls silent": ((len(WALK), WALK[:10], silent), "no answer in time"),
+    "trickles": ((len(WALK), WALK[:10], trickling), "no answer in time"),
     "a slow header": (answers(b"HTTP/1.0 200 OK\r\n", then=slow_header), "no answer in time"),
+    "without end": ((None, b"", endless), "not the expected file: over 100000000 bytes"),
     "of a terabyte": ((10**12, b"", endless), "not the expected file: over 100000000 bytes"),
     "no HTTP": (answers(b"SSH-2.0-what\r\n"), "no connection, or it broke off"),
     "turns in a circle": (redirected("obsmat.txt"), "cannot be downloaded (TooManyRedirects)"),

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import time
 
+import pandas as pd
 import pytest
 from helpers.commands import FEW, UNDRAWN, assert_same, content, end, in_session, start
 from helpers.processes import ROOT, wait_for
@@ -26,9 +27,12 @@ PLUGINS = '''
 
 import os
 import re
+import threading
+import time
 from pathlib import Path
 
 from isac_track.sharing import Fixed
+from predictors.least_squares import LeastSquares
 
 
 def is_trial(batch):
@@ -52,6 +56,23 @@ class ShareHolds(Fixed):
             is_first("held")
             re.match("(a+)+$", 64 * "a" + "b")
         return super().share(sensed, rng)
+
+
+class DiesWhenIdle(LeastSquares):
+    def predict(self, release, t_future):
+        if not is_trial(release):
+            if is_first("idle"):
+                threading.Timer(0.5, os._exit, (1,)).start()
+            else:
+                time.sleep(1.5)  # the other worker has nothing to do meanwhile
+        return super().predict(release, t_future)
+
+
+class Raises(LeastSquares):
+    def predict(self, release, t_future):
+        if is_trial(release):
+            return super().predict(release, t_future)
+        raise KeyError("no idea")
 '''
 SCENES = 1000
 """Four blocks."""
@@ -224,3 +245,14 @@ def test_every_kind_of_damage_is_found_and_computed_again(place, many_scenes, ca
     checked = subprocess.run(check, cwd=out, capture_output=True, text=True, check=False)
     assert checked.returncode == 0, checked.stdout  # the next line stands by itself
     assert "1 line is improperly formatted" in checked.stderr
+
+
+@pytest.mark.slow
+def test_a_worker_that_dies_with_nothing_to_do_is_replaced(place):
+    out = place / "idle"
+    odd = (f"--predictor=faulty:{name}" for name in ("DiesWhenIdle", "Raises"))
+    process = begin(place, out, *odd)
+    _, errors = process.communicate(timeout=180)
+    assert process.returncode == 3, errors
+    assert set(pd.read_csv(out / "failed.csv")["consumer"]) == {"faulty:Raises"}
+    assert "faulty:DiesWhenIdle" in (out / "summary.csv").read_text()

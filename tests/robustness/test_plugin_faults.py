@@ -2,17 +2,25 @@
 
 import pandas as pd
 import pytest
-from helpers.commands import FEW, MATRIX, UNDRAWN, run
+from helpers.commands import FEW, MATRIX, UNDRAWN, assert_refused, run
+from helpers.processes import ROOT
 from helpers.small_runs import write_walks
 
 pytestmark = pytest.mark.slow
 
 LIMIT_S = 6
 DIED, SLOW = "its worker died", f"it ran for longer than {LIMIT_S} s"
+FAR, COVARIANCE = (f"failed: ValueError: a predicted {what}" for what in ("position", "covariance"))
 FAULTS = {
     # What it returns, given the mean (2D arrays by track) and the release: why it is left out.
     "raises": ("raises(KeyError('no idea'))", "failed: KeyError: 'no idea'"),
+    "raises lines": (r"raises(ValueError('one\ntwo\x1b[31m' * 9**6))", "ValueError: one two"),
     "raises silently": ("raises(Silent())", "failed: Silent"),
+    "closes": ("raises(GeneratorExit())", "failed: GeneratorExit"),
+    "stops": ("raises(StopIteration())", "failed: StopIteration"),
+    "goes deeper": ("deeper()", "failed: RecursionError"),
+    "wants memory": ("np.empty(10**15)", "failed: "),
+    "imports": ("__import__('not_there')", "ModuleNotFoundError: No module named 'not_there'"),
     "exits with 0": ("os._exit(0)", DIED),
     "exits with 3": ("os._exit(3)", DIED),
     "kills itself": ("os.kill(os.getpid(), signal.SIGKILL)", DIED),
@@ -20,6 +28,17 @@ FAULTS = {
     "aborts": ("os.abort()", DIED),
     "sleeps": ("time.sleep(3600)", SLOW),
     "holds on": ("re.match('(a+)+$', 64 * 'a' + 'b')", SLOW),
+    "returns nothing": ("None", "must return a Prediction"),
+    "returns numbers": ("mean", "must return a Prediction"),
+    "not a number": ("Prediction(mean * np.nan)", FAR),
+    "infinite": ("Prediction(mean + np.inf)", FAR),
+    "too few": ("Prediction(mean[1:])", "must return a Prediction with mean"),
+    "turned over": ("Prediction(mean.T)", "failed: ValueError: mean must have shape"),
+    "complex": ("Prediction(mean + 0j)", "failed: "),
+    "masked": ("Prediction(np.ma.masked_array(mean, mean > 0))", "failed: "),
+    "words": ("Prediction(np.full(mean.shape, 'west'))", "failed: "),
+    "objects": ("Prediction(np.full(mean.shape, None))", "failed: "),
+    "skewed": ("covariance(mean, [[1.0, 1.0], [0.0, 1.0]])", COVARIANCE),
 }
 HARMLESS = {
     "moves": "os.chdir('/')",
@@ -49,6 +68,7 @@ import numpy as np
 
 from attacks.linkage.alignment import Shape
 from isac_track.sharing import Fixed
+from isac_track.types import Prediction
 from predictors.least_squares import LeastSquares
 
 
@@ -61,10 +81,18 @@ def raises(error):
     raise error
 
 
+def deeper():
+    return deeper() + 1
+
+
 def is_second():
     # Whether this was asked before, by anybody.
     path = os.path.join(os.path.dirname(__file__), "asked")
     return os.path.exists(path) or open(path, "w").close()
+
+
+def covariance(mean, cov):
+    return Prediction(mean, np.broadcast_to(np.array(cov), (*mean.shape, 2)))
 
 
 FAULTS = {{{table({name: call for name, (call, _) in FAULTS.items()})}}}
@@ -168,3 +196,22 @@ def test_so_do_a_mechanism_and_a_linker_and_take_nobody_along(place):
     usual = pd.read_csv(place / "linked" / "summary.csv", dtype=str, keep_default_na=False)
     found = pd.read_csv(place / "odd" / "summary.csv", dtype=str, keep_default_na=False)
     pd.testing.assert_frame_equal(found[usual.columns], usual)
+
+
+NAMED_WRONGLY = {
+    "odd:Nothing": "Nothing",
+    "broken:Odd": "SyntaxError",
+    "raising:Odd": "no luck today",
+    "leaving:Odd": "SystemExit",
+}
+
+
+@pytest.mark.parametrize("spec", NAMED_WRONGLY)
+def test_what_cannot_be_had_is_one_line_before_anything_is_begun(spec, place, tmp_path):
+    (tmp_path / "broken.py").write_text("def predict(:")
+    (tmp_path / "raising.py").write_text("raise OSError('no luck today')")
+    (tmp_path / "leaving.py").write_text("import sys; sys.exit(0)")
+    path = {"PYTHONPATH": f"{tmp_path}:{ROOT}"}
+    ended = matrix(place, "--predictor", spec, "--out", tmp_path / "run", changed=path)
+    assert_refused(ended, NAMED_WRONGLY[spec])
+    assert not (tmp_path / "run").exists()

@@ -10,6 +10,7 @@ from helpers.recordings import write_csv
 from helpers.walkers import walkers
 
 from evaluation import matrix
+from evaluation.cells.sharing import guarded
 from isac_track.types import ESTIMATE_LIMIT_M, SHARED_LIMIT_M
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -129,6 +130,19 @@ class Swallows(Signals):
             super().predict(release, t_future)
         except BaseException:
             raise ValueError("something went wrong") from None
+
+
+@dataclass(frozen=True)
+class Spoils(KalmanCV):
+    """Does to its process what a process does not survive, or not as it was."""
+
+    what: str = "leaves"
+
+    def predict(self, release, t_future):
+        if self.what == "leaves" and not is_trial(release):
+            os._exit(0)
+        os.chdir("/") if self.what == "wanders" else sys.setrecursionlimit(90)
+        return super().predict(release, t_future)
 
 
 class Distant(MovingAverage):
@@ -304,6 +318,30 @@ def test_a_ctrl_c_while_a_plugin_runs_is_the_users(tmp_path, arguments, capsys, 
     options = ("--out", tmp_path / "run", "--mechanism", "raw", *named(predictor=[name]))
     assert matrix.main(arguments(*options, *ALONE)) == 130
     assert "interrupted; finished cells are kept" in capsys.readouterr().err
+
+
+def test_what_spoils_its_process_spoils_no_run(tmp_path, arguments, capsys, monkeypatch):
+    """Even with one job a stranger's plug-in is in a process of its own."""
+    monkeypatch.chdir(tmp_path)
+    limit = sys.getrecursionlimit()
+    odd = named(predictor=["Spoils:what=wanders", "Spoils:what=recurses", "Spoils"])
+    assert matrix.main(arguments("--out", "run", "--mechanism", "raw", *odd, *ALONE)) == 3
+    failed = pd.read_csv(tmp_path / "run" / "failed.csv").set_index("consumer")["why"]
+    assert "its worker died" in failed["odd:Spoils"]
+    assert "odd:Spoils:what=wanders" not in failed
+    assert (tmp_path / "run" / "verdict.json").is_file()
+    assert "Traceback" not in capsys.readouterr().err
+    assert sys.getrecursionlimit() == limit
+
+
+def test_without_a_command_nobody_knows_whose_ctrl_c_it_was():
+    """From Python, Ctrl-C is whatever raises KeyboardInterrupt: it gets through."""
+
+    def interrupted():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        guarded("mine", interrupted)
 
 
 def test_where_nothing_is_left_the_reason_is_one_line(tmp_path, arguments, capsys):

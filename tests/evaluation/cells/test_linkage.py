@@ -29,7 +29,7 @@ from evaluation.experiment.axes import Consumer, axes
 from evaluation.experiment.settings import Settings
 from evaluation.runs import cell_files
 from isac_track.errors import DataError, PluginError, SettingsError
-from isac_track.intervals import Estimate
+from isac_track.intervals import Estimate, cluster_weights
 from isac_track.linkability import rank1
 from isac_track.protocols import LinkageTrainingSet
 from isac_track.types import Knowledge
@@ -222,6 +222,15 @@ class TestWhatIsReadOff:
         assert part["rank1"] == pytest.approx(np.mean(hits), abs=1e-12)
         assert part["chance"] > result.scored.estimates["chance"].value
 
+    def test_who_is_in_the_scenes_too_is_drawn_alike(self):
+        sessions = sessions_of("rerelease")
+        ours = sorted(set(sessions.group))
+        groups = ours[5:]
+        known = sensed_sessions(sessions, groups=groups, stages=STAGES, seed=0)
+        drawn = cluster_weights(n_clusters=len(groups), n_replicates=1000, seed=0)
+        assert np.array_equal(known.weights[:, 5:], drawn)
+        assert (known.weights[:, :5].sum(axis=1) == 5).all()
+
     def test_who_has_no_mate_is_left_alone_in_a_handover(self):
         sessions = sessions_of("handover-2s", tracks=walkers(80))
         found, *_ = linked(sessions, "clean", parsed("attacks", "kinematic"))
@@ -249,6 +258,7 @@ class TestControls:
         for one, other in zip(real.searches, shuffled.searches, strict=True):
             assert np.allclose(np.sort(one.scores), np.sort(other.scores), rtol=1e-5)
             assert (one.mate == other.mate).all()
+        # That it is rejected as often as it should be takes many seeds: see below.
         assert real.scored.p_value <= 0.001 < shuffled.scored.p_value
 
     def test_what_sees_times_alone_is_alike_at_every_level(self):
@@ -258,6 +268,16 @@ class TestControls:
         for name, control in ((one, CONTROLS[one]) for one in CONTROLS if one not in COLUMNS):
             key = f"rerelease/control-{name}", ""
             assert equal(raw[key], fixed[key]) == control.sees_times_only
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize("name", ["random", "shuffled"])
+    def test_a_control_is_rejected_as_often_as_the_test_says(self, name):
+        rejected = []
+        for seed in range(300):
+            sessions = sessions_of("rerelease", seed=seed)
+            found, *_ = linked(sessions, "raw", Linker(), controls=True, seed=seed)
+            rejected.append(found[f"rerelease/control-{name}", ""].scored.p_value <= 0.05)
+        assert 0.02 <= np.mean(rejected) <= 0.085  # 300 draws at 5 %: three standard errors
 
 
 class TestDeterminism:
@@ -460,6 +480,14 @@ class TestRuns:
         # Nothing is declared at the ceiling: noise leaks nothing.
         assert (clean.loc[clean["consumer"].str.startswith("handover"), "invalid"] == "").all()
 
+    def test_the_manifest_says_who_is_linked(self, finished):
+        manifest = finished.manifest
+        tasks = manifest["linkage"]["tasks"]
+        assert tasks["rerelease"]["people"] == 40
+        assert sum(tasks["rerelease"]["candidates"].values()) == 40
+        assert manifest["settings"]["tasks"] == ["rerelease", "handover-2s"]
+        assert "shape" in manifest["settings"]["attacks"]
+
     def test_the_windows_of_every_level_have_a_cell_and_no_row_of_the_summary(self, finished):
         entries = [one for one in finished.manifest["cells"] if one["kind"] == "windows"]
         mean = {}
@@ -542,6 +570,14 @@ class TestAxes:
         with pytest.raises(SettingsError, match=message):
             axes(Settings(**given))
 
+    def test_who_links_where(self):
+        for attack, task, spec in (
+            ("shape", "handover-1s", "shape"),  # it has no task of its own: it runs where it can
+            ("histogram@savgol:0.5", "split", "histogram@savgol:width_s=0.5"),
+        ):
+            found = axes(Settings(attacks=(attack,), tasks=(task,)))
+            assert [(where.name, one.spec) for where, one in found.links] == [(task, spec)]
+
     def test_the_default_has_every_task_and_every_linker_and_nothing_is_linked_without_tasks(self):
         found = axes(Settings())
         assert {task.name for task in found.tasks} == TASKS.keys()
@@ -585,6 +621,11 @@ class TestOutcomes:
         ):
             row = found.loc[(f"{task}/x", by)]
             assert (row["invalid"], row["outcome"]) == (invalid, said)
+
+    def test_the_simulated_task_has_a_data_set_of_its_own(self):
+        assert linkability.dataset_of("new_traversal/x", dataset="here") != "here"
+        assert linkability.dataset_of("split/x", dataset="here") == "here"
+        assert linkability.dataset_of("least_squares", dataset="here") == "here"
 
 
 def test_who_comes_back_is_linked_by_an_adversary_who_never_saw_them_learning():

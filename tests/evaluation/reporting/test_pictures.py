@@ -5,7 +5,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from helpers.finished_runs import make_gallery, make_run, make_summary, with_links
+from helpers.finished_runs import levels, make_gallery, make_run, make_summary, with_links
 
 from evaluation.reporting import gallery
 from evaluation.reporting.answers import headline_of
@@ -71,6 +71,16 @@ def test_the_front_turns_at_the_points_that_no_other_beats(of):
         for x, y in best:
             assert any(abs(a - x - 3.4) < 0.11 and abs(b - y) < 0.11 for a, b in corners)
         assert len(corners) == 2 * len(best) + 1
+
+
+def test_no_two_mechanisms_look_alike_however_many_there_are():
+    others = [
+        (f"mine{letter}{rule}", 1.0) for letter in "abcdef" for rule in ("", ":adding=independent")
+    ]
+    of = headline_of(make_run(at=levels(others=others)))
+    for one in (one for both in planes(of).values() for one in both if one):
+        drawn = {(look.css, look.path(0.0, 0.0)) for look in one.key.values()}
+        assert len(drawn) == len(one.key) >= len(others) + 5
 
 
 @pytest.mark.parametrize(

@@ -450,3 +450,17 @@ def test_intervals_cluster_by_group(settings, tmp_path, csv_recording):
     results = run(settings, dataset=str(path))
     assert set(results.summary["n"]) == {2}
     assert len(summary.estimates(settings.out, results.manifest)[0]) == 3 * 7
+
+
+def test_nothing_dropped_goes_uncounted(settings, tmp_path):
+    people = {"long1": 80, "long2": 80, "long3": 80, "long4": 80, "short": 9, "dot": 1}
+    lines = ["t,id,x,y"]
+    for place, (name, n) in enumerate(people.items()):
+        lines += [f"{t * 0.4:.1f},{name},{t * 0.3 + place},{place}" for t in range(n)]
+    path = tmp_path / "mixed.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    manifest = run(settings, dataset=str(path)).manifest["dataset"]
+    dropped = sum(repair["count"] for repair in manifest["repairs"] if "one" in repair["kind"])
+    assert dropped == 1
+    counts = {name: manifest[name] for name in ("tracks_used", "too_short", "tracks")}
+    assert counts == {"tracks_used": 4, "too_short": 1, "tracks": 5}

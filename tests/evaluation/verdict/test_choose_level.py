@@ -3,8 +3,9 @@
 from functools import partial
 
 import numpy as np
+import pandas as pd
 import pytest
-from helpers.summaries import FID, HALF, USUAL, asked, edited, scheme, statuses, write_run
+from helpers.summaries import FID, FIXED, HALF, USUAL, asked, edited, scheme, statuses, write_run
 
 from evaluation.reporting.design_words import closer, notes, reasons, sentence, to_json
 from evaluation.verdict.choose_level import WEAK, Limits
@@ -268,6 +269,34 @@ class TestFamilies:
         assert [one.chosen.level for one in both] == [0.5, 0.5]
         assert any("mine, mine:k=2: declares no adding rule" in note for note in notes(answer))
 
+    def test_whose_rule_cannot_be_chosen_answers_under_it(self, made):
+        out = made(USUAL | {"mine": MINE})
+        rule = "independent"
+        edited(out, "summary.csv", lambda frame: frame.assign(
+            adding=frame["adding"].where(frame["mechanism"] != "mine", rule)
+        ))  # fmt: skip
+        answer = asked(out, missed=0.23)
+        assert [one.adding for one in answer.answers["mine"]] == [rule]
+        assert "mine" not in asked(out, missed=0.23, adding=("linear",)).answers
+        costs = {name: one.value for name, one in scheme(answer, "mine", rule).chosen.costs.items()}
+        assert costs == pytest.approx({"least_squares": 0.19, "kalman_cv": 0.095})
+
+    def test_what_who_knows_more_gets_is_told_beside_it(self, made):
+        out = made()
+
+        def known(frame):
+            after = frame.query("consumer == 'radial_rts' and knowledge == 'informed'")
+            more = after.assign(knowledge="repeats")
+            more["value"] = more["value"].astype(float) * 1.1
+            return pd.concat([frame, more])
+
+        edited(out, "summary.csv", known)
+        (beyond,) = scheme(linear(out, plr=0.72)).chosen.beyond
+        assert (beyond.knowledge, beyond.numbers["plr"].value) == ("repeats", pytest.approx(0.77))
+        said = reasons(scheme(linear(out, plr=0.72)))[-1]
+        assert said.startswith("could break it: PLR after radial_rts (repeats) 77.0 %")
+        assert "not measured: " in said
+
     def test_without_fid_it_is_what_is_asked_about(self, made):
         out = made({"mine": MINE, "fixed": {0.1: 0.9}})
         answer = asked(out, missed=0.23)
@@ -291,3 +320,9 @@ class TestFamilies:
         answer = asked(out, missed=0.40)
         assert scheme(answer, "mine").falls
         assert scheme(answer, "mine").chosen.level == 0.1
+
+    def test_without_levels_it_is_judged_as_it_is(self, made):
+        answer = linear(made({"fid": FID, "fixed": FIXED, "mine": {np.nan: 0.1}}))
+        one = scheme(answer, "mine")
+        assert (one.met, one.chosen.level, one.stricter) == (True, None, None)
+        assert "--mechanism mine" not in closer(answer)
