@@ -6,11 +6,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import EVERYBODY, Few, LearnsFromMates, learn, linker
+from attacks.linkage.learning import EVERYBODY, Few, learn, linker
 from attacks.linkage.signals import EXPONENT, FACTORS, FULL_CELLS, Signals, blocks, loops, motions
 from attacks.parameters import positive, tried
 from isac_track.protocols import AttackContext, Linker
-from isac_track.types import Floats, Release
+from isac_track.types import Floats, Knowledge, Release
 
 _STRIDE = 2  # Cells between those compared: 2 Hz of signals that are smoothed over more than that.
 _TAUGHT_BY = 48
@@ -18,7 +18,7 @@ _TAUGHT_BY = 48
 
 
 @dataclass(frozen=True, slots=True)
-class DTW(LearnsFromMates):
+class DTW:
     """Least squared distance of two profiles of speed and turning under warping of time.
 
     The profiles, (speed in m/s, turning rate in rad/s times `turn_m`) twice a second, may be
@@ -42,6 +42,9 @@ class DTW(LearnsFromMates):
     penalty: float | None = None  # None: learnt, or `DEFAULT_PENALTY`.
     floor: float = 0.003
 
+    kind: ClassVar[str] = "linkage"
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
     DEFAULT_PENALTY: ClassVar[float] = 0.1
 
     def __post_init__(self) -> None:

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import Few, LearnsFromMates, learn, linker, mated
+from attacks.linkage.learning import Few, learn, linker, mated
 from attacks.linkage.signals import loops
 from attacks.parameters import positive, tried
 from attacks.remembered import noise_m2, remembered, whole
@@ -23,7 +23,7 @@ _LONGEST_S = 60.0  # A longer gap counts as one of this length: nobody's state o
 
 
 @dataclass(frozen=True, slots=True)
-class Kinematic(LearnsFromMates):
+class Kinematic:
     """Likelihood that a gallery walk starts in the state that a probe's has got to by then.
 
     A constant-velocity filter runs along every probe and, back in time, along every gallery walk.
@@ -45,7 +45,9 @@ class Kinematic(LearnsFromMates):
     """Least error variance per axis: a smoother's errors are correlated and do not show in the
     innovations. None: learnt, or `DEFAULT_FLOOR_M2`."""
 
+    kind: ClassVar[str] = "linkage"
     requires: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.SCENE})
+    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
     DEFAULT_Q: ClassVar[float] = 0.05
     DEFAULT_FLOOR_M2: ClassVar[float] = 0.01
 

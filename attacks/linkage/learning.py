@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -18,15 +18,6 @@ _MOST_PAIRS = 2**19
 """Of which all scores of a level are remembered, 4 MB for each linker and adversary."""
 LEAST_MATES = 8  # Fewer mated pairs teach nothing that could be trusted: defaults are kept.
 MARGIN = 0.02  # Of the mean log rank: with 90 pairs a smaller gain is as likely chance.
-
-
-class LearnsFromMates:
-    """A linker that anybody can run, and that learns from mates where there is a training set."""
-
-    __slots__ = ()
-    kind: ClassVar[str] = "linkage"
-    requires: ClassVar[frozenset[Knowledge]] = frozenset()
-    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
 
 
 def linker(score: Callable[..., Floats], *chosen: object) -> Linker:

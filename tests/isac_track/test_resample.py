@@ -32,6 +32,11 @@ def test_two_or_three_samples_are_joined_by_a_line_or_a_parabola(n):
     assert np.allclose(walk(track)(at), np.stack([at ** (n - 1), 3 - at], axis=1))
 
 
+def test_one_sample_is_no_walk():
+    with pytest.raises(ValueError, match="at least two samples"):
+        walk(tracks_of([(0, 0)]))
+
+
 def test_the_rate_is_held_for_a_second_and_lies_in_its_range():
     settings = ResampleSettings()
     t = sampling_times(start_s=3.0, end_s=63.0, settings=settings, rng=stream(1, "test", "rate"))
