@@ -4,7 +4,7 @@ from importlib import import_module
 
 import numpy as np
 
-from isac_track.types import Floats, Ints
+from isac_track.types import Floats, Ints, check_offsets, check_times
 
 MIN_VARIANCE_M2 = 1e-6  # (1 mm)^2: below it a filter would trust rounding.
 UNKNOWN_VARIANCE_M2 = 0.25
@@ -24,9 +24,19 @@ def innovation_variance_m2(
     track, so scaled, estimates r. A filter's own innovations would mix in its process noise and,
     behind a gate, shrink with what the gate cuts off; at ten samples a second a walk of
     1 m/s^2 adds but a centimetre to these. If `running` it is what was known by each sample, (M,):
-    that of the samples up to it. `t`, (M,) s, `xy`, (M, 2) m, and `offsets`, (N + 1,), are those of
-    a release, which has checked them.
+    that of the samples up to it. ValueError if the shapes of `t`, (M,) s, `xy`, (M, 2) m, and
+    `offsets`, (N + 1,), disagree, a number is not finite or times do not increase.
     """
+    if offsets.dtype.kind not in "iu":
+        raise ValueError("offsets must be integers")
+    offsets = np.ascontiguousarray(offsets, dtype=np.int64)
+    t, xy = (np.ascontiguousarray(one, dtype=np.float64) for one in (t, xy))
+    check_offsets(offsets, t.size)
+    check_times(t, offsets)
+    if xy.shape != (t.size, 2):
+        raise ValueError(f"xy must have shape {(t.size, 2)}, got {xy.shape}")
+    if not np.isfinite(xy).all():
+        raise ValueError("xy must be finite")
     if running:
         step = np.diff(t)
         step[offsets[1:-1] - 1] = 1.0  # from one track to the next
@@ -37,8 +47,7 @@ def innovation_variance_m2(
         variance = running_means(scaled, offsets, start=UNKNOWN_VARIANCE_M2)
         return np.asarray(np.maximum(variance, MIN_VARIANCE_M2))
     variance = np.empty(offsets.size - 1)
-    arrays = map(np.ascontiguousarray, (t, xy, offsets))
-    import_module("isac_track.kalman._linear_loops").innovation_level(*arrays, variance)
+    import_module("isac_track.kalman._linear_loops").innovation_level(t, xy, offsets, variance)
     variance[np.diff(offsets) < _LEAST_SAMPLES] = UNKNOWN_VARIANCE_M2
     return np.asarray(np.maximum(variance, MIN_VARIANCE_M2))
 

@@ -13,8 +13,11 @@ from isac_track.types import Floats, Tracks
 def walk(track: Tracks) -> Callable[[Floats], Floats]:
     """Return the continuous walk of one recorded track: times (K,) s -> positions (K, 2) m.
 
-    A cubic spline through its recorded samples (not-a-knot), two at least; exact at the samples.
+    A cubic spline through the recorded samples (not-a-knot); exact at the samples. ValueError
+    unless `track` is a single track of two samples or more.
     """
+    if len(track) != 1 or track.t.size < 2:  # noqa: PLR2004 - a walk needs two points
+        raise ValueError("a walk needs one track of at least two samples")
     from scipy.interpolate import CubicSpline  # noqa: PLC0415 - heavy, and workers get walks sampled
 
     return CubicSpline(track.t, track.xy)  # scipy lowers the degree below four points

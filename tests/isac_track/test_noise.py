@@ -101,3 +101,20 @@ def test_what_is_known_by_a_sample_is_that_of_the_samples_up_to_it():
             start = {name: case[name][lo:end] for name in ("t", "xy")}
             alone = innovation_variance_m2(**start, offsets=np.array([0, end - lo]))
             assert found[end - 1] == pytest.approx(alone[0], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"xy": np.zeros((6, 2))}, r"xy must have shape \(7, 2\)"),
+        ({"xy": np.full((7, 2), np.nan)}, "xy must be finite"),
+        ({"t": np.zeros(7)}, "strictly increasing"),
+        ({"t": np.r_[np.arange(6.0), np.inf]}, "must be finite"),
+        ({"offsets": np.array([0, 4, 4, 7])}, "at least one sample"),
+        ({"offsets": np.array([0, 5])}, "from 0 to 7"),
+        ({"offsets": np.array([0.0, 7.0])}, "integers"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        innovation_variance_m2(**ragged(4, 3) | change)
