@@ -115,9 +115,12 @@ def history_samples(*, n_samples: int, ratio: float) -> int:
 def track_order(*, n_tracks: int, n_scenes: int, agents: int, seed: int) -> Ints:
     """Return which track plays which agent, (S, A): cyclic, reshuffled at every pass.
 
-    A fixed cycle would let only every n-th track ever be the first agent. Where two passes meet
-    inside a scene no track appears twice in it; there are as many as agents at least.
+    A fixed cycle would let only every n-th track ever be the first agent. Where two passes
+    meet inside a scene no track appears twice in it; ValueError if there are fewer tracks than
+    agents.
     """
+    if n_tracks < agents:
+        raise ValueError(f"{n_tracks} tracks cannot fill scenes of {agents} agents")
     needed = n_scenes * agents
     passes: list[Ints] = []
     for number in range(-(-needed // n_tracks)):

@@ -58,6 +58,7 @@ serve(pipe, parent=int(sys.argv[2]))
 _waiting: Final[list[_Worker]] = []
 """Workers with nothing to do, yet or any more: who spreads work takes them first."""
 _IMPORTED: Final = ("evaluation.runs.pieces", "evaluation.cells.sample_tracks", "numba")
+_heard: Final[dict[int, int]] = {}  # Output and errors of this process, as it began.
 _M_ARENA_MAX: Final = -8  # Of glibc's malloc.h.
 
 
@@ -327,17 +328,32 @@ def _end_with(parent: int) -> None:
 
 def _answers(function: Callable[[W], Iterable[R]], work: W) -> Iterator[bytes]:
     """Yield messages: each item as it comes, and at last that this was all, or what was raised."""
-    limit = sys.getrecursionlimit()
+    undo = _as_it_is()
     try:
         note()
         for item in function(work):
-            sys.setrecursionlimit(limit)  # a plug-in may have changed it
+            undo()
             yield dumps(("item", item))
         yield dumps(("done", None))
     except BaseException as error:  # noqa: BLE001 - whatever it is, it is the parent's to tell
-        sys.setrecursionlimit(limit)
+        undo()
         error.add_note(traceback.format_exc())
         try:
             yield dumps(("raised", error))
         except Exception:  # noqa: BLE001 - a stranger's error may not be sendable
             yield dumps(("raised", RuntimeError(told(error))))
+
+
+def _as_it_is() -> Callable[[], None]:
+    """Return what undoes that a plug-in changes its process: how deep calls go, who hears it."""
+    limit = sys.getrecursionlimit()
+    if not _heard:
+        with contextlib.suppress(OSError):  # nobody listens
+            _heard.update({number: os.dup(number) for number in (1, 2)})
+
+    def undo() -> None:
+        sys.setrecursionlimit(limit)
+        for number, own in _heard.items():
+            os.dup2(own, number)
+
+    return undo

@@ -162,6 +162,8 @@ def test_too_few_tracks_are_an_error_with_a_way_out(tracks):
     assert len(cut(tracks, settings=SETTINGS.changed(dict([way_out])), seed=0)) >= 4
     with pytest.raises(DataError, match="a scene needs 13"):
         cut(tracks, settings=SETTINGS.changed({"scenes.agents": 13}), seed=0)
+    with pytest.raises(ValueError, match="3 tracks cannot fill scenes of 4"):
+        track_order(n_tracks=3, n_scenes=1, agents=4, seed=0)
 
 
 def test_tracks_without_a_future_are_counted(tracks):
