@@ -153,8 +153,7 @@ def attacked_block(
         raise AssertionError("a walk occurs twice in one pass")
     training: list[tuple[Scenes, Sensed] | None] = []
     for fold in _FOLDS:
-        others = np.flatnonzero(half_of == 1 - fold)
-        people = stream(seed, "training", 1 - fold).permutation(others)[:TRAINING_PEOPLE]
+        people = _people(half_of, fold=1 - fold, seed=seed)
         taught = {tracks.group[row] for row in people}
         if any(tracks.group[row] in taught for row in np.unique(scenes.track[half == fold])):
             raise AssertionError("a victim's group is among the training people")
@@ -180,6 +179,13 @@ def attacked_block(
 def _victims(scenes: Scenes, tracks: Ints) -> Victims:
     samples = sharing.samples_of(scenes.offsets, tracks)
     return Victims(tracks, samples, scenes.xy.take(samples.rows, axis=0))
+
+
+def _people(half: Ints, *, fold: int, seed: int) -> Ints:
+    """Return which tracks of a half train an attack."""
+    rows = np.flatnonzero(half == fold)
+    drawn: Ints = stream(seed, "training", fold).permutation(rows)[:TRAINING_PEOPLE]
+    return drawn
 
 
 def attacked_level(
