@@ -277,8 +277,10 @@ def same_run(manifest: Mapping[str, Any], *, axes: Sequence[str] = CONSUMERS) ->
     named = [("--session", path) for path in dataset.get("sessions", ())] or whole
     words += [word for pair in named for word in pair]
     words += ["--persistent-ids"] * bool(identity.get("persistent_ids"))
-    for option in ("format", "fps", "unit"):
-        if not known and identity.get(option):
+    if not known and dataset["format"]:
+        words += ["--format", dataset["format"]]
+    for option in ("fps", "unit"):
+        if not known and identity.get(option) is not None:
             words += [f"--{option}", str(identity[option])]
     every = identity.get("scenes_utility", identity["scenes"])
     if (identity["scenes"], every) != (usual.scenes, usual.utility_scenes):
