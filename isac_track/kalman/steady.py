@@ -1,8 +1,9 @@
-"""What is left of white noise after a filter or smoother, in closed form.
+"""What is left of white noise after a filter or smoother, in closed form, and a bound without one.
 
 Steady state of constant velocity driven by white acceleration of spectral density q (m^2/s^3),
 measured every dt (s) with the variance r (m^2) per axis, in the limit of frequent samples: only
 rho = r dt counts (the Wiener-Kolmogorov filter of a double integrator). Gaussian errors alone.
+`attacked_plr_bound` holds for any motion and any attack, within its conditions: docs/mechanisms.md.
 
 References
 ----------
@@ -47,3 +48,16 @@ def variance_for(*, plr: float, dt_s: float, q: float, epsilon_m: float) -> floa
         raise ValueError(f"the limit on PLR must lie between 0 and 1, got {plr:g}")
     smoothed = math.sqrt(2.0) * epsilon_m**2 / -math.log1p(-plr)
     return float((smoothed**4 / (q * dt_s**3)) ** (1.0 / 3.0))
+
+
+def attacked_plr_bound(*, std_m: float, tau_s: float, duration_s: float, epsilon_m: float) -> float:
+    """Return what no attack's expected PLR exceeds, whatever the motion, under a slow error.
+
+    The error is Ornstein-Uhlenbeck of `std_m` per axis and correlation time `tau_s`, seen for
+    `duration_s`; an infinite `tau_s` is a constant Gaussian offset. With a prior that does not
+    change when everything is shifted nobody can tell a shift of the walk from one of the error: 1 -
+    exp(-eps^2 / 2 V), V = 2 std^2 / (2 + duration / tau) the variance of the best estimate of a
+    constant in that error.
+    """
+    spread = 2.0 * std_m**2 / (2.0 + duration_s / tau_s)
+    return plr_of_variance(variance_m2=spread, epsilon_m=epsilon_m)

@@ -90,9 +90,9 @@ def test_no_attack_beats_the_bound_without_motion_on_average(motion, tau_s):
     every, slow_s = np.tile(t, n_walks), min(tau_s, 1e12)
     drawn = {"t": every, "offsets": offsets, "law": "isotropic", "rng": rng}
     errors = correlated_errors(tau_s=slow_s, **drawn).reshape(truth.shape)
-    # Docs/mechanisms.md: of the best estimate of a constant in that error.
-    variance_m2 = 2.0 * std_m**2 / (2.0 + t[-1] / tau_s)
-    bound = steady.plr_of_variance(variance_m2=variance_m2, epsilon_m=EPSILON_M)
+    bound = steady.attacked_plr_bound(
+        std_m=std_m, tau_s=tau_s, duration_s=t[-1], epsilon_m=EPSILON_M
+    )
     best = 0.0
     for attack in ("as shared", "mean", "best"):
         told = estimates(attack, shared=truth + std_m * errors, truth=truth, t=t, tau_s=tau_s)
