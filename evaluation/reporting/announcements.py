@@ -209,13 +209,15 @@ def notices(manifest: Mapping[str, Any]) -> Iterator[str]:
     if redraws := manifest.get("exhausted_redraws"):
         told = "background agents found no place with scenes.clearance_m and kept their last draw"
         yield f"{redraws} {told}"
-    yield from _who_is_linked(manifest)
+    for task in (manifest.get("linkage") or {}).get("tasks", {}):
+        if told := approximation(manifest, task):
+            yield f"{task}: {told}"
     for why in manifest.get("gallery_without", ()):
         yield f"track gallery without {why}"
 
 
-def _who_is_linked(manifest: Mapping[str, Any]) -> Iterator[str]:
-    """Yield on how many people each task rests, why others are out, and what was approximated."""
+def who_is_linked(manifest: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a line on how many people each task rests, and why others are out."""
     tasks = (manifest.get("linkage") or {}).get("tasks", {})
     people = (
         f"{name} {one['people']:,}"
@@ -225,9 +227,6 @@ def _who_is_linked(manifest: Mapping[str, Any]) -> Iterator[str]:
     )
     if tasks:
         yield f"people linked: {'; '.join(people)}"
-    for task in tasks:
-        if told := approximation(manifest, task):
-            yield f"{task}: {told}"
 
 
 def approximation(manifest: Mapping[str, Any], task: str) -> str:

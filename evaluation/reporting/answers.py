@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
@@ -18,6 +18,8 @@ from evaluation.reporting.rows import HEADLINE, Results
 from evaluation.verdict import rules
 from isac_track.intervals import Estimate
 
+_Options: TypeAlias = Mapping[Where, tuple[Estimate, Estimate]]
+"""Levels, each with the share of conflicts that a robot misses, and PLR after attack."""
 LIMIT: Final = 0.5
 """Of PLR after attack: below it most positions are kept; what the last answer looks for."""
 _HELD: Final = "as far as these attacks go"
@@ -164,6 +166,21 @@ def _told(items: Sequence[Mapping[str, Any]]) -> str:
 
 def _chosen(of: Headline) -> str:
     """Return the level that costs a robot least while most positions stay unknown after attack."""
+    said = {rule: _choice(of, options) for rule, options in _options(of).items()}
+    if not said:
+        return f"{_UNTESTED}that takes a predictor and a reconstruction attack."
+    texts = list(dict.fromkeys(said.values()))
+    ruled = texts if len(texts) == 1 else [f"{rule}: {one}" for rule, one in said.items()]
+    return f"{'; '.join(ruled)}; {_HELD}."
+
+
+def chosen_levels(of: Headline) -> list[Where]:
+    """Return the levels that the last answer names."""
+    return list(dict.fromkeys(_picked(options) for options in _options(of).values()))
+
+
+def _options(of: Headline) -> dict[str, _Options]:
+    """Return what there is to choose from, by adding rule: "" where no mechanism has one."""
     # By the adversary of the table: `design` asks who is strongest at each level.
     options = {
         where: (cost, left)
@@ -171,34 +188,40 @@ def _chosen(of: Headline) -> str:
         if of.robots and of.attacked
         if (cost := of.at(where, of.robots[0])) and (left := of.at(where, of.attacked))
     }
-    if not options:
-        return f"{_UNTESTED}that takes a predictor and a reconstruction attack."
+    # Nobody can choose to have no error at all; of a run of that alone it is told.
+    options = {at: options[at] for at in options if of.known[at[0]].family != CLEAN} or options
     rule_of = {where: of.known[where[0]].adding for where in options}
-    rules_run = [rule for rule in ADDING_RULES if rule in rule_of.values()] or [""]
-    said = {
-        rule: _choice(of, {at: one for at, one in options.items() if rule_of[at] in ("", rule)})
+    rules_run = [rule for rule in ADDING_RULES if rule in rule_of.values()] or [""] * bool(options)
+    return {
+        rule: {at: one for at, one in options.items() if rule_of[at] in ("", rule)}
         for rule in rules_run
     }
-    if len(set(said.values())) == 1:
-        return f"{said[rules_run[0]]}; {_HELD}."
-    return f"{'; '.join(f'{rule}: {one}' for rule, one in said.items())}; {_HELD}."
 
 
-def _choice(of: Headline, options: Mapping[Where, tuple[Estimate, Estimate]]) -> str:
+def _has_interval(options: _Options) -> bool:
+    return any(np.isfinite(left.ci_high) for _, left in options.values())
+
+
+def _keeps(left: Estimate, options: _Options) -> bool:
+    return (left.ci_high if _has_interval(options) else left.value) <= LIMIT
+
+
+def _picked(options: _Options) -> Where:
+    """Return the level of fewest missed conflicts that keeps the limit, or the closest to it."""
+    kept = {at: cost for at, (cost, left) in options.items() if _keeps(left, options)}
+    return min(kept or options, key=lambda at: options[at][0 if kept else 1].value)
+
+
+def _choice(of: Headline, options: _Options) -> str:
     """Return what to choose of some levels, each with what it costs and what is left to attacks."""
     limit = f"attacked PLR below {100 * LIMIT:g} %"
-    is_known = any(np.isfinite(left.ci_high) for _, left in options.values())
-    by = "" if is_known else "by the values alone, since so few people have no interval, "
-    kept = {
-        at: (cost, left)
-        for at, (cost, left) in options.items()
-        if (left.ci_high if is_known else left.value) <= LIMIT
-    }
-    if not kept:
-        at, (cost, left) = min(options.items(), key=lambda one: one[1][1].value)
+    few = "by the values alone, since so few people have no interval, "
+    by = "" if _has_interval(options) else few
+    at = _picked(options)
+    cost, left = options[at]
+    if not _keeps(left, options):
         least = f"{share(left)} at {of.name(at)}, which misses {share(cost)} of the conflicts"
         return f"{by}no level keeps {limit}; the least is {least}"
-    at, (cost, left) = min(kept.items(), key=lambda one: one[1][0].value)
     again = [
         f"; found again {_how(one)}: {share(found)}"
         for one in of.linked[-1:]

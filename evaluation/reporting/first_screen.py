@@ -12,7 +12,7 @@ from typing import Any, Final
 from evaluation.analysis import weak_attacks
 from evaluation.analysis.families import RAW
 from evaluation.reporting.announcements import WIDTH, near, notices, scenes_text, wrapped
-from evaluation.reporting.answers import LIMIT, answers, headline_of
+from evaluation.reporting.answers import LIMIT, answers, chosen_levels, headline_of
 from evaluation.reporting.headline import MOST_LEVELS, Headline, levels_of, screen_table
 from evaluation.reporting.result_tables import control_tests
 from evaluation.reporting.rows import Results
@@ -20,6 +20,7 @@ from evaluation.reporting.table import Table, printable, shortened
 from evaluation.reporting.terminal import aligned
 from evaluation.runs.files import PAGE
 from evaluation.verdict.rules import DOES_NOT
+from isac_track.intervals import LEAST_CLUSTERS
 from isac_track.linkability import LEVEL
 
 LINES: Final = 40
@@ -38,12 +39,12 @@ def first_screen(run: Results, *, before: int = _BEFORE) -> list[str]:
         f"{place} {one.topic}: {one.sentence}"
         for place, one in enumerate(answers(run, of), start=1)
     ]
-    rest = [*said, f"Doubts: {', '.join(_doubts(run)) or 'none'}."]
+    rest = [*said, f"Doubts: {', '.join(_doubts(run, of)) or 'none'}."]
     lines = [line for text in rest for line in wrapped(text)]
     top, last = wrapped(data_line(run.manifest)), _next(run, of)
     fixed = len([*top, *lines, *last]) + 2 + 2 + 1  # heads; chance and widths; where to read
     most = max(_LEAST_LEVELS, min(MOST_LEVELS, LINES - before - fixed))
-    levels, n_left_out = levels_of(of, most=most)
+    levels, n_left_out = levels_of(of, most=most, named=chosen_levels(of))
     grid = _grid(screen_table(of, levels)) if levels else []
     # Where to read on stands in one line: it is there to be copied.
     page = f"Page: {near(run.out / PAGE)}; " if (run.out / PAGE).exists() else ""
@@ -81,32 +82,46 @@ def _grid(table: Table) -> list[str]:
     return [above, *lines]
 
 
-def _doubts(run: Results) -> Iterator[str]:
+def _doubts(run: Results, of: Headline) -> Iterator[str]:
     """Yield what speaks against believing the numbers, in numbers."""
     if n := len(run.failed):
-        yield f"{n} cells FAILED"
+        yield f"{_count(n, 'cell')} FAILED"
+    bare = [
+        one.above
+        for one in of.columns
+        if (found := [value for where in of.wheres if (value := of.at(where, one))])
+        and not any(math.isfinite(value.ci_low) for value in found)
+    ]
+    if bare:
+        few = f"too few people (it takes {LEAST_CLUSTERS:.0f})"
+        yield f"{', '.join(dict.fromkeys(bare))}: {few} for an interval"
     if n := len(weak_attacks.lines(run.flags)):
-        yield f"{n} flags of weak attacks"
-    of = run.linkability[
+        yield f"{_count(n, 'flag')} of weak attacks"
+    linked = run.linkability[
         (run.linkability["cohort"] == "all") & (run.linkability["knowledge"] != "")
     ]
-    shortcuts = [one for one in of["invalid"].fillna("") if one]
+    shortcuts = [one for one in linked["invalid"].fillna("") if one]
     if shortcuts:
         names = sorted({name for one in shortcuts for name in one.split(", ")})
-        yield f"{len(shortcuts)} of {len(of)} linkage cells invalid ({', '.join(names)} gives away)"
-    tests = [one for task in run.tasks for of in control_tests(task).values() for one in of]
+        away = f"{', '.join(names)} give{'s' * (len(names) == 1)} away"
+        yield f"{len(shortcuts)} of {len(linked)} linkage cells invalid ({away})"
+    tests = [one for task in run.tasks for found in control_tests(task).values() for one in found]
     if tests:
         yield f"{sum(tests)} of {len(tests)} controls link ({LEVEL * len(tests):.0f} expected)"
     if n := sum(one["decision"] == DOES_NOT for one in (run.verdict or {}).get("controls", ())):
-        yield f"{n} positive controls of the descriptors FAIL"
+        yield f"{_count(n, 'positive control')} of the descriptors FAILED"
     linkage = run.manifest.get("linkage") or {}
     tasks = linkage.get("tasks", {}).values()
     if n := max((one.get("frozen", 0) for one in tasks), default=0):
-        yield f"{n} tracks frozen"
+        yield f"{_count(n, 'track')} frozen"
     if linkage.get("skipped"):
         yield f"{', '.join(linkage['skipped'])} left out"
     if n := sum(1 for _ in notices(run.manifest)):
-        yield f"{n} notice{'s' * (n > 1)}"
+        yield _count(n, "notice")
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n} {what}{'s' * (n > 1)}"
 
 
 def _next(run: Results, of: Headline) -> list[str]:

@@ -4,7 +4,7 @@ What noise costs a robot, what is known of positions, and who is found again, le
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
@@ -181,11 +181,14 @@ def _linked(
     return columns
 
 
-def levels_of(of: Headline, *, most: int = MOST_LEVELS) -> tuple[list[Where], int]:
+def levels_of(
+    of: Headline, *, most: int = MOST_LEVELS, named: Collection[Where] = ()
+) -> tuple[list[Where], int]:
     """Return the levels that have a row, and how many mechanisms have none.
 
     All levels where there is room; else the headline levels, then one of every other mechanism: a
     headline level of its family, or that which costs a robot about as much as the strictest FID.
+    Of these the `named` levels come first.
     """
     first = [where for where in HEADLINE if where in of.wheres]
     rest = [where for where in of.wheres if where not in first]
@@ -195,12 +198,13 @@ def levels_of(of: Headline, *, most: int = MOST_LEVELS) -> tuple[list[Where], in
     strict = [of.at(("fid", 1.0), robot) for robot in of.robots[:1]]
     target = strict[0].value if strict and strict[0] else max(cost.values(), default=0.0)
     shown = {name for name, _ in first}
-    others = []
+    others = [where for where in rest if where in named]
+    shown |= {name for name, _ in others}
     for name in dict.fromkeys(name for name, _ in rest if name not in shown):
-        named = [(name, at) for family, at in HEADLINE if family == of.known[name].name]
+        usual = [(name, at) for family, at in HEADLINE if family == of.known[name].name]
         ats = [where for where in rest if where[0] == name]
         ats.sort(key=lambda where: abs(cost.get(where, math.inf) - target))
-        others.append(next((where for where in named if where in ats), ats[0]))
+        others.append(next((where for where in usual if where in ats), ats[0]))
     room = max(0, most - len(first))
     return [*first, *others[:room]], len(others[room:])
 

@@ -25,7 +25,7 @@ from evaluation.analysis.metrics import RECONSTRUCTION, SUCCESS, SUCCESS_OF_100,
 from evaluation.reporting import answer_tables as answers
 from evaluation.reporting import result_tables as measured
 from evaluation.reporting import terminal
-from evaluation.reporting.announcements import data_notices, notices
+from evaluation.reporting.announcements import data_notices, notices, who_is_linked
 from evaluation.reporting.answers import headline_of
 from evaluation.reporting.bounds import bound_table, linked_bound_table
 from evaluation.reporting.first_screen import TABLES, data_line, first_screen
@@ -69,6 +69,7 @@ def _everything(run: Results) -> Iterator[Part]:
     data = run.manifest["dataset"]
     for notice in filter(None, [data.get("notice"), *data_notices(data), *notices(run.manifest)]):
         yield f"NOTICE: {notice}", "yellow"
+    yield from who_is_linked(run.manifest)
     yield from measured.sweep_tables(run.ours)
     yield measured.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest))
     yield measured.attack_table(run.ours)

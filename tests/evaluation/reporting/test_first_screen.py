@@ -7,6 +7,7 @@ from helpers.finished_runs import everything, levels, make_flags, make_linkabili
 
 from evaluation.analysis.keys import Source
 from evaluation.reporting.announcements import condensed
+from evaluation.reporting.answers import chosen_levels, headline_of
 from evaluation.reporting.first_screen import first_screen
 from evaluation.reporting.progress import Clock
 
@@ -22,6 +23,16 @@ def test_it_fits_a_terminal_whatever_was_said_before(run, before):
     assert not any("?" in line for line in lines)
     assert lines[0].startswith("students03: 106 of 428 tracks used")
     assert any(line.startswith("raw ") for line in lines)
+
+
+def test_the_level_that_the_last_answer_names_has_a_row_where_there_is_room_for_few():
+    run = make_run(at=[("ou", 0.3), *MANY], strongest={"": Source("kalman_rts", "blind")})
+    assert chosen_levels(headline_of(run)) == [("ou", 0.3)]
+    lines = first_screen(run, before=12)
+    assert any(line.startswith("ou:0.3 ") for line in lines)
+    assert any(
+        "5 Level: Of the levels that keep attacked PLR below 50 %, ou:0.3 " in one for one in lines
+    )
 
 
 def test_the_paper_levels_come_first_then_one_of_every_other_mechanism():
@@ -48,9 +59,17 @@ def test_what_simulates_says_so_first_and_doubts_are_counted():
     }
     text = " ".join(" ".join(first_screen(run)).split())
     assert text.startswith("SIMULATED crowd ")
-    assert "Doubts: 1 cells FAILED, 1 flags of weak attacks, 6 of " in text
+    assert "Doubts: 1 cell FAILED, 1 flag of weak attacks, 6 of " in text
     assert "linkage cells invalid (duration gives away)" in text
-    assert "7 tracks frozen, split left out, 1 notice." in text
+    assert "7 tracks frozen, split left out." in text
+
+
+def test_numbers_without_an_interval_say_why():
+    run = make_run()
+    assert "for an interval" not in " ".join(first_screen(run))
+    run.summary.loc[run.summary["metric"] == "missed_conflict_rate", ["ci_low", "ci_high"]] = np.nan
+    text = " ".join(" ".join(first_screen(run)).split())
+    assert "Doubts: missed: too few people (it takes 15) for an interval" in text
 
 
 def test_the_next_question_is_one_that_the_run_can_answer(tmp_path):
