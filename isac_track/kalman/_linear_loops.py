@@ -28,6 +28,7 @@ _BATCH = together(read(1), read(2), read(1), read(1, "int64"), read(1))
 _LAST = _BATCH, FLOAT, FLOAT, INT, together(written(3), written(3), written(1))
 _LOG_2PI = log(2 * pi)
 _BIG = 1e100
+_THIRD, _SIXTH, _TWELFTH = 1 / 3, 1 / 6, 1 / 12  # to multiply by takes a tenth of the time
 
 LANES = 8
 _NOTHING = 2.0**200  # m^2, variance of the samples beyond the end of a track.
@@ -231,8 +232,8 @@ def _forward(buffer: Floats, n: int, q: float) -> None:
             a, b, c = rows[lane + _A], rows[lane + _B], rows[lane + _C]
             det = rows[lane + _DET]
             grown = q * dt
-            det += grown * (a + dt * (b + dt * (c / 3 + grown / 12)))
-            a += dt * (2 * b + dt * (c + grown / 3))
+            det += grown * (a + dt * (b + dt * (c * _THIRD + grown * _TWELFTH)))
+            a += dt * (2 * b + dt * (c + grown * _THIRD))
             b += dt * (c + grown / 2)
             c += grown
             vx, vy = rows[lane + _VX], rows[lane + _VY]
@@ -270,8 +271,8 @@ def _backward(buffer: Floats, n: int, q: float) -> None:
             pa, pb, pc = rows[lane + _A], rows[lane + _B], rows[lane + _C]
             det = rows[lane + _DET]
             grown = q * dt
-            det_q = grown * grown * dt * dt / 12
-            inverse = 1 / (det + grown * (pa + dt * (pb + dt * pc / 3)) + det_q)
+            det_q = grown * grown * dt * dt * _TWELFTH
+            inverse = 1 / (det + grown * (pa + dt * (pb + dt * pc * _THIRD)) + det_q)
             det_share = det * inverse
             det_q *= inverse
             share = grown * inverse
@@ -279,12 +280,12 @@ def _backward(buffer: Floats, n: int, q: float) -> None:
             # det / det is not 1 to the last bit, and what changes nothing must.
             nothing = rows[after + _VARIANCE] == _NOTHING
             g00 = det_share + share * (pa + dt * pb / 2)
-            g11 = det_share - share * dt * (pb / 2 + dt * pc / 6)
+            g11 = det_share - share * dt * (pb / 2 + dt * pc * _SIXTH)
             g00 = 1.0 if nothing else g00
             g11 = 1.0 if nothing else g11
-            g01 = -dt * (det_share + share * (pa / 2 + dt * pb / 6))
+            g01 = -dt * (det_share + share * (pa / 2 + dt * pb * _SIXTH))
             g10 = share * (pb + dt * pc / 2)
-            c00 = det_q * pa + spread * dt * dt / 3
+            c00 = det_q * pa + spread * dt * dt * _THIRD
             c01 = det_q * pb - spread * dt / 2
             c11 = det_q * pc + spread
             a, b, c = rows[after + _A], rows[after + _B], rows[after + _C]
