@@ -5,7 +5,7 @@ At most 40 lines of 80 columns, with what was said before it; all else is in `ta
 
 import math
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import Any, Final
 
@@ -28,7 +28,7 @@ _CORNER: Final = "in %; ind. = independent"
 TABLES: Final = "tables.txt"
 _BEFORE: Final = 5  # Lines that were said until then, unless who calls knows.
 _LEAST_LEVELS: Final = 5
-_LABEL, _HEAD = 28, 8  # Characters of a level and over a column.
+_LABEL, _HEADS = 28, (16, 12, 8)  # Characters of a level; over a column, the widest that fits.
 _SLACK: Final = 0.05  # Of missed conflicts, above what raw costs: what the next question allows.
 
 
@@ -63,9 +63,9 @@ def data_line(manifest: Mapping[str, Any]) -> str:
     )
 
 
-def _grid(table: Table) -> list[str]:
-    """Return a table in lines, what is above several columns once."""
-    heads = [shortened(one.name, room=_HEAD) for one in table.columns]
+def _grid(table: Table, rooms: Sequence[int] = _HEADS) -> list[str]:
+    """Return a table in lines, what is above several columns once; heads as wide as fits."""
+    heads = [shortened(one.name, room=rooms[0]) for one in table.columns]
     rows = [
         [shortened(row[0].text, room=_LABEL), *(one.text or "-" for one in row[1:])]
         for row in table.rows
@@ -78,8 +78,8 @@ def _grid(table: Table) -> list[str]:
         # A heading wider than its columns makes the first of them wider.
         heads[places[0]] = heads[places[0]].rjust(widths[places[0]] + len(name) + 2 - room)
         above += name.rjust(max(room, len(name) + 2))
-    lines = aligned([[_CORNER, *heads[1:]], *rows], left={0})
-    return [above, *lines]
+    lines = [above, *aligned([[_CORNER, *heads[1:]], *rows], left={0})]
+    return lines if max(map(len, lines)) <= WIDTH or not rooms[1:] else _grid(table, rooms[1:])
 
 
 def _doubts(run: Results, of: Headline) -> Iterator[str]:

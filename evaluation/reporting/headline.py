@@ -30,6 +30,9 @@ ROBOTS: Final = {
     "kalman_cv:aware=true": "Kalman that is aware",
 }
 """Predictors that are shown if a run has them; their last word stands over a column, of two."""
+_BESIDE: Final = ("kalman_ca", "kalman_imm", "constant_position")
+"""Predictors that stand in the tables alone where there are two of those."""
+_MOST_ROBOTS: Final = 3
 TASKS: Final = {
     "handover-1s": ("1 s", "after 1 s"),
     "handover-5s": ("5 s", "after 5 s"),
@@ -115,7 +118,7 @@ def headline(
     found, known = estimates(own), families_in(own)
     if attacks is None:
         attacks = {task: one.attack for task, one in strongest(found, known).items()}
-    able = own.loc[own["metric"] == MISSED_RATE, "consumer"].unique()
+    able = own.loc[own["metric"] == MISSED_RATE, "consumer"].unique().tolist()
     best = attacks.get("")
     return Headline(
         known=known,
@@ -124,7 +127,7 @@ def headline(
         gaps=gaps(summary),
         robots=[
             Shown(_MISSED, robot_name(name).split()[-1], Measure(name, MISSED_RATE))
-            for name in [one for one in ROBOTS if one in able] or able[:2]
+            for name in _robots(able)
         ],
         shared=Shown(_KNOWN, "shared", AS_SHARED.measure(EXPOSURE)),
         attacked=Shown(_KNOWN, "attack", best.measure(EXPOSURE)) if best else None,
@@ -134,6 +137,15 @@ def headline(
             key=lambda where: known[where[0]].family == CLEAN,
         ),
     )
+
+
+def _robots(able: Sequence[str]) -> list[str]:
+    """Return the predictors that are shown: after the first of `ROBOTS` comes what a user adds."""
+    known = [one for one in ROBOTS if one in able]
+    others = [one for one in able if one not in ROBOTS]
+    added = [one for one in others if one not in _BESIDE]
+    rest = [*known[1:], *others] if len(known) <= 1 else known[1:]
+    return list(dict.fromkeys([*known[:1], *added, *rest]))[:_MOST_ROBOTS]
 
 
 def _own_strongest(

@@ -3,7 +3,14 @@
 import numpy as np
 import pandas as pd
 import pytest
-from helpers.finished_runs import everything, levels, make_flags, make_linkability, make_run
+from helpers.finished_runs import (
+    everything,
+    levels,
+    make_flags,
+    make_linkability,
+    make_run,
+    make_summary,
+)
 
 from evaluation.analysis.keys import Source
 from evaluation.reporting.announcements import condensed
@@ -62,6 +69,24 @@ def test_what_simulates_says_so_first_and_doubts_are_counted():
     assert "Doubts: 1 cell FAILED, 1 flag of weak attacks, 6 of " in text
     assert "linkage cells invalid (duration gives away)" in text
     assert "7 tracks frozen, split left out." in text
+
+
+@pytest.mark.parametrize(
+    ("predictors", "shown"),
+    [
+        (("kalman_ca", "kalman_cv", "least_squares", "mine:gain=0.5"), ["line", "mine:gain=0.5"]),
+        (("kalman_ca", "kalman_cv", "least_squares"), ["line", "Kalman"]),
+        (("kalman_ca", "kalman_cv"), ["Kalman", "kalman_ca"]),
+        (("constant_position", "another"), ["another", "constan...sition"]),
+        (("another_robot",), ["another_robot", "shared"]),
+    ],
+)
+def test_a_robot_of_one_s_own_has_a_column(predictors, shown):
+    run = make_run(summary=make_summary(predictors=predictors))
+    lines = first_screen(run)
+    heads = next(line for line in lines if line.startswith("in %"))
+    assert heads.removeprefix("in %; ind. = independent").split()[:2] == shown
+    assert max(map(len, lines)) <= 80
 
 
 def test_numbers_without_an_interval_say_why():
