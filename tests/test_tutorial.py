@@ -55,8 +55,8 @@ def test_the_run_leaves_a_report(finished):
     assert [name for name in FILES if not (out / name).stat().st_size] == []
     assert MINE in (out / "report.html").read_text("utf-8")
     dataset = json.loads((out / "manifest.json").read_text("utf-8"))["dataset"]
-    assert (dataset["name"], dataset["tracks"]) == ("walks", 1100)
-    assert "1100 tracks; mended on reading: nothing" in finished.said
+    assert (dataset["name"], dataset["tracks"]) == ("walks", 474)
+    assert "474 tracks; mended on reading: nothing" in finished.said
     assert "attack kit: all checks pass" in finished.said
 
 
@@ -91,8 +91,8 @@ def test_verdict_and_design_question_are_answered(finished):
     assert found[0]["sentence"] in " ".join(TEXT.split())
     offset = [gap for one in found for gap in one["contrasts"] if gap["mechanism"] == "offset"]
     assert all(gap["evidence"] == "construction" and gap["reading"] == "differs" for gap in offset)
-    assert offset[0]["effect"] == pytest.approx(0.14, abs=0.005)
-    answer = "No: above the limits of rank 1: fid, offset; no level meets the targets: fixed."
+    assert offset[0]["effect"] == pytest.approx(0.19, abs=0.005)
+    answer = "No: above the limits of rank 1: fid, fixed, offset."
     assert f"\n{answer}\n" in said
     assert answer in TEXT
     assert said.rstrip().endswith("exit code: 1")

@@ -344,7 +344,7 @@ def test_a_failed_plugin_leaves_the_folder_usable(settings):
 
 
 def test_what_failed_is_told_until_it_is_mended_whatever_is_run_next(settings, monkeypatch):
-    sweep, one = ("helpers.bad_plugins:NotAt3:0.1..0.5/5",), ("helpers.bad_plugins:NotAt3:0.5",)
+    sweep, one = ("helpers.bad_plugins:NotAt3:0.1..0.5/3",), ("helpers.bad_plugins:NotAt3:0.5",)
     with pytest.warns(FailedCellsWarning, match="not at 0.3"):
         run(settings, mechanisms=sweep)
     missing = (settings.out / "failed.csv").read_text()
