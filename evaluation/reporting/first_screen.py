@@ -28,6 +28,7 @@ _CORNER: Final = "in %; ind. = independent"
 TABLES: Final = "tables.txt"
 _BEFORE: Final = 5  # Lines that were said until then, unless who calls knows.
 _LEAST_LEVELS: Final = 5
+_MANY: Final = 99  # Mechanisms: room for their number.
 _LABEL, _HEADS = 28, (16, 12, 8)  # Characters of a level; over a column, the widest that fits.
 _SLACK: Final = 0.05  # Of missed conflicts, above what raw costs: what the next question allows.
 
@@ -42,15 +43,22 @@ def first_screen(run: Results, *, before: int = _BEFORE) -> list[str]:
     rest = [*said, f"Doubts: {', '.join(_doubts(run, of)) or 'none'}."]
     lines = [line for text in rest for line in wrapped(text)]
     top, last = wrapped(data_line(run.manifest)), _next(run, of)
-    fixed = len([*top, *lines, *last]) + 2 + 2 + 1  # heads; chance and widths; where to read
+    # Heads; chance and widths; where to read on.
+    fixed = len([*top, *lines, *last, *_read_on(run, _MANY)]) + 2 + 2
     most = max(_LEAST_LEVELS, min(MOST_LEVELS, LINES - before - fixed))
     levels, n_left_out = levels_of(of, most=most, named=chosen_levels(of))
     grid = _grid(screen_table(of, levels)) if levels else []
-    # Where to read on stands in one line: it is there to be copied.
-    page = f"Page: {near(run.out / PAGE)}; " if (run.out / PAGE).exists() else ""
-    more = f" ({n_left_out} more mechanisms)" if n_left_out else ""
-    read_on = f"{page}tables{more}: {TABLES if page else near(run.out / TABLES)}"
-    return [*top, *grid, *lines, printable(read_on), *last]
+    return [*top, *grid, *lines, *_read_on(run, n_left_out), *last]
+
+
+def _read_on(run: Results, n_left_out: int) -> list[str]:
+    """Return where to read on: no path is broken, since it is there to be copied."""
+    page, tables = run.out / PAGE, near(run.out / TABLES)
+    more = f"{n_left_out} more mechanisms: " if n_left_out else "tables: "
+    if not page.exists():
+        return [printable(f"{more}{tables}")]
+    line = printable(f"Page: {near(page)}; {more}{TABLES}")
+    return [line] if len(line) <= WIDTH else [printable(f"Page: {near(page)}"), f"{more}{TABLES}"]
 
 
 def data_line(manifest: Mapping[str, Any]) -> str:

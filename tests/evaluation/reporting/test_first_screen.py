@@ -50,7 +50,7 @@ def test_the_paper_levels_come_first_then_one_of_every_other_mechanism():
     assert len({row.partition(":")[0] for row in rows[7:14]} - {"1 Robot"}) >= 3
     n_rows = next(n for n, row in enumerate(rows) if row.startswith(("chance", "+-")))
     assert n_rows <= 14
-    assert any(f"({27 - (n_rows - 5)} more mechanisms)" in line for line in lines)
+    assert any(f"{27 - (n_rows - 5)} more mechanisms: " in line for line in lines)
 
 
 def test_what_simulates_says_so_first_and_doubts_are_counted():
@@ -69,6 +69,19 @@ def test_what_simulates_says_so_first_and_doubts_are_counted():
     assert "Doubts: 1 cell FAILED, 1 flag of weak attacks, 6 of " in text
     assert "linkage cells invalid (duration gives away)" in text
     assert "7 tracks frozen, split left out." in text
+
+
+@pytest.mark.parametrize("name", ["students03-paper-0", "a-recording-with-a-long-name-paper-0"])
+def test_where_to_read_on_can_be_copied_and_fits(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    out = tmp_path / "runs" / name
+    out.mkdir(parents=True)
+    (out / "report.html").touch()
+    lines = first_screen(make_run(out, at=MANY), before=5)
+    assert len(lines) <= 35
+    assert max(map(len, lines)) <= 80
+    assert any(line.startswith(f"Page: runs/{name}/report.html") for line in lines)
+    assert any(line.endswith("more mechanisms: tables.txt") for line in lines)
 
 
 @pytest.mark.parametrize(
