@@ -1,4 +1,4 @@
-"""The benchmarks judge rightly: exponents and faults planted, results that differ."""
+"""The benchmarks judge rightly: exponents planted, results that differ."""
 
 import json
 import math
@@ -32,8 +32,7 @@ def benchmark(name):
     return load
 
 
-scale, planted_faults, soak = map(benchmark, ("scale", "planted_faults", "soak"))
-
+scale, soak = map(benchmark, ("scale", "soak"))
 
 SIZES = np.array([2, 500, 1500, 5000, 15_000, 50_000])
 
@@ -97,34 +96,6 @@ def test_people_are_copied_as_often_as_it_takes(scale, tmp_path):
     assert len(first) == 5
     for row in range(5):
         assert np.allclose(first[str(row)].xy, few[row].xy, atol=1e-3)
-
-
-class TestPlantedFaults:
-    def every(self, planted_faults, tmp_path, source):
-        """Every fault of a source, as the line that holds it."""
-        path = tmp_path / "one.py"
-        path.write_text(source)
-        for one in planted_faults.statements(path, root=tmp_path):
-            for _, node, text in one.rewrites:
-                yield planted_faults.rewritten(source.encode(), node, text).decode()
-
-    @pytest.mark.parametrize(
-        ("sound", "faulty"),
-        [
-            ("x = a < b", {"x = (a >= b)"}),
-            ("x = a - 2", {"x = (a + 2)", "x = a - 3"}),
-            ("assert a", {"assert not (a)"}),
-            ("x = f(a, key=b)", {"x = f(a)"}),
-            ("x = not a", {"x = (a)"}),
-            ("x = max(é, a)", {"x = min(é, a)"}),
-            ("x = 'key' in a", {"x = ('key' not in a)", "x = 'keyx' in a"}),
-            ("'prose stays, and so does what is inside f-strings'", set()),
-            ("x = f'{a + b}'", set()),
-            ("x += 1", {"x -= 1", "x += 2"}),
-        ],
-    )
-    def test_of_a_statement(self, planted_faults, tmp_path, sound, faulty):
-        assert set(self.every(planted_faults, tmp_path, sound)) == faulty
 
 
 @pytest.mark.parametrize("name", ["scale", "soak"])
