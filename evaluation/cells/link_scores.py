@@ -19,7 +19,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.random import Generator
 
-from evaluation.cells.tables import ROWS, Tables, names_column
+from evaluation.cells.tables import ROWS, Tables, column, names_column, table
 from isac_track import linkability
 from isac_track.intervals import Estimate, cluster_sums, exact_binomial, ratio_estimates
 from isac_track.linkability.scoring import RANK_METRICS, Drawn, draw, scorecard_of
@@ -291,23 +291,23 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
         flat = np.concatenate([one.scores.ravel() for one in linked.searches]).astype(np.float32)
         starts = np.concatenate([[0], np.cumsum(np.repeat(sizes, n_probes))])
         rows["mate"] = np.concatenate([one.mate for one in linked.searches]).astype(np.int32)
-        rows["scores"] = pa.ListArray.from_arrays(pa.array(starts, type=pa.int32()), pa.array(flat))
+        rows["scores"] = pa.ListArray.from_arrays(column(starts.astype(np.int32)), column(flat))
         about["gallery"] = [
             [sessions.source[one] for one in people] for people in linked.gallery_person
         ]
     found = scored.estimates
     fields = ("value", "ci_low", "ci_high", "n")
     estimates = {"metric": [*found]} | {
-        field: [getattr(one, field) for one in found.values()] for field in fields
+        field: np.array([getattr(one, field) for one in found.values()]) for field in fields
     }
     tables = {
-        ROWS: pa.table(rows),
-        ESTIMATES: pa.table(estimates),
-        ABOUT: pa.table({"about": [_about_task(known) + _json(about)[1:]]}),
+        ROWS: table(rows),
+        ESTIMATES: table(estimates),
+        ABOUT: table({"about": [_about_task(known) + _json(about)[1:]]}),
     }
     if not linked.is_control:
         follow = {*DERIVED, *RANK_METRICS}
-        tables[REPLICATES] = pa.table(
+        tables[REPLICATES] = table(
             {
                 name: one.replicates.astype(np.float32)
                 for name, one in found.items()

@@ -37,6 +37,7 @@ from evaluation.cells.tables import (
     Tables,
     descriptors,
     names_column,
+    table,
     track_means,
 )
 from evaluation.experiment.constants import BOUND
@@ -416,7 +417,7 @@ def window_tables(consumer: Consumer, level: LinkedLevel) -> Tables:
         )
         sigma_m = np.full(release.t.size, np.nan) if release.sigma is None else release.sigma
         columns = {
-            "side": pa.array(np.full(len(whole), side)),
+            "side": [side] * len(whole),
             "search": names_column(whole.search, sessions.searches),
             "source": names_column(whole.person, sessions.source),
             "group": names_column(whole.person, sessions.group),
@@ -427,7 +428,7 @@ def window_tables(consumer: Consumer, level: LinkedLevel) -> Tables:
             **{name: exposed[name] for name in DESCRIPTORS},
             **dict(zip(ON_TRIAL, on_trial, strict=True)),
         }
-        sides.append(pa.table(columns))
+        sides.append(table(columns))
     return {ROWS: pa.concat_tables(sides).combine_chunks()}
 
 

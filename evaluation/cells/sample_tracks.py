@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from attacks.reconstruction.kalman_rts import RadialRTS
 from evaluation.cells.sharing import copied, guarded, restricted, samples_shared
+from evaluation.cells.tables import names_column, table
 from evaluation.experiment.constants import IDENTITY
 from isac_track.privacy import leakage_indicator
 from isac_track.protocols import AttackContext
@@ -23,6 +23,8 @@ from isac_track.sensing import sense_scenes
 from isac_track.types import Release
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from isac_track.config import StageSettings
     from isac_track.plugins import Plugin
 
@@ -53,7 +55,7 @@ def chosen(mechanisms: Sequence[Plugin]) -> list[Plugin]:
 
 def gallery_rows(
     mechanism: Plugin, *, tracks: Cut, attacks: Sequence[Plugin], stages: StageSettings, seed: int
-) -> pd.DataFrame:
+) -> pa.Table:
     """Return the tracks of the run's first scene, as they were, shared and rebuilt.
 
     The people are those of the first scene, not chosen by how they look. The adversary is blind and
@@ -86,10 +88,10 @@ def gallery_rows(
     owner = np.repeat(np.arange(len(release)), np.diff(release.offsets))
     columns: dict[str, Any] = {
         "track": owner,
-        "source": np.array(tracks.source, dtype=object)[scenes.track[owner]],
-        "mechanism": mechanism.spec,
-        "attack": name,
-        "epsilon_m": epsilon_m,
+        "source": names_column(scenes.track[owner], tracks.source),
+        "mechanism": [mechanism.spec] * owner.size,
+        "attack": [name] * owner.size,
+        "epsilon_m": np.full(owner.size, epsilon_m),
         "t": release.t - release.t[release.offsets[owner]],
     }
     for what, xy in (("true", truth), ("shared", release.xy), ("rec", np.asarray(rebuilt.xy))):
@@ -97,4 +99,4 @@ def gallery_rows(
         columns[f"leaked_{what}"] = leakage_indicator(
             shared_xy=xy, true_xy=truth, epsilon_m=epsilon_m
         )
-    return pd.DataFrame(columns)[COLUMNS]
+    return table(columns).select(COLUMNS)

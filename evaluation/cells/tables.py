@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
@@ -37,17 +37,41 @@ def rows_table(rows: Rows, *, tracks: Cut) -> pa.Table:
             columns["group"] = names_column(values, tracks.group)
         else:
             columns[name] = values
-    return pa.table(columns)
+    return table(columns)
+
+
+def table(columns: Mapping[str, Any]) -> pa.Table:
+    """Return a table of columns, each as `column` takes it."""
+    return pa.Table.from_arrays([column(one) for one in columns.values()], names=[*columns])
+
+
+def column(values: Any) -> pa.Array:  # noqa: ANN401 - an array of either library, or text
+    """Return an array of numbers or of truth values, or a sequence of text, as a column.
+
+    pyarrow's own ways import pandas, to ask whether it is one of its: 80 MB of every worker.
+    """
+    if isinstance(values, pa.Array):
+        return values
+    buffers: tuple[Any, ...]
+    if isinstance(values, np.ndarray):
+        is_bits = values.dtype == np.bool_
+        buffers = (np.packbits(values, bitorder="little") if is_bits else values.copy(),)
+        kind = pa.from_numpy_dtype(values.dtype)
+    else:
+        encoded = [one.encode() for one in values]
+        ends = np.cumsum([0, *map(len, encoded)], dtype=np.int32)
+        kind, buffers = pa.string(), (ends, b"".join(encoded))
+    return pa.Array.from_buffers(kind, len(values), [None, *map(pa.py_buffer, buffers)])
 
 
 def names_column(rows: Ints, names: Sequence[str]) -> pa.Array:
     """Return a column of names, (N,), given by their places in `names`."""
-    return _names(tuple(names)).take(pa.array(rows))
+    return _names(tuple(names)).take(column(rows))
 
 
 @lru_cache(maxsize=16)
 def _names(names: tuple[str, ...]) -> pa.Array:
-    return pa.array(names, type=pa.string())  # once for all cells of a task
+    return column(names)  # once for all cells of a task
 
 
 def track_columns(scenes: Scenes, rows: Ints) -> Rows:

@@ -5,6 +5,8 @@ have is null there. Its metadata say which consumer's tables begin where, and by
 were computed. A consumer that is added later has a further file: none is rewritten.
 """
 
+from __future__ import annotations
+
 import contextlib
 import io
 import json
@@ -15,10 +17,9 @@ from functools import lru_cache
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -39,6 +40,9 @@ from isac_track.errors import DataError
 from isac_track.intervals import Estimate, effective_clusters
 from isac_track.linkability.scoring import RANK_METRICS, ProbeRanks
 from isac_track.types import Floats, Ints
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _INDEX: Final = b"isac_track.cells"
 _SCORES: Final = "scores"
@@ -358,13 +362,14 @@ def _readable(path: Path) -> Iterator[None]:
         ) from None
 
 
-def write_gallery(parts: Sequence[pd.DataFrame], *, out: Path) -> None:
+def write_gallery(parts: Sequence[pa.Table], *, out: Path) -> None:
     """Keep sample tracks in a run folder; without parts there are none, nor earlier ones."""
     if not parts:
         (out / GALLERY).unlink(missing_ok=True)
         return
-    content = pd.concat(parts, ignore_index=True).to_parquet(index=False, compression="zstd")
-    write_whole(out / GALLERY, content)
+    sink = pa.BufferOutputStream()
+    pq.write_table(pa.concat_tables(parts), sink, compression="zstd")
+    write_whole(out / GALLERY, sink.getvalue().to_pybytes())
 
 
 def read_gallery(out: Path) -> pd.DataFrame | None:
@@ -376,4 +381,6 @@ def read_gallery(out: Path) -> pd.DataFrame | None:
     if not path.exists():
         return None
     with _readable(path):
-        return pd.read_parquet(io.BytesIO(content_of(path)), columns=SAMPLE_COLUMNS)
+        content = io.BytesIO(content_of(path))
+        found: pd.DataFrame = pq.read_table(content, columns=SAMPLE_COLUMNS).to_pandas()
+        return found

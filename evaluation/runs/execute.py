@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
+import pyarrow as pa
 
 import isac_track
 from evaluation.cells.sample_tracks import chosen, gallery_rows
@@ -124,7 +124,7 @@ def _write_gallery(ready: Plan, without: set[str]) -> list[str]:
         seed=ready.settings.seed,
     )
     mechanisms = chosen([one for one in ready.axes.mechanisms if one.spec not in without])
-    parts: list[pd.DataFrame] = []
+    parts: list[pa.Table] = []
     failed = []
     # Where workers are they have loaded all that this takes.
     apart = ready.jobs > 1 or has_strangers(ready.axes)
@@ -141,7 +141,7 @@ def _write_gallery(ready: Plan, without: set[str]) -> list[str]:
     return failed
 
 
-def _gallery_part(mechanism: Plugin, **options: Any) -> Iterator[pd.DataFrame | Failed]:  # noqa: ANN401 - handed on
+def _gallery_part(mechanism: Plugin, **options: Any) -> Iterator[pa.Table | Failed]:  # noqa: ANN401 - handed on
     note(mechanism.spec, "gallery")
     try:
         yield gallery_rows(mechanism, **options)

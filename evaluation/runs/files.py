@@ -5,6 +5,8 @@ the format of `sha256sum`. What was cut short, garbled or put there by somebody 
 and is computed again.
 """
 
+from __future__ import annotations
+
 import contextlib
 import csv
 import errno
@@ -17,10 +19,7 @@ import stat
 from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final
-
-import pandas as pd
-from pandas.api.types import is_numeric_dtype
+from typing import TYPE_CHECKING, Any, Final
 
 from isac_track.errors import DataError, SettingsError
 
@@ -29,6 +28,8 @@ try:
 except ImportError:  # pragma: no cover - Windows has no flock
     fcntl = None  # type: ignore[assignment]  # a module, where there is one
 
+if TYPE_CHECKING:  # workers write files, too: they do without its 80 MB
+    import pandas as pd
 
 FOLDER: Final = "cells"
 SUBFOLDERS: Final = (FOLDER, "tables", "figures")
@@ -95,7 +96,7 @@ def to_csv(frame: pd.DataFrame) -> bytes:
     columns = []  # frame.to_csv would take five times as long
     for name in frame.columns:
         column = frame[name].to_numpy(dtype=object, na_value="").tolist()
-        if not is_numeric_dtype(frame[name]):
+        if frame[name].dtype.kind not in "biuf":
             column = [_safe(one) if isinstance(one, str) else one for one in column]
         columns.append(column)
     sink = io.StringIO()
@@ -107,7 +108,7 @@ def to_csv(frame: pd.DataFrame) -> bytes:
 
 def from_csv(content: bytes) -> pd.DataFrame:
     """Return the table that `to_csv` wrote; ValueError if it is none."""
-    import pandas as pd  # noqa: PLC0415 - writing needs none
+    import pandas as pd  # noqa: PLC0415 - as said above
 
     names = content.partition(b"\n")[0].decode().split(",")
     frame = pd.read_csv(

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 
 from evaluation.cells import sample_tracks
@@ -16,12 +17,12 @@ def gallery(ready, *specs):
     mechanisms = plugins.parse_all("mechanisms", specs)
     of = {"tracks": ready.tracks, "attacks": (), "stages": ready.settings.stages, "seed": 0}
     rows = [sample_tracks.gallery_rows(one, **of) for one in sample_tracks.chosen(mechanisms)]
-    return pd.concat(rows, ignore_index=True)
+    return pa.concat_tables(rows)
 
 
 @pytest.fixture(scope="module")
 def found(ready):
-    return gallery(ready, "raw", "fid:1", "fid:100", "fixed:0.2", "fixed:0.8")
+    return gallery(ready, "raw", "fid:1", "fid:100", "fixed:0.2", "fixed:0.8").to_pandas()
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +50,7 @@ class TestTheGallery:
         assert fid["leaked_shared"].mean() < raw["leaked_shared"].mean()
 
     def test_without_any_error_everything_leaks_and_what_is_not_shared_is_not_shown(self, ready):
-        whole, thin = gallery(ready, "clean"), gallery(ready, "thin:4")
+        whole, thin = (gallery(ready, spec).to_pandas() for spec in ("clean", "thin:4"))
         assert whole["leaked_shared"].all()
         np.testing.assert_array_equal(whole["x_shared"], whole["x_true"])
         assert 0.2 < len(thin) / len(whole) < 0.3
@@ -58,7 +59,7 @@ class TestTheGallery:
         assert np.hypot(thin["x_shared"] - thin["x_true"], 0).median() < 1.0
 
     def test_it_is_kept_and_read_again(self, found, tmp_path):
-        gallery_file.write_gallery([found], out=tmp_path)
+        gallery_file.write_gallery([pa.Table.from_pandas(found)], out=tmp_path)
         pd.testing.assert_frame_equal(gallery_file.read_gallery(tmp_path), found)
         assert gallery_file.read_gallery(tmp_path / "other") is None
 
