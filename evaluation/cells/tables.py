@@ -48,7 +48,7 @@ def table(columns: Mapping[str, Any]) -> pa.Table:
 def column(values: Any) -> pa.Array:  # noqa: ANN401 - an array of either library, or text
     """Return an array of numbers or of truth values, or a sequence of text, as a column.
 
-    pyarrow's own ways import pandas, to ask whether it is one of its: 80 MB of every worker.
+    pyarrow's own ways import pandas, to ask whether it is one of its: 40 MB of every worker.
     """
     if isinstance(values, pa.Array):
         return values

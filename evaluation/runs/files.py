@@ -28,7 +28,7 @@ try:
 except ImportError:  # pragma: no cover - Windows has no flock
     fcntl = None  # type: ignore[assignment]  # a module, where there is one
 
-if TYPE_CHECKING:  # workers write files, too: they do without its 80 MB
+if TYPE_CHECKING:  # workers write files, too: they do without its 40 MB
     import pandas as pd
 
 FOLDER: Final = "cells"
