@@ -19,10 +19,10 @@ from evaluation.experiment.constants import (
     WINDOWS,
     WORLDS,
 )
-from evaluation.experiment.presets import PRESETS, UTILITY_PREDICTORS
+from evaluation.experiment.presets import BREAKER, PRESETS, UTILITY_PREDICTORS
 from isac_track import plugins
 from isac_track.errors import SettingsError
-from isac_track.protocols import grants, kind_of
+from isac_track.protocols import USUAL, grants, kind_of
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
@@ -199,6 +199,8 @@ def axes(settings: Settings) -> Axes:
     }
     if settings.mechanisms is None:
         names["mechanisms"] += preset.protections
+    if settings.attacks is None and settings.adversaries:
+        names["attacks"] += (BREAKER,)
     attacks, links = _attacks(names["attacks"])
     mechanisms = plugins.parse_all("mechanisms", names["mechanisms"])
     predictors = plugins.parse_all("predictors", names["predictors"])
@@ -206,6 +208,7 @@ def axes(settings: Settings) -> Axes:
     pairs = _linked(settings, links=links, tasks=tasks)
     if not mechanisms:
         raise SettingsError("nothing to run: the mechanism axis is empty; name one, such as raw")
+    _check_asked(settings, attacks=attacks, links=pairs)
     ceiling = plugins.parse("mechanisms", "clean")[0] if pairs else None
     named = {plugin.spec for plugin in predictors}
     utility = named if settings.predictors is not None else named.intersection(UTILITY_PREDICTORS)
@@ -232,6 +235,23 @@ def axes(settings: Settings) -> Axes:
             if MODEL in world and (OTHER_LAW_WORLD in world or law == OTHER_LAW)
         },
     )
+
+
+def _check_asked(
+    settings: Settings, *, attacks: Iterable[Plugin], links: Iterable[tuple[Task, Consumer]]
+) -> None:
+    """Raise SettingsError for an adversary who was asked for and would do nothing."""
+    asked = settings.adversaries
+    rows = [grants(one.instance, asked=asked) for one in attacks]
+    rows += [
+        grants(one, everyone=task.everyone, nobody=task.nobody, asked=asked) for task, one in links
+    ]
+    for name in asked:
+        if name not in USUAL and not any(name in some for some in rows):
+            raise SettingsError(
+                f"adversary {name}: no attack of the run does more with what it knows; name one "
+                f"that does, such as --attack {BREAKER}"
+            )
 
 
 def jobs_of(crossed: Axes, settings: Settings) -> int:

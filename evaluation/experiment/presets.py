@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from attacks.tasks.task_list import TASKS
 from evaluation.experiment.constants import IDENTITY, SHARED
 
-__all__ = ["DISSOCIATION", "IDENTITY", "PRESETS", "PROTECTIONS", "SHARED", "UTILITY_PREDICTORS"]
-__all__ += ["Preset"]
+__all__ = ["BREAKER", "DISSOCIATION", "IDENTITY", "PRESETS", "PROTECTIONS", "SHARED", "Preset"]
+__all__ += ["UTILITY_PREDICTORS"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +77,8 @@ _AUDITED = (
     *(f"{one},adding=independent" for one in SMOKE_LEVELS[1:]),
     *("ou:0.4", "laplace:1"),
 )
+BREAKER = "ou_rts"
+"""Attack that uses all that `--adversary` grants: in every run that asks for one by name alone."""
 UTILITY_PREDICTORS = ("least_squares", "kalman_cv", "kalman_cv:aware=true")
 """Of a preset's own predictors those that are read in all scenes: the cheap ones."""
 _PAPER = Preset(

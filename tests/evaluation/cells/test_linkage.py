@@ -31,7 +31,7 @@ from evaluation.runs import cell_files
 from isac_track.errors import DataError, PluginError, SettingsError
 from isac_track.intervals import Estimate, cluster_weights
 from isac_track.linkability import rank1
-from isac_track.protocols import LinkageTrainingSet
+from isac_track.protocols import ADVERSARIES, USUAL, LinkageTrainingSet
 from isac_track.types import Knowledge
 
 SHAPE = parsed("attacks", "shape")
@@ -564,11 +564,20 @@ class TestAxes:
             ({"attacks": ("shape@averaging",)}, "has no task to run in.*requires REPEATS"),
             ({"attacks": ("identity",), "tasks": ("split",)}, "task split has no attack"),
             ({"attacks": ("shape",), "tasks": ()}, "'shape' has no task"),
+            (
+                {"attacks": ("kalman_rts",), "adversaries": ("anchor",)},
+                "anchor: .* --attack ou_rts",
+            ),
         ],
     )
     def test_what_does_not_fit_is_refused_with_the_way_out(self, given, message):
         with pytest.raises(SettingsError, match=message):
             axes(Settings(**given))
+
+    @pytest.mark.parametrize("name", sorted(ADVERSARIES.keys() - USUAL))
+    def test_who_is_asked_for_by_name_alone_does_something(self, name):
+        rows = {one.knowledge for one in axes(Settings(adversaries=(name,))).consumers}
+        assert rows == {"", *USUAL, name}
 
     def test_who_links_where(self):
         for attack, task, spec in (
