@@ -199,7 +199,8 @@ def axes(settings: Settings) -> Axes:
     }
     if settings.mechanisms is None:
         names["mechanisms"] += preset.protections
-    if settings.attacks is None and settings.adversaries:
+    asked = [name for name in settings.adversaries if name not in USUAL]
+    if asked and settings.attacks is None:
         names["attacks"] += (BREAKER,)
     attacks, links = _attacks(names["attacks"])
     mechanisms = plugins.parse_all("mechanisms", names["mechanisms"])
@@ -208,7 +209,6 @@ def axes(settings: Settings) -> Axes:
     pairs = _linked(settings, links=links, tasks=tasks)
     if not mechanisms:
         raise SettingsError("nothing to run: the mechanism axis is empty; name one, such as raw")
-    _check_asked(settings, attacks=attacks, links=pairs)
     ceiling = plugins.parse("mechanisms", "clean")[0] if pairs else None
     named = {plugin.spec for plugin in predictors}
     utility = named if settings.predictors is not None else named.intersection(UTILITY_PREDICTORS)
@@ -222,7 +222,7 @@ def axes(settings: Settings) -> Axes:
         and (attacks or pairs or world == OTHER_LAW_WORLD)
         and (law != OTHER_LAW or world == MODEL)
     }
-    return Axes(
+    found = Axes(
         *(mechanisms, predictors, attacks, pairs, ceiling),
         utility=frozenset(utility),
         adversaries=settings.adversaries,
@@ -235,19 +235,16 @@ def axes(settings: Settings) -> Axes:
             if MODEL in world and (OTHER_LAW_WORLD in world or law == OTHER_LAW)
         },
     )
+    _check_asked(found, asked)
+    return found
 
 
-def _check_asked(
-    settings: Settings, *, attacks: Iterable[Plugin], links: Iterable[tuple[Task, Consumer]]
-) -> None:
+def _check_asked(found: Axes, asked: Iterable[str]) -> None:
     """Raise SettingsError for an adversary who was asked for and would do nothing."""
-    asked = settings.adversaries
-    rows = [grants(one.instance, asked=asked) for one in attacks]
-    rows += [
-        grants(one, everyone=task.everyone, nobody=task.nobody, asked=asked) for task, one in links
-    ]
+    rows = (found.consumers, *map(found.readers, found.tasks))
+    does = {one.knowledge for some in rows for one in some}
     for name in asked:
-        if name not in USUAL and not any(name in some for some in rows):
+        if name not in does:
             raise SettingsError(
                 f"adversary {name}: no attack of the run does more with what it knows; name one "
                 f"that does, such as --attack {BREAKER}"

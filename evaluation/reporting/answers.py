@@ -25,6 +25,8 @@ LIMIT: Final = 0.5
 _HELD: Final = "as far as these attacks go"
 _MATTERS: Final = 0.05
 _UNTESTED: Final = "not tested: "
+_UNDOES: Final = {"repeats": "repeats", "anchor": "a known position"}
+"""Who undoes what a slow error hides: who sees a walk twice, or knows where it once was."""
 _EVIDENCE: Final = {"attacks": _HELD, "shown": "shown by linking more"}
 _LEADS: Final = {
     rules.DOES_NOT: "no",
@@ -228,13 +230,14 @@ def _choice(of: Headline, options: _Options) -> str:
         if (found := of.at(at, one))
     ]
     everybody = by_task(of.found, metric=EXPOSURE)[""][at]
-    more = [
-        f"{share(of.found[best.measure(EXPOSURE).at(*at)])} after {best.label}"
+    more = {
+        name: f"{name} {share(of.found[best.measure(EXPOSURE).at(*at)])}"
         for name in BEYOND
         if (best := strongest_of([everybody], among=(name,)))
-    ]
-    # Who sees a walk twice, or knows where it was once, undoes what a slow error hides.
-    beyond = ", ".join(more) or "not tried: repeats, a known position"
+    }
+    untried = ", ".join(words for name, words in _UNDOES.items() if name not in more)
+    known = ", ".join(more.values()), untried and f"not tried: {untried}"
+    beyond = "; ".join(filter(None, known))
     fewest = f"{of.name(at)} misses fewest conflicts: {share(cost)} at {share(left)} ({beyond})"
     return f"{by}of the levels that keep {limit}, {fewest}" + "".join(again)
 

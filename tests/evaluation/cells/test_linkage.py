@@ -579,6 +579,9 @@ class TestAxes:
         rows = {one.knowledge for one in axes(Settings(adversaries=(name,))).consumers}
         assert rows == {"", *USUAL, name}
 
+    def test_who_is_in_every_run_adds_nothing_to_it_when_asked_for(self):
+        assert axes(Settings(adversaries=USUAL)).consumers == axes(Settings()).consumers
+
     def test_who_links_where(self):
         for attack, task, spec in (
             ("shape", "handover-1s", "shape"),  # it has no task of its own: it runs where it can
