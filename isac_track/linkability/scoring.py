@@ -68,6 +68,8 @@ RANK_METRICS = ("rank1", "rank1_assigned", "mrr", "chance", "rank1_g100", "false
 """Means over probes: `ProbeRanks.values`."""
 _FITTED = {"eer": 0.5, "cllr_min": 1.0}
 """Metrics whose hull is fitted to the very scores that it judges, and their upper bounds."""
+_BINNED = ("d_sys", "d_sys_published")
+"""Metrics that a resample, whose bins are emptier, biases once more."""
 _NO_SPREAD = 1e-12
 
 
@@ -177,7 +179,8 @@ def scorecard(
     population holds. Score metrics take the first `SCORE_REPLICATES` rows of `weights`.
 
     Intervals are percentile intervals, but those of eer and cllr_min, read off a hull that is
-    fitted to the scores, basic ones, 2 value - quantile (Davison and Hinkley, 1997, ch. 5.2). A
+    fitted to the scores, basic ones, 2 value - quantile (Davison and Hinkley, 1997, ch. 5.2), and
+    those of d_sys less what resampling adds, mean - value: what such a study gives on average. A
     metric that is bounded by 0 and 1 and does not vary over replicates (a perfect AUC) has
     Wilson's, with the clusters as the sample size; of few clusters all are as in
     `intervals.ratio_estimates`. How often they hold the truth: docs/metrics.md. Whether there is a
@@ -450,8 +453,9 @@ def _interval(
     if name != "cllr" and (is_constant or is_extreme):
         low, high = wilson(hits=min(max(value, 0.0), 1.0) * n, n=n)
         high = min(high, most)
-    elif name in _FITTED:
-        bias = float(np.nanmean(replicates)) - value if is_few else 0.0
-        low, high = (low - bias, high - bias) if is_few else (2 * value - high, 2 * value - low)
-        low, high = max(0.0, low), min(most, high)
+    elif name in _FITTED and not is_few:
+        low, high = max(0.0, 2 * value - high), min(most, 2 * value - low)
+    elif name in (_FITTED if is_few else _BINNED):
+        bias = float(np.nanmean(replicates)) - value
+        low, high = max(0.0, low - bias), min(most, high - bias)
     return low, high
