@@ -53,8 +53,11 @@ _OUTCOME: Final = (
 )
 """Columns of a linkage cell beside its replicates."""
 _NONE: Final = np.zeros(0, dtype=np.float32)
-_ALIKE: Final = frozenset(("plr", "benchmark_mse_m2", "benchmark_plr", "chance", "duration_s"))
-"""Numbers that occur again and again, in other rows or for other consumers."""
+_ALIKE: Final = {
+    *("plr", "ael_s", "mel_s", "plr_gap", "plr_attacked"),
+    *("separation_m", "tpr_at_fpr_1pct", "chance"),
+}
+"""Numbers that occur again and again, in other rows or for other consumers: whole they compress."""
 
 
 class Held(NamedTuple):
@@ -113,11 +116,7 @@ def packed(
     whole = pa.concat_tables(stacked, promote_options="default").combine_chunks()
     index = {"unit": unit, "code": dict(code), "consumers": consumers}
     # The leading bytes of like numbers are alike: apart from the others they compress.
-    apart = [
-        field.name
-        for field in whole.schema
-        if pa.types.is_floating(field.type) and field.name not in _ALIKE
-    ]
+    floats = {field.name for field in whole.schema if pa.types.is_floating(field.type)}
     elements = ["scores.list.element"] if _SCORES in whole.column_names else []
     sink = pa.BufferOutputStream()
     with pq.ParquetWriter(
@@ -127,8 +126,8 @@ def packed(
         compression="zstd",
         compression_level=9,
         store_schema=False,
-        use_dictionary=[name for name in whole.column_names if name not in (*apart, _SCORES)],
-        column_encoding=dict.fromkeys([*apart, *elements], "BYTE_STREAM_SPLIT"),
+        use_dictionary=[name for name in whole.column_names if name not in floats | {_SCORES}],
+        column_encoding=dict.fromkeys([*(floats - _ALIKE), *elements], "BYTE_STREAM_SPLIT"),
     ) as writer:
         writer.write_table(whole)
         writer.add_key_value_metadata({_INDEX: json.dumps(index).encode()})
