@@ -39,7 +39,8 @@ _EFFECTS = {
     "correlation": (1.0, 2, ""),
     "ratio": (1.0, 2, "times"),
 }
-_ASPECTS: Final = ("descriptor", "task", "criterion")
+_ASPECTS: Final = ("mechanism", "descriptor", "task", "criterion", "about")
+"""What identifies an item beside its adding rule, in the words of `_told`."""
 
 
 def effect(row: Mapping[str, Any], *, signed: bool = False) -> Cell:
@@ -186,14 +187,13 @@ def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
         of = [one for one in items if one["section"] == section]
         if not of:
             continue
-        aspects = [key for key in _ASPECTS if any(one[key] for one in of)]
+        records = [_told(one) for one in of]
+        aspects = ["adding", *(key for key in _ASPECTS if any(one[key] for one in records))]
         columns = [
             make.decided("decision"),
             replace(make.said("what it says"), is_long=True),
-            Column("effect", partial(effect, signed=True)),
-            make.said("adding"),
             *map(make.said, aspects),
-            make.said("about", "subject"),
+            Column("effect", partial(effect, signed=True)),
             make.counted("people", "", "n", digits=0),
         ]
         if all("power" in one for one in of):
@@ -201,24 +201,28 @@ def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
             columns += [
                 make.counted("people that show an equal", "", "n_needed", digits=0),
                 make.said("evidence", lambda row: ", ".join(row["evidence"])),
-                make.said("power", _power),
+                make.said("power to show", _power),
                 make.counted("prediction error", "points", *ends, scale=100.0),
             ]
-        records = map(_told, of)
-        found[section] = make.built(f"verdict-{section}", section.capitalize(), records, columns)
+        name, n_keys = f"verdict-{section}", 1 + len(aspects)
+        found[section] = make.built(name, section.capitalize(), records, columns, n_keys=n_keys)
     return found
 
 
 def _power(item: Mapping[str, Any]) -> str:
-    return ", ".join(f"{what} {100 * one:.0f} %" for what, one in item["power"].items())
+    power = item["power"]
+    return f"equal {100 * power[rules.TRACKS]:.0f} %, 10 points {100 * power[rules.DOES_NOT]:.0f} %"
 
 
 def _told(item: Mapping[str, Any]) -> dict[str, Any]:
     """Return an item with what it says in one sentence, and what it is about as over a column."""
     why, descriptor, decision = item["why"], item["descriptor"], item["decision"].capitalize()
     why = "" if why in item["sentence"] else why
+    of, is_claim = item.get("of", ""), item["section"] == rules.CLAIM
     return {
         **item,
+        "mechanism": item.get("mechanism", "fid") if is_claim else of,
+        "about": item["subject"] or ("as shared" if is_claim else ""),
         "what it says": item["sentence"] + (f" {decision}: {why.rstrip('.')}." if why else ""),
         "descriptor": METRICS[descriptor].head if descriptor in METRICS else descriptor,
         "criterion": CRITERIA.get(item["criterion"], item["criterion"]),

@@ -79,7 +79,7 @@ def _table(
         if bool(one.attack.task) == linked
     ]
     columns = [*mechanism_columns(run.families), *columns]
-    return make.built(name, title, records, columns, notes=[_MODEL, note], n_headings=2, n_keys=3)
+    return make.built(name, title, records, columns, notes=[_MODEL, note], n_headings=2, n_keys=4)
 
 
 def gap_text(known: Sequence[Gap], where: Where) -> str:

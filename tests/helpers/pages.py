@@ -29,3 +29,10 @@ def assert_as_approved(text, path):
     if os.environ.get("APPROVE"):
         path.write_text(text, encoding="utf-8")
     assert text == path.read_text(encoding="utf-8")
+
+
+def tells_rows_apart(table):
+    """Whether what is repeated where a table is split says which row is meant."""
+    shown = [place for place, column in enumerate(table.columns) if not column.is_long]
+    keys = {tuple(row[place].full for place in shown[: table.n_keys]) for row in table.rows}
+    return len(keys) == len(table.rows)

@@ -17,7 +17,7 @@ from helpers.finished_runs import (
     make_summary,
     rows_where,
 )
-from helpers.pages import assert_as_approved
+from helpers.pages import assert_as_approved, tells_rows_apart
 
 from evaluation.analysis.families import families_in
 from evaluation.analysis.linkability import linked_tasks
@@ -64,6 +64,7 @@ def test_what_is_shown_of_a_run_is_letter_for_letter_what_was_read_and_approved(
     parts += [(tmp_path / f"{name}.tex").read_text("utf-8") for name in ("linkability", "verdict")]
     text = "\n".join(parts)
     assert_as_approved(text, Path(__file__).with_name("shown.txt"))
+    assert all(map(tells_rows_apart, found.values()))
 
 
 class TestTheTextFile:

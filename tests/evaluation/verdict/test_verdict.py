@@ -5,6 +5,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from helpers.pages import tells_rows_apart
 from helpers.planted_worlds import KINDS, TASK, World, run, said_of, simulated
 
 from evaluation.reporting.answer_tables import item_tables
@@ -91,9 +92,10 @@ class TestVerdict:
         for section in rules.SECTIONS:
             assert found[section, "linear"] == found[section, "independent"] > 0
 
-    def test_the_tables_hold_every_item_of_every_mechanism(self, strangers):
+    def test_the_tables_hold_every_item_and_say_which_one_a_row_is(self, strangers):
         tables = item_tables(strangers["items"])
         assert sum(len(one.rows) for one in tables.values()) == len(strangers["items"])
+        assert all(map(tells_rows_apart, tables.values()))
 
     def test_a_mechanism_of_somebody_elses_is_judged_like_fid(self, strangers):
         items = [one for one in strangers["items"] if one.get("mechanism") == "mine:Ou"]
