@@ -274,14 +274,15 @@ def closer(choice: design.Choice) -> str | None:
     if not any(ends):
         return None
     words = ["python", "-m", "evaluation.matrix", *same_run(choice.manifest)]
-    words += [] if choice.is_current else ["--mechanism", "raw"]
+    specs = [] if choice.is_current else ["raw"]
     for scheme, at in zip(choice.schemes, ends, strict=True):
         one, family = scheme.chosen or scheme.stricter, scheme.family
         if at or not (choice.is_current or one is None):
             levels = at or ("" if one is None or one.level is None else f"{one.level:.12g}")
             parameters = family.mechanism.removeprefix(family.family).removeprefix(":")
             spec = f"{family.family}:{levels}" + f",{parameters}" * bool(parameters)
-            words += ["--mechanism", spec if levels else family.mechanism]
+            specs.append(spec if levels else family.mechanism)
+    words += [word for spec in dict.fromkeys(specs) for word in ("--mechanism", spec)]
     out = choice.out
     folder = out if choice.is_current else out.with_name(f"{out.resolve().name}-closer")
     return shlex.join([*words, "--out", str(folder)])

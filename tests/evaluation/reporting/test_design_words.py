@@ -98,8 +98,9 @@ class TestCloser:
         assert self.options(answer).mechanisms == mechanisms
 
     def test_leaves_a_run_of_other_code_alone(self, made):
-        out = made(USUAL | {"fid": {1.0: 0.1, 10.0: 0.1}}, code="older")
+        out = made(USUAL | {"fid": {1.0: 0.1, 10.0: 0.1}, "offset": {0.3: 0.1}}, code="older")
         answer = asked(out, missed=0.23)
+        assert closer(answer).count("offset:0.3") == 1  # though it is judged under both rules
         settings = self.options(answer)
         assert settings.out == out.with_name("run-closer")
         assert settings.mechanisms[0] == "raw"
