@@ -10,6 +10,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from evaluation.analysis.families import FID, FIXED, RAW, Family
 from evaluation.analysis.frontier import front
 from evaluation.analysis.keys import level_text
 from isac_track.intervals import Estimate
@@ -29,6 +30,9 @@ _SHAPES: Final = (
 )
 """Paths that begin 3.4 left of their middle, each of a colour."""
 LOOKS: Final = len(_SHAPES)
+INKS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#1b1d20")
+MARKERS: Final = "os^DvP*"
+"""Colours as in `colours.css`, and shapes, as matplotlib has them."""
 _STEPS: Final = (1.0, 2.0, 5.0, 10.0)
 _MOST_STEPS: Final = 5
 _TOP: Final = 6.0
@@ -48,10 +52,26 @@ class Look(NamedTuple):
         """Classes of its mark."""
         return f"mark k{self.place % LOOKS}{' hollow' * self.hollow}"
 
+    @property
+    def shape(self) -> int:
+        """Number of its shape."""
+        return (self.place + self.turn) % (LOOKS - 1) if self.turn else self.place % LOOKS
+
     def path(self, x: float, y: float) -> str:
         """Return its mark in the middle of a point."""
-        shape = (self.place + self.turn) % (LOOKS - 1) if self.turn else self.place % LOOKS
-        return f"M{x - 3.4:.1f} {y:.1f}{_SHAPES[shape]}"
+        return f"M{x - 3.4:.1f} {y:.1f}{_SHAPES[self.shape]}"
+
+
+def looks_of(known: Iterable[Family]) -> dict[str, Look]:
+    """Return the look of every mechanism: its rule is hollow or not, raw is a star."""
+    added = [one for one in known if one.is_added]
+    looks = {
+        name: Look(place % (LOOKS - 1), turn=place // (LOOKS - 1))
+        for place, name in enumerate(dict.fromkeys([FID, FIXED, *(one.name for one in added)]))
+    }
+    return {RAW: Look(LOOKS - 1)} | {
+        one.mechanism: looks[one.name]._replace(hollow=one.adding == "independent") for one in added
+    }
 
 
 class Point(NamedTuple):

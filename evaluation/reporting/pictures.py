@@ -5,11 +5,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from evaluation.analysis.families import CLEAN, FID, FIXED, RAW
 from evaluation.analysis.keys import AS_SHARED, Measure, Where
 from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE
 from evaluation.reporting.answers import LIMIT
-from evaluation.reporting.charts import LOOKS, Chart, Look, Point, plane_chart, rows_chart
+from evaluation.reporting.charts import LOOKS, Chart, Look, Point, looks_of, plane_chart, rows_chart
 from evaluation.reporting.headline import Headline, Shown, levels_of, robot_name
 
 _MISSED: Final = "missed conflicts (%)"
@@ -42,7 +41,7 @@ def pictures(of: Headline) -> list[Picture | None]:
 def planes(of: Headline) -> dict[str, list[Picture]]:
     """Return missed conflicts against what is left, for each robot: all mechanisms of the run."""
     robots = [key.consumer for key in of.found if key.metric == MISSED_RATE]
-    looks = _looks(of)
+    looks = looks_of(of.known.values())
     found: dict[str, list[Picture]] = {}
     for robot in dict.fromkeys(robots):
         for one in [*([of.attacked] if of.attacked else []), *of.linked[-1:]]:
@@ -82,7 +81,7 @@ def _levels(
 
 def _telling(of: Headline) -> Picture | None:
     """Return rank 1 over PLR as shared: on one line, the descriptor would tell."""
-    looks = {name: look for name, look in _looks(of).items() if not look.hollow}
+    looks = {name: look for name, look in looks_of(of.known.values()).items() if not look.hollow}
     for one in of.linked[-1:]:
         if curves := _points(of, AS_SHARED.measure(EXPOSURE), one.measure, looks):
             title, label = _left(one)
@@ -96,7 +95,7 @@ def _chosen(of: Headline) -> Picture | None:
     """Return what the levels of the first table cost and leave, and the limit of the answer."""
     if of.attacked is None or not of.robots:
         return None
-    looks, robot = _looks(of), of.robots[0].measure
+    looks, robot = looks_of(of.known.values()), of.robots[0].measure
     curves = _points(of, robot, of.attacked.measure, looks, levels_of(of)[0])
     if not curves:
         return None
@@ -127,22 +126,6 @@ def _points(
         ]
         found += [points] * bool(points)
     return found
-
-
-def _looks(of: Headline) -> dict[str, Look]:
-    """Return the look of every mechanism: its rule is hollow or not, raw is a star."""
-    names = [one.name for one in of.known.values() if one.family not in (RAW, CLEAN)]
-    looks = {
-        name: Look(place % (LOOKS - 1), turn=place // (LOOKS - 1))
-        for place, name in enumerate(dict.fromkeys([FID, FIXED, *names]))
-    }
-    return {
-        mechanism: looks[one.name]._replace(hollow=one.adding == "independent")
-        if one.family != RAW
-        else Look(LOOKS - 1)
-        for mechanism, one in of.known.items()
-        if one.family != CLEAN
-    }
 
 
 def _key(of: Headline, curves: Sequence[Sequence[Point]]) -> dict[str, Look]:

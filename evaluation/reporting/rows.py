@@ -14,7 +14,15 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.families import ADDING_RULES, FID, FIXED, LEVEL_UNITS, Family, families_in
+from evaluation.analysis.families import (
+    ADDING_RULES,
+    FID,
+    FIXED,
+    LEVEL_UNITS,
+    RAW,
+    Family,
+    families_in,
+)
 from evaluation.analysis.keys import Key, Source, Where, keys_of, level_text
 from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS
 from evaluation.experiment.presets import DISSOCIATION, SHARED
@@ -173,9 +181,12 @@ class Results:
         """Draw one metric over another, with 95 % intervals, and return the axes.
 
         `x` and `y` are metrics as in `frame`, or `plr_after`: after the strongest attack; `x` may
-        be `level`. `ax` are the axes to draw on, else new ones.
+        be `level`, on a logarithmic axis, where raw is a line. A mechanism looks as on the page.
+        `ax` are the axes to draw on, else new ones.
         """
         from matplotlib import pyplot as plt  # noqa: PLC0415 - slow to import, and seldom needed
+
+        from evaluation.reporting.charts import INKS, MARKERS, looks_of  # noqa: PLC0415 - see `load`
 
         of_y = self._scaled(y, task=task, robot=robot)
         of_x = of_y.assign(value=of_y["level"], ci_low=math.nan, ci_high=math.nan)
@@ -185,14 +196,27 @@ class Results:
         if x != "level":
             of_x = self._scaled(x, task=task, robot=robot)
         both = of_x.merge(of_y, on=_AT, suffixes=("_x", "_y"))
-        ax = plt.subplots()[1] if ax is None else ax
+        if ax is None:
+            ax = plt.subplots(figsize=(8.0, 4.5), layout="constrained")[1]
+        if x == "level":
+            ax.set_xscale("log")
+        known = {(one.name, one.adding): one.mechanism for one in self.families.values()}
+        looks = looks_of(self.families.values())
         for (family, adding), rows in both.groupby(["family", "adding"], sort=False):
             ordered = rows.sort_values("level")
             (x_at, x_error), (y_at, y_error) = (_bars(ordered, one) for one in "xy")
+            mechanism = known[str(family), str(adding)]
+            look = looks.get(mechanism, looks[RAW]._replace(hollow=True))  # clean
             name = f"{family} {adding}".rstrip()
-            ax.errorbar(x_at, y_at, y_error, x_error, marker="o", capsize=2, label=name)
+            ink: dict[str, Any] = {"color": INKS[look.place], "label": name}
+            if x == "level" and not x_at.any():  # raw has none
+                ax.axhline(y_at[0], linestyle="--" if look.hollow else ":", **ink)
+                continue
+            shape: dict[str, Any] = {"marker": MARKERS[look.shape], "capsize": 2, "linewidth": 0.8}
+            face = "none" if look.hollow else ink["color"]
+            ax.errorbar(x_at, y_at, y_error, x_error, markerfacecolor=face, **shape, **ink)
         ax.set(xlabel=of_x.attrs["title"], ylabel=of_y.attrs["title"])
-        ax.legend()
+        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
         return ax
 
     def _scaled(self, name: str, *, task: str = "", robot: str = "") -> pd.DataFrame:

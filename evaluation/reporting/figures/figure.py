@@ -16,15 +16,13 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from evaluation.reporting.charts import CHARACTER, WIDTH, Chart, Look
+from evaluation.reporting.charts import CHARACTER, INKS, MARKERS, WIDTH, Chart, Look
 from evaluation.reporting.markup import HTML
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import printable, shortened
 from evaluation.runs.files import write_whole
 
 _TOP, _LEFT, _HEADING, _GAP = 26.0, 10.0, 16.0, 14.0
-_INKS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#1b1d20")
-_MARKERS: Final = "os^DvP*"
 _PRINTED: Final[dict[str, dict[str, Any]]] = {
     "grid": {"color": "#d9dce0", "linewidth": 0.6},
     "bar": {"linewidth": 1.1, "alpha": 0.55},
@@ -129,7 +127,7 @@ def _printed(of: Figure) -> bytes:
             ax.text(left + 10.0, middle, chart.y_label, fontsize=8.5, rotation=90, va="center")
             for css, path in [("grid", chart.grid), *chart.lines]:
                 kind, _, colour = css.partition(" k")
-                ink = {"color": _INKS[int(colour or 0)], **_PRINTED[kind]}
+                ink = {"color": INKS[int(colour or 0)], **_PRINTED[kind]}
                 for line in _strokes(path):
                     ax.plot(*(np.array(line) + np.array([left, top])).T, **ink)
             for css, path, _ in chart.marks:
@@ -146,9 +144,9 @@ def _printed(of: Figure) -> bytes:
 
 def _mark(ax: Any, x: float, y: float, css: str) -> None:  # noqa: ANN401 - matplotlib's axes
     place, is_hollow = int(css.split()[1][1:]), css.endswith("hollow")
-    face = "white" if is_hollow else _INKS[place]
-    look = {"color": _INKS[place], "markerfacecolor": face, "markersize": 5.0}
-    ax.plot([x], [y], _MARKERS[place], **look)
+    face = "white" if is_hollow else INKS[place]
+    look = {"color": INKS[place], "markerfacecolor": face, "markersize": 5.0}
+    ax.plot([x], [y], MARKERS[place], **look)
 
 
 def _strokes(path: str) -> Iterator[list[tuple[float, float]]]:

@@ -186,7 +186,12 @@ def test_a_plot_has_units_and_a_line_with_intervals_for_each_family_and_rule(mad
     points = [100 * one.query("family == 'fixed'")["value"].to_numpy() for one in frames]
     assert np.array(line.get_data()) == pytest.approx(np.array(points))
     assert len(bars) == 2
+    marks = [bar[0] for bar in axes.containers]
+    assert [(one.get_marker(), one.get_markerfacecolor() == "none") for one in marks] == [
+        *(("*", False), ("o", False), ("s", False), ("o", True))
+    ]
     again = made.loaded.plot(x="level", y="rank1", ax=axes)
     assert again is axes
+    assert axes.get_xscale() == "log"
     assert "d_sigma in m" in axes.get_xlabel()
     plt.close(axes.figure)
