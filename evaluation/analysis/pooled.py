@@ -35,11 +35,15 @@ POOLED: Final = "pooled"
 LINKED_IN: Final = "rerelease"
 _ENDS: Final = ("value", "ci_low", "ci_high")
 COLUMNS = ["question", "recording", "adding", "law", "seed", *_ENDS, "n", "tau2"]
+OWN_GALLERY: Final = "_own_gallery"
+"""Ends a question about people too few for a gallery of 100: the measure of no other recording."""
 QUESTIONS: Final = {
     "robot_loses": "What the robot loses: missed conflicts at fid:1 less those at raw",
     "left_after_attack": "What an attack wins back: PLR at fid:1 after it, less PLR as shared",
-    "people_linked": "Can people be linked: rank 1 at fid:1 in a re-release, less chance",
-    "descriptors_tell": "Do the descriptors tell: how far linkage differs at equal PLR",
+    "people_linked": "Can people be linked: rank 1 of 100 at fid:1 in a re-release, less chance",
+    f"people_linked{OWN_GALLERY}": "Of fewer: rank 1 at fid:1 among themselves, less chance",
+    "descriptors_tell": "Do the descriptors tell: how far rank 1 of 100 differs at equal PLR",
+    f"descriptors_tell{OWN_GALLERY}": "Of fewer: how far rank 1 among themselves differs so",
     "fid_against_fixed": "FID against fixed noise at equal missed conflicts: PLR after attack",
 }
 """In the order of the first screen; all in fractions."""
@@ -80,7 +84,8 @@ def answers_of(
                 if not is_other and {**wanted, "adding": adding}.items() <= item.items():
                     ends = (item[name] for name in ("effect", *_ENDS[1:]))
                     value, low, high = (math.nan if one is None else float(one) for one in ends)
-                    told[question] = Estimate(value, low, high, n=int(item["n"] or 0))
+                    own = OWN_GALLERY if item.get("metric") == SUCCESS else ""
+                    told[question + own] = Estimate(value, low, high, n=int(item["n"] or 0))
         for question in QUESTIONS:
             one = told.get(question)
             if one is not None and math.isfinite(one.value):
@@ -106,14 +111,20 @@ def _at(
     known = {name: pair for name, pair in pairs.items() if {*pair} <= found.keys()}
     told = {name: difference(found[a], found[b]) for name, (a, b) in known.items()}
     if LINKED_IN in best:
-        for metric in (SUCCESS, SUCCESS_OF_100):  # the latter, where galleries are large enough
-            one = found.get(best[LINKED_IN].measure(metric).at(*where))
-            chance = found.get(best[LINKED_IN].measure("chance").at(*where))
-            if one and chance and math.isfinite(one.value):
-                guess = 0.01 if metric == SUCCESS_OF_100 else chance.value
-                value, low, high = (end - guess for end in (one.value, one.ci_low, one.ci_high))
-                told["people_linked"] = Estimate(value, low, high, n=one.n)
+        of_100, own, chance = (
+            found.get(best[LINKED_IN].measure(name).at(*where))
+            for name in (SUCCESS_OF_100, SUCCESS, "chance")
+        )
+        if of_100 and math.isfinite(of_100.value):
+            told["people_linked"] = _less(of_100, 0.01)
+        elif own and chance and math.isfinite(own.value):
+            told[f"people_linked{OWN_GALLERY}"] = _less(own, chance.value)
     return told
+
+
+def _less(one: Estimate, known: float) -> Estimate:
+    """Return an estimate less a number that has no error."""
+    return Estimate(one.value - known, one.ci_low - known, one.ci_high - known, n=one.n)
 
 
 class Pooled(NamedTuple):
@@ -168,6 +179,8 @@ class Answered:
         of = list(self.rows)[: self.real]
         if not of:
             return "No real recording tells."
+        if self.question.endswith(OWN_GALLERY):
+            return "Not compared, and never pooled: galleries of different sizes."
         k, values = len(of), [one["value"] for one in of]
         same = max(sum(one > 0 for one in values), sum(one < 0 for one in values))
         least, most = (pick(of, key=itemgetter("value")) for pick in (min, max))
@@ -204,6 +217,7 @@ def answered(rows: Sequence[Mapping[str, Any]], *, simulated: frozenset[str]) ->
         real = [row for row in averages if row["recording"] not in simulated]
         errors = [(row["ci_high"] - row["ci_low"]) / (2.0 * _NORMAL) for row in real]
         able = len(real) >= FEWEST and all(one > 0.0 for one in errors)
+        able = able and not order[place].endswith(OWN_GALLERY)
         pooled = pool([row["value"] for row in real], errors) if able else None
         found.append(Answered(order[place], adding, law, averages, len(real), pooled))
     return found

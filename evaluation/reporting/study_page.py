@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from evaluation.analysis.pooled import FEWEST, QUESTIONS, Answered
+from evaluation.analysis.pooled import FEWEST, OWN_GALLERY, QUESTIONS, Answered
 from evaluation.reporting.charts import CHARACTER, PERCENT, Chart, Look, bar
 from evaluation.reporting.markup import HTML
 from evaluation.reporting.rows import ENDS
@@ -29,6 +29,7 @@ def render(of: Sequence[Answered], *, simulated: frozenset[str], runs: Iterable[
     questions = {
         text: [_forest(one, simulated) for one in of if one.question == name]
         for name, text in QUESTIONS.items()
+        if not name.endswith(OWN_GALLERY) or name in {one.question for one in of}
     }
     return HTML.get_template("study.html.j2").render(
         questions=questions, runs=list(runs), fewest=FEWEST, set_constants=SET_CONSTANTS
@@ -61,5 +62,10 @@ def _forest(one: Answered, simulated: frozenset[str]) -> Forest:
         x, *ends = at(of)
         chart.lines.append((f"bar k{look.place}", bar(ends, at=y)))
         told = "{}: {:+.1f} [{:.1f}, {:.1f}]".format(name, *of)
+        told = (
+            told
+            if np.isfinite(of).all()
+            else f"{name}: {of[0]:+.1f}, too few people for an interval"
+        )
         chart.marks.append((look.css, look.path(x, y), told))
     return Forest(f"{one.adding} adding, {one.law} error", one.sentence, chart)

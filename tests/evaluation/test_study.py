@@ -4,7 +4,7 @@ import pandas as pd
 import pytest
 
 from evaluation import study
-from evaluation.analysis.pooled import answers_of
+from evaluation.analysis import pooled
 from evaluation.experiment.settings import Settings
 from evaluation.results import study as answer
 from evaluation.runs.manifest import read_manifest
@@ -42,7 +42,19 @@ def test_the_table_has_a_row_a_seed_and_their_mean_and_pools_nothing_simulated(a
     assert list(told["seed"]) == ["0", "1", "mean"]
     values = told.set_index("seed")["value"]
     assert values["mean"] == pytest.approx((values["0"] + values["1"]) / 2)
-    assert {"robot_loses", "left_after_attack", "people_linked"} <= set(table["question"])
+    assert {"robot_loses", "left_after_attack"} <= set(table["question"])
+
+
+def test_who_has_fewer_than_100_candidates_is_compared_with_nobody(answered):
+    of, _, out, _ = answered
+    linked = {one for one in pd.read_csv(out / "study.csv")["question"] if "linked" in one}
+    assert linked == {"people_linked_own_gallery"}
+    rows = [
+        {**of[0].rows[0], "question": "people_linked_own_gallery", "recording": one}
+        for one in "abcde"
+    ]
+    (told,) = pooled.answered(rows, simulated=frozenset())
+    assert (told.pooled, told.sentence[:12]) == (None, "Not compared")
 
 
 def test_what_is_finished_is_read_again(answered):
@@ -61,7 +73,7 @@ def test_what_fid_is_held_against_fixed_noise_by_is_no_other_mechanism(answered)
     of |= {"adding": "linear", "ci_low": 0.01, "ci_high": 0.03, "n": 50}
     items = [of | {"effect": 0.02}, of | {"effect": -0.4, "mechanism": "ou"}]
     folder = out / "plaza-0"
-    told = answers_of(folder, read_manifest(folder), {"items": items}, law="radial")
+    told = pooled.answers_of(folder, read_manifest(folder), {"items": items}, law="radial")
     assert [one["value"] for one in told if one["question"] == "fid_against_fixed"] == [0.02]
 
 
