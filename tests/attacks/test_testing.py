@@ -175,11 +175,7 @@ class TestMistakesWithoutEnd:
         ("made", "name", "message"),
         [
             (fitted(lambda release: release.xy[1:]), ORDER, "shape (271, 2), expected (272, 2)"),
-            (
-                fitted(lambda release: release.xy * np.nan),
-                NULL,
-                "a reconstructed position is not fi",
-            ),
+            (fitted(lambda release: release.xy * np.nan), NULL, "reconstructed position is not fi"),
             (fitted(lambda release: [["a", "b"]] * len(release.t)), SHORT, "struction, got list"),
             (fitted(3), NULL, "asked for release, it raised TypeError: 'int' object is not"),
             (attack(lambda release: release.xy.fill(0.0)), MUTATED, "read-only (broken_attac"),
@@ -227,9 +223,7 @@ class TestRows:
 
 
 class TestRunning:
-    @pytest.mark.parametrize(
-        ("made", "checks"), [(broken_attacks.Base(), CHECKS), (BASE, LINKAGE_CHECKS)]
-    )
+    @pytest.mark.parametrize(("made", "checks"), [(Jitters(), CHECKS), (BASE, LINKAGE_CHECKS)])
     def test_checks_go_by_the_kind_in_order_and_by_name(self, made, checks):
         assert list(checks_for(made)) == list(checks)
         assert run_checks(made, names=[NULL]) == (CheckResult(NULL, "passed"),)
@@ -326,9 +320,7 @@ hidden, shown = (LinkageCase.ordinary_and_another(one)[0].noisy for one in (froz
 
 @pytest.mark.parametrize("noisy", [whole.noisy, hidden, shown])
 @pytest.mark.parametrize(("sigma_m", "law", "n"), [(0.3, "radial", 1), (10.0, "isotropic", 2)])
-def test_levels_differ_in_the_size_of_the_errors_alone_which_is_as_announced(
-    noisy, sigma_m, law, n
-):
+def test_levels_differ_in_the_size_of_errors_alone_which_is_as_announced(noisy, sigma_m, law, n):
     less, more = noisy(sigma_m, law), noisy(3 * sigma_m, law)
     for low, high in zip(releases(less), releases(more), strict=True):
         if low.sigma is None:  # a true position

@@ -135,9 +135,7 @@ sys.exit(beside.main(["--json", sys.argv[1]]))
 
 
 @pytest.mark.parametrize(("wrong", "code"), [("1e-12", 0), ("1e-3", 1)])
-def test_side_by_side_results_that_differ_are_an_error_and_what_is_missing_a_line(
-    wrong, code, tmp_path
-):
+def test_side_by_side_results_that_differ_are_an_error_missing_ones_a_line(wrong, code, tmp_path):
     words = [sys.executable, "-c", BESIDE, tmp_path / "said.json", wrong]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == code, done.stderr

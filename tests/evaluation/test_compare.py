@@ -288,9 +288,7 @@ class TestMechanisms:
 
 
 class TestCommand:
-    def test_the_table_is_tidy_and_the_gate_shut_where_it_is_asked_for(
-        self, both, command, tmp_path
-    ):
+    def test_the_table_is_tidy_and_the_gate_shut_where_it_is_asked(self, both, command, tmp_path):
         words = ["{base}", "{wide}", "--csv", tmp_path / "table.csv"]
         assert command(*words, "--fail-on-change")[0] == 1
         code, text, _ = command(*words)

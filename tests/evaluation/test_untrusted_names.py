@@ -204,9 +204,7 @@ class TestNothingIsImportedFromAFile:
         ("spec", "only_settings"),
         [("evil_module:Evil:1", False), ("evil_package.inner:Evil", True)],
     )
-    def test_commands_on_a_run_import_nothing(
-        self, planted, evil, spec, only_settings, plain, capsys
-    ):
+    def test_commands_import_nothing(self, planted, evil, spec, only_settings, plain, capsys):
         out = str(planted(spec, only_settings=only_settings))
         codes = [
             report.main([out]),

@@ -161,9 +161,7 @@ class TestMemory:
         ],
         ids=["rows", "a long id", "a long text for a number"],
     )  # fmt: skip
-    def test_a_small_parquet_file_that_claims_much_is_refused_without_unpacking(
-        self, columns, message
-    ):
+    def test_a_small_parquet_file_that_claims_much_is_not_unpacked(self, columns, message):
         data = packed(**{"x": np.zeros(100), "y": np.zeros(100), **columns}, compression="zstd")
         assert len(data) < 400_000
         with arrow_pool() as pool:

@@ -66,10 +66,7 @@ class TestMistakesAreCaught:
             (lambda *_: sys.exit("enough"), "mel_s raised SystemExit: enough; called as mel_s([["),
             (broken_metrics.mel_changes_its_input, "mel_s changed its input; called as mel_s([["),
             (lambda *_: None, "mel_s returned None, which cannot be read as its result: "),
-            (
-                broken_metrics.duration(sum),
-                "MEL is 1.0, expected 0.75; leakage pattern 101110, t =",
-            ),
+            (broken_metrics.duration(sum), "MEL is 1.0, expected 0.75; leakage pattern 101110,"),
         ],
     )
     def test_with_a_counterexample(self, broken, message):

@@ -105,9 +105,7 @@ def test_a_server_that(what, mirror, fetch, tmp_path):
 
 
 @pytest.mark.parametrize("sign", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
-def test_what_is_ended_halfway_leaves_nothing_that_the_next_does_not_clear(
-    sign, mirror, fetch, tmp_path
-):
+def test_what_is_ended_halfway_leaves_nothing_that_the_next_keeps(sign, mirror, fetch, tmp_path):
     mirror.files["/base/small/obsmat.txt"] = (len(WALK), WALK[:10], silent)
     process = fetch(start)
     wait_for(lambda: files(tmp_path), most_s=20)

@@ -31,9 +31,7 @@ def gap(n=10, *, seed=0, gap_s=2.0, noise_m=0.1, same_start=True, **habits):
     probe = [person.seen(rng, start_s=1.0, **window) for person in people]
     again_s = 5.0 + gap_s
     gallery = [
-        people[k].seen(
-            rng, start_s=again_s + (0.0 if same_start else rng.uniform(0, 2.0)), **window
-        )
+        people[k].seen(rng, start_s=again_s + (0.0 if same_start else rng.uniform(0, 2)), **window)
         for k in order
     ]
     return release_of(probe), release_of(gallery), np.argsort(order)

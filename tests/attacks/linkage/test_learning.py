@@ -38,10 +38,8 @@ def test_log_rank_by_hand():
 
 
 def test_learning_takes_one_parameter_after_the_other():
-    found, asked = learnt(
-        ((1, 4, 9), (7,), (3, 8)), lambda a, b, c: abs(a - 5) + abs(c - 7) + b - 7
-    )
-    assert found == (4, 7, 8)
+    best, asked = learnt(((1, 4, 9), (7,), (3, 8)), lambda a, b, c: abs(a - 5) + abs(c - 7) + b - 7)
+    assert best == (4, 7, 8)
     # What was found for the first is not asked for again.
     assert asked == [(1, 7, 3), (4, 7, 3), (9, 7, 3), (4, 7, 8)]
 

@@ -74,10 +74,7 @@ LEARNERS = {  # what is learnt, as a keyword for each candidate, and whether mor
     KalmanRTS: ([{"q": one} for one in around(0.04, factor=4.0)], False),
     partial(RadialRTS, passes=5): ([{"q": one} for one in around(0.04, factor=4.0)], False),
     ImmRTS: ([{"q": 0.03 * by, "q_turn": 0.12 * by} for by in (1 / 4, 1.0, 4.0)], False),
-    GaussianProcess: (
-        [{"length_s": 12.0, "scale_m": one} for one in around(2.5, factor=2.0)],
-        False,
-    ),
+    GaussianProcess: ([{"length_s": 12.0, "scale_m": m} for m in around(2.5, factor=2.0)], False),
 }
 
 

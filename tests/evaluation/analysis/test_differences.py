@@ -15,7 +15,7 @@ WEIGHTS = cluster_weights(n_clusters=40, n_replicates=1000, seed=3)
 
 def estimate(values, **how):
     return ratio_estimate(
-        numerator=values, denominator=np.ones_like(values), weights=WEIGHTS, **how
+        numerator=values, denominator=np.ones(values.shape), weights=WEIGHTS, **how
     )
 
 

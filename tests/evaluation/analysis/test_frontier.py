@@ -57,10 +57,8 @@ def test_straight_lines_are_read_where_the_rate_has_risen(robot, criterion, slop
             one = rows(of, mechanism=mechanism, metric=metric)
             assert one["target"].tolist() == list(TARGETS)
             assert one["value"].to_numpy() == pytest.approx(expected, rel=2e-3)
-        d_sigma, eta = (
-            rows(of, mechanism=name, metric=metric)["level"] for name in ("fixed", "fid")
-        )
-        assert d_sigma.to_numpy() == pytest.approx(noise, rel=1e-6)
+        sigma, eta = (rows(of, mechanism=name, metric=metric)["level"] for name in ("fixed", "fid"))
+        assert sigma.to_numpy() == pytest.approx(noise, rel=1e-6)
         # Noise falls from 0.8 at eta = 1 by 0.05 a decade.
         assert np.log10(eta.to_numpy()) == pytest.approx((0.8 - noise) / 0.05, abs=1e-6)
 

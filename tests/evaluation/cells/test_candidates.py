@@ -78,9 +78,7 @@ class TestScores:
             assert all(same(found[key], exact[key]) for key in exact)
 
     @pytest.mark.parametrize("task", ["rerelease", "handover-2s"])
-    def test_the_first_few_of_the_first_stage_are_scored_and_the_others_follow_in_its_order(
-        self, task
-    ):
+    def test_the_first_few_of_the_first_stage_are_scored_and_others_follow_in_order(self, task):
         n, sessions, spy = 4, sessions_of(task), Length()
         exact, level = linked(sessions, "raw", Length())
         found, _ = linked(sessions, "raw", spy, stages=few(n))

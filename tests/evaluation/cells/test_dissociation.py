@@ -297,9 +297,7 @@ class TestWindows:
         }
 
     @pytest.mark.parametrize("task", LINKER)
-    def test_each_window_of_either_side_has_a_row_and_the_same_walk_at_every_level(
-        self, sessions, task
-    ):
+    def test_each_window_of_either_side_has_a_row_and_one_walk_at_every_level(self, sessions, task):
         levels = ("raw", "thin:4", "clean", Silent())
         raw, thin, clean, silent = (self.frame(sessions[task], by) for by in levels)
         sides = {side: len(getattr(sessions[task], side)) for side in ("probe", "gallery")}

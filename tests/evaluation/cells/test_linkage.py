@@ -95,9 +95,7 @@ def watched(request):
 
 
 class TestWhatAnAdversarySees:
-    def test_every_walk_is_in_a_frame_and_on_a_clock_of_its_own_unless_the_scene_shows(
-        self, watched
-    ):
+    def test_every_walk_has_a_frame_and_a_clock_of_its_own_unless_the_scene_shows(self, watched):
         sessions, level, _, ((_, probe, _), *_) = watched
         rows = level.known.halves[0].searches[0][1].probe
         if sessions.task.shows_scene:  # the true frame and clock, to everyone
@@ -119,9 +117,7 @@ class TestWhatAnAdversarySees:
         for values in (angles, starts):
             assert np.unique(np.round(values, 3)).size == len(values)
 
-    def test_sigma_shows_where_it_is_granted_and_frame_and_repeats_are_the_tasks_to_grant(
-        self, watched
-    ):
+    def test_sigma_shows_where_it_is_granted_frame_and_repeats_where_the_task_does(self, watched):
         sessions, _, adversaries, seen = watched
         for context, *sides in seen:
             assert (Knowledge.SCENE in context.granted) == sessions.task.shows_scene
@@ -504,7 +500,7 @@ class TestRuns:
         assert not finished.summary["consumer"].str.contains("windows").any()
         assert table["thin", "kalman_rts", "plr"].min() > 0
 
-    def test_it_goes_on_with_more_where_it_stopped_and_workers_change_no_bit(
+    def test_it_goes_on_with_more_where_it_stopped_and_workers_change_nothing(
         self, finished, tmp_path
     ):
         settings = settings_in(tmp_path)
@@ -531,7 +527,7 @@ class TestRuns:
             assert "rerelease/histogram" in found
             assert ("rerelease/shape" in found) == ("shape" in attacks)
 
-    def test_a_presets_task_without_people_is_left_out_and_said(
+    def test_a_presets_task_without_people_is_left_out_loudly(
         self, csv_recording, tmp_path, capsys
     ):
         words = ["--preset", "smoke", "--dataset", csv_recording, "--scenes", 8, "--jobs", 1]
@@ -564,10 +560,7 @@ class TestAxes:
             ({"attacks": ("shape@averaging",)}, "has no task to run in.*requires REPEATS"),
             ({"attacks": ("identity",), "tasks": ("split",)}, "task split has no attack"),
             ({"attacks": ("shape",), "tasks": ()}, "'shape' has no task"),
-            (
-                {"attacks": ("kalman_rts",), "adversaries": ("anchor",)},
-                "anchor: .* --attack ou_rts",
-            ),
+            ({"attacks": ("kalman_rts",), "adversaries": ("anchor",)}, "anchor: .*--attack ou_rts"),
         ],
     )
     def test_what_does_not_fit_is_refused_with_the_way_out(self, given, message):

@@ -72,9 +72,7 @@ def test_walking_groups_stay_together_and_are_halved_by_the_seed_alone():
 
 
 class TestBlock:
-    def test_an_overlap_or_a_walk_that_occurs_twice_in_a_pass_stops_the_run(
-        self, tracks, monkeypatch
-    ):
+    def test_an_overlap_or_a_walk_that_is_twice_in_a_pass_stops_the_run(self, tracks, monkeypatch):
         world = World(tracks, n_scenes=ONE_PASS)
         track = np.roll(world.scenes.track, 1)
         track[0] = track[1]
@@ -198,9 +196,7 @@ class TestWhatIsShown:
         assert all(context.mechanism is fixed.instance for context in granted)
 
     @pytest.mark.parametrize("granted", [(REPEATS,), (REPEATS, SCENE)])
-    def test_repeats_are_the_same_walks_at_the_same_instants_with_other_errors(
-        self, tracks, granted
-    ):
+    def test_repeats_are_the_same_walks_and_instants_with_other_errors(self, tracks, granted):
         # Noise of the mechanism's own, far above that of sensing: see above for the latter.
         world, seen = self.spied(tracks, requires=granted, mechanism="fixed:9,adding=independent")
         for fold, (context, release, _) in enumerate(seen):

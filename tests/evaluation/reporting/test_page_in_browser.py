@@ -116,9 +116,7 @@ GROUND = "() => getComputedStyle(document.body).backgroundColor"
         ("dark", "rgb(23, 25, 28)", "rgb(232, 232, 230)"),
     ],
 )
-def test_light_and_dark_are_two_pages_and_print_is_light_without_buttons(
-    opened, scheme, ground, ink
-):
+def test_light_and_dark_are_two_pages_and_print_is_light_no_buttons(opened, scheme, ground, ink):
     tab = opened(color_scheme=scheme)
     assert tab.evaluate(GROUND) == ground
     fill = "() => getComputedStyle(document.querySelector('#fig-after_attack svg')).fill"
@@ -162,9 +160,7 @@ class TestTables:
         options = {"permissions": ["clipboard-read", "clipboard-write"]} if has_clipboard else {}
         tab = self.unfolded(opened, **options)
         if not has_clipboard:
-            tab.evaluate(
-                "() => { navigator.clipboard.writeText = () => Promise.reject(new Error()) }"
-            )
+            tab.evaluate("() => { navigator.clipboard.writeText = () => Promise.reject(Error()) }")
         tab.evaluate(
             "() => document.addEventListener('copy', () => {"
             " window.copied = document.activeElement.value ?? String(getSelection()); })"

@@ -253,7 +253,7 @@ class TestWhatIsKilled:
         assert all(path.stat().st_mtime_ns == stamp for path, stamp in kept.items())
 
     @pytest.mark.slow
-    def test_workers_that_a_plugin_kills_cost_its_cells_alone(
+    def test_workers_that_a_plugin_kills_cost_its_cells(
         self, settings, folder, monkeypatch, tmp_path
     ):
         monkeypatch.syspath_prepend(str(folder))
@@ -308,9 +308,7 @@ class TestWhatIsRefused:
         with pytest.raises(SettingsError, match=r"cannot import 'here_alone' .*on every worker"):
             evaluation.run(there)
 
-    def test_a_plugin_that_workers_have_as_it_was_before(
-        self, settings, cluster, folder, monkeypatch
-    ):
+    def test_a_plugin_that_workers_have_as_it_was(self, settings, cluster, folder, monkeypatch):
         source = folder / "edited_plugin.py"
         source.write_text(PLUGINS, encoding="utf-8")
         monkeypatch.syspath_prepend(str(folder))
@@ -343,7 +341,7 @@ class TestWhatIsRefused:
             ({"executor": "slurm"}, "local or dask, got 'slurm'"),
             ({"executor": "dask", "scheduler": "tcp://a:1", "jobs": 2}, "--jobs is of"),
             (
-                {"executor": "dask", "scheduler": "tcp://a:1", "cell_timeout_s": 2.0},
+                {"executor": "dask", "scheduler": "tcp://a:1", "cell_timeout_s": 2},
                 "--cell-timeout is of",
             ),
         ],

@@ -258,9 +258,7 @@ class TestAnotherRunInTheSameFolder:
         pd.testing.assert_frame_equal(afresh, after, check_exact=True)
         assert len(list((finished.out / "cells").iterdir())) == 6
 
-    def test_after_a_plug_in_changed_computes_it_and_not_its_neighbours(
-        self, settings, monkeypatch
-    ):
+    def test_after_a_plug_in_changed_computes_it_and_no_neighbours(self, settings, monkeypatch):
         wider = replace(settings, predictors=("least_squares", "kalman_cv"))
         run(wider)
         before, kept = held_by(settings.out), stamps(settings.out)
@@ -270,9 +268,7 @@ class TestAnotherRunInTheSameFolder:
         new = [held for name, held in held_by(settings.out).items() if name not in before]
         assert new == [{"kalman_cv"}] * 3
 
-    def test_that_is_narrower_keeps_what_the_folder_has_unless_the_code_changed(
-        self, finished, monkeypatch
-    ):
+    def test_that_is_narrower_keeps_the_rest_unless_the_code_changed(self, finished, monkeypatch):
         narrow = run(finished, mechanisms=("raw",))
         assert set(narrow.summary["mechanism"]) == {"raw", "fid", "fixed"}
         change_code(monkeypatch, "isac_track.sensing")

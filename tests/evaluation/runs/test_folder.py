@@ -143,9 +143,7 @@ class TestWhereTheFolderCannotBeUsed:
             ("SHA256SUMS", "matrix", "{path} cannot be read: Is a directory"),
         ],
     )
-    def test_what_is_in_place_of_something_else_is_named(
-        self, out, name, command, said, capsys, options
-    ):
+    def test_what_is_in_place_of_another_is_named(self, out, name, command, said, capsys, options):
         path = min(out.glob(name), default=out / name)
         if name == "cells":
             shutil.rmtree(path)
@@ -158,9 +156,7 @@ class TestWhereTheFolderCannotBeUsed:
         assert said.format(path=path) in one_line(capsys)
         assert path.is_dir() is (name != "cells")
 
-    def test_where_nothing_can_be_locked_the_run_is_refused(
-        self, out, capsys, monkeypatch, options
-    ):
+    def test_where_nothing_can_be_locked_a_run_is_refused(self, out, capsys, monkeypatch, options):
         def refuse(*_):
             raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
@@ -212,7 +208,7 @@ class TestManifest:
         with pytest.raises(DataError, match="is damaged"):
             store.open_run(out, identity={}, fresh=False)
 
-    def test_that_is_damaged_is_replaced_by_fresh_and_by_nothing_else(
+    def test_that_is_damaged_is_replaced_by_fresh_and_nothing_else(
         self, out, capsys, tiny, options
     ):
         (out / "manifest.json").write_text('{"identity": {}, "cells": []}')
@@ -236,9 +232,7 @@ class TestManifest:
         assert matrix.main([*options, "--out", str(out)]) == 2
         assert str(path) in one_line(capsys)
 
-    def test_of_a_run_that_never_started_is_continued_but_has_no_report(
-        self, tmp_path, capsys, tiny
-    ):
+    def test_of_a_run_that_never_began_is_continued_but_has_no_report(self, tmp_path, capsys, tiny):
         out = tmp_path / "run"
         ready = plan(replace(tiny, out=out))
         manifest, _, _ = store.open_run(out, identity=ready.identity, fresh=False)

@@ -46,9 +46,7 @@ class TestLevel:
             ({}, {"missed": 0.16} | OTHER, {}, (10, 1)),  # 0.125 + 0.02; 1 has 0.15
         ],
     )
-    def test_is_the_strictest_whose_upper_end_meets_the_targets(
-        self, made, run, question, whose, levels
-    ):
+    def test_is_the_strictest_whose_upper_end_meets_them(self, made, run, question, whose, levels):
         one = scheme(asked(made(**run), **question), **whose)
         assert tuple(each and each.level for each in (one.chosen, one.stricter)) == levels
 

@@ -88,9 +88,7 @@ GAPS = np.where(np.arange(1000) < 30, np.nan, NOISE)
         (of(9.0, NOISE), {"untestable": "nobody is linked"}, "nobody is linked", True),
     ],
 )
-def test_what_cannot_be_tested_says_why_and_takes_no_part_in_the_bands(
-    effect, more, why, has_interval
-):
+def test_what_cannot_be_tested_says_why_and_is_in_no_band(effect, more, why, has_interval):
     sure = draft(of(9.0, NOISE))
     items = decided(rules.CLAIM, [draft(effect, **more), sure])
     assert items[0]["decision"] == "not testable"

@@ -95,7 +95,7 @@ def test_every_item_carries_what_it_promises(worlds, equal):
         ("offset", 0.4, rules.BETWEEN, []),
     ],
 )
-def test_a_decision_names_the_kind_of_evidence(
+def test_a_decision_names_its_kind_of_evidence(
     worlds, equal, mechanism, points, decision, evidence
 ):
     found = item(said_of(worlds, shifted(equal, mechanism, points)))

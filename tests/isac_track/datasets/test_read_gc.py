@@ -154,9 +154,7 @@ def test_what_is_no_archive(tmp_path):
             load(path, format="gc")
 
 
-def test_by_name_it_must_be_the_recording_and_may_lie_behind_a_link(
-    data_folder, monkeypatch, capsys
-):
+def test_by_name_it_must_be_the_recording_and_may_be_a_link(data_folder, monkeypatch, capsys):
     assert main(["fetch", "gc"]) == 2
     told = capsys.readouterr().err
     assert told.startswith("error: gc: no licence is issued")

@@ -19,7 +19,7 @@ USE = """
 import numpy as np
 from isac_track import kalman
 batch = kalman.Batch(
-    np.arange(3.0), np.ones((3, 2)), np.ones(3), np.array([0, 3]), prior_std=(1.0, 1.0)
+    np.arange(3.0), np.ones((3, 2)), np.ones(3), np.array([0, 3]), prior_std=(1, 1)
 )
 last = kalman.kalman_last(batch, q=1.0)
 print(last.mean[0, 0, 0])

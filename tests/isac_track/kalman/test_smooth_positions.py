@@ -75,9 +75,7 @@ class TestSeveralPasses:
     anneal=st.floats(0.0, 0.95),
     seed=st.integers(0, 9),
 )
-def test_any_noise_and_any_step_give_a_sound_result(
-    sizes, log_sigma, log_step, passes, anneal, seed
-):
+def test_any_noise_and_step_give_a_sound_result(sizes, log_sigma, log_step, passes, anneal, seed):
     square, step_s = 10.0 ** (2 * log_sigma), 10.0**log_step
     case = batch(
         sizes=sizes,

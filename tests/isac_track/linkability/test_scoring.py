@@ -156,9 +156,7 @@ def assert_alike(one, two, *, rtol=0.0):
 
 def test_of_the_next_attack_on_the_same_people_it_is_the_same_whether_pairs_are_kept_or_not():
     first = random_searches(stream(24, "test", "kept"), 0)
-    scores = [
-        stream(25, "test", "kept", k).standard_normal(s.scores.shape) for k, s in enumerate(first)
-    ]
+    scores = [stream(25, "kept", k).standard_normal(s.scores.shape) for k, s in enumerate(first)]
     second = [replace(s, scores=other) for s, other in zip(first, scores, strict=True)]
     other_people = [replace(s, mate=np.roll(s.mate, 1)) for s in second]
     kept, others = (
