@@ -245,10 +245,10 @@ def show_variants(rows: pd.DataFrame, *, left_out: Mapping[str, str]) -> None:
     columns = [make.said(name) for name in ("variant", *shown)]
     lines = turned(rows)
     found = rows.loc[rows["variant"] != BASE, "changed"].value_counts()
-    alike, neither = (int(found.get(one, 0)) for one in (sensitivity.SAME, sensitivity.NEITHER))
-    ended = (
-        f"{alike} items decided alike, {neither} {sensitivity.NEITHER}, {len(lines)} changed sign"
-    )
+    rest = [one for one in found.index if one not in (sensitivity.SAME, sensitivity.TURNED)]
+    others = "".join(f", {found[one]} {one}" for one in sensitivity.CHANGES if one in rest)
+    same = found.get(sensitivity.SAME, 0)
+    ended = f"{same} items decided alike{others}, {len(lines)} {sensitivity.TURNED}"
     terminal.show(
         [
             make.built("sensitivity", "Items of the verdict, by section", records, columns),
