@@ -15,9 +15,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description="Refit the free constants of the sensing model to the paper's numbers.",
     )
     add = command.add_argument
-    add("--dataset", default="students03", help="the paper's is students03")
-    add("--scenes", type=int, default=5000)
-    add("--seed", type=int, default=0)
+    add("--dataset", metavar="NAME|PATH", default="students03", help="default: the paper's")
+    about = "the more, the surer the missed rates (default: 5000, half a minute)"
+    add("--scenes", metavar="N", type=int, default=5000, help=about)
+    add("--seed", metavar="N", type=int, default=0, help="of scenes and errors (default: 0)")
     about = "also fit with other caps and beam fluctuations, and predict with each (minutes)"
     add("--ridge", action="store_true", help=about)
     return exit_code(lambda: _run(command.parse_args(arguments)))
