@@ -63,11 +63,8 @@ def elapsed(combine):
 
     def descriptor(shared_xy, true_xy, t, epsilon_m):
         padded = np.r_[False, LEAKS["strictly"](shared_xy - true_xy, epsilon_m), False].astype(int)
-        first, last = (
-            np.flatnonzero(np.diff(padded) == 1),
-            np.flatnonzero(np.diff(padded) == -1) - 1,
-        )
-        return combine(t[last] - t[first]) if first.size else 0.0
+        first, behind = (np.flatnonzero(np.diff(padded) == sign) for sign in (1, -1))
+        return combine(t[behind - 1] - t[first]) if first.size else 0.0
 
     return descriptor
 

@@ -26,12 +26,8 @@ BOTH_RULES = ("", INDEPENDENT)
 SWEPT = (("fid", (1.0, 1000.0)), ("fixed", (0.4, 0.7, 1.0)))
 NO_RULE = ("raw", "clean", "offset", "thin", "ou")
 """Mechanisms that declare no adding rule; `ou` is a stranger's."""
-CONTROLS = [
-    ("offset", 0.4),
-    ("correlated", 0.5),
-    (f"correlated{INDEPENDENT}", 0.5),
-    ("thin:d_sigma=0.75", 4.0),
-]
+CONTROLS = [("offset", 0.4), ("correlated", 0.5), (f"correlated{INDEPENDENT}", 0.5)]
+CONTROLS += [("thin:d_sigma=0.75", 4.0)]
 COSTS = tuple(name for name in UTILITY if name != OF_ROBOT)  # made-up robots have no `track`
 UNITS = {name: METRICS[name].summary_unit for name in (*COSTS, *DESCRIPTORS, "rmse")}
 RATIOS = dict.fromkeys(("rmse_over_benchmark", "plr_over_benchmark"), "ratio")

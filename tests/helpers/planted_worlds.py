@@ -108,7 +108,7 @@ def simulated(world, *, rng):
     def put(key, values, *, share=True):
         sums = {
             "numerator": values.reshape(-1, 2).sum(axis=1),
-            "denominator": 2.0 * np.ones(n_pairs),
+            "denominator": np.full(n_pairs, 2.0),
         }
         found[key] = ratio_estimate(**sums, weights=weights, is_share=share)
 

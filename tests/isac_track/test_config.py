@@ -54,10 +54,7 @@ def test_text_is_read_as_the_type_of_the_field(name, value, expected):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (
-            {"privacy.epsilon": 1},
-            "unknown setting 'privacy.epsilon'; did you mean privacy.epsilon_m?",
-        ),
+        ({"privacy.epsilon": 1}, "'privacy.epsilon'; did you mean privacy.epsilon_m?"),
         ({"zzz": 1}, "unknown setting 'zzz'; `--list` names all settings"),
         ({"privacy.epsilon_m": "wide"}, "privacy.epsilon_m must be a number, got 'wide'"),
         ({"privacy.epsilon_m": True}, "privacy.epsilon_m must be a number, got True"),

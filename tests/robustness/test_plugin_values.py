@@ -241,12 +241,7 @@ def arguments(recording, tmp_path, monkeypatch):
 
 
 def named(**axes):
-    return [
-        word
-        for axis, specs in axes.items()
-        for spec in specs
-        for word in (f"--{axis}", f"odd:{spec}")
-    ]
+    return [f"--{axis}=odd:{spec}" for axis, specs in axes.items() for spec in specs]
 
 
 FAR_M = f"{0.99 * SHARED_LIMIT_M:g}"

@@ -191,10 +191,8 @@ class TestScenes:
         assert np.abs(rows["mse_m2"]).max() < 1e-12
         assert rows["plr"].tolist() == [1.0] * 24
         odd = is_odd(world.sensed)
-        assert (
-            rows["n_samples"].tolist()
-            == np.add.reduceat(odd, world.scenes.offsets[:-1], dtype=int).tolist()
-        )
+        of_track = np.add.reduceat(odd, world.scenes.offsets[:-1], dtype=int)
+        assert rows["n_samples"].tolist() == of_track.tolist()
         assert sum(release.t.size for _, release, _ in spy.seen) == odd.sum()
         for context, release, _ in spy.seen if granted else ():
             train = context.train

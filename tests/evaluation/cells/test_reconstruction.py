@@ -424,10 +424,7 @@ class Bad:
         ),
         (lambda context: context.train.truth, "failed: KnowledgeDenied: TRAIN was not granted"),
         (lambda _: lambda one: one.xy + one.sigma[:, None], "failed: TypeError"),
-        (
-            lambda _: lambda one: one.xy.__setitem__(0, 0),
-            "failed: ValueError: assignment destination is read-only",
-        ),
+        (lambda _: lambda one: one.xy.__setitem__(0, 0), "failed: ValueError: assignment dest"),
     ],
 )
 def test_an_attack_that_breaks_its_contract_is_named_with_its_adversary(tracks, how, message):

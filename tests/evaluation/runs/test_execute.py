@@ -206,15 +206,8 @@ def test_further_scenes_are_for_utility_and_change_none_of_the_attacked(
     specs = ("raw", "fid:1000", "correlated:0.75")
     predictors = ("least_squares", "kalman_cv", "kalman_ca")
     axes = {"mechanisms": specs, "predictors": predictors, "attacks": ("identity",), "tasks": ()}
-    few = replace(
-        PRESETS["paper"],
-        scenes=4,
-        utility_scenes=10,
-        other_law=(),
-        model=(),
-        protections=(),
-        **axes,
-    )
+    axes |= {"other_law": (), "model": (), "protections": ()}
+    few = replace(PRESETS["paper"], scenes=4, utility_scenes=10, **axes)
     monkeypatch.setitem(PRESETS, "paper", few)
     for name in ("experiment.plan", "runs.pieces"):
         monkeypatch.setattr(f"evaluation.{name}.BLOCK_SCENES", 4)

@@ -77,10 +77,7 @@ def test_the_published_program_loses_half_of_either_outer_bin():
 
 def test_the_hull_is_convex_and_lies_above_the_roc():
     rng = stream(4, "test", "hull")
-    mated, non_mated = (
-        np.round(rng.standard_normal(40) + 1, 1),
-        np.round(rng.standard_normal(60), 1),
-    )
+    mated, non_mated = np.round(rng.normal(1, 1, 40), 1), np.round(rng.normal(0, 1, 60), 1)
     fpr, tpr = roc_hull(mated=mated, non_mated=non_mated)
     assert (fpr[0], tpr[0]) == (0, 0)
     assert (fpr[-1], tpr[-1]) == pytest.approx((1, 1))

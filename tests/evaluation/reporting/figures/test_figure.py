@@ -27,11 +27,8 @@ from evaluation.reporting.rows import schemes
 SWEPT = (("fid", (1.0, 1000.0, 1e5)), ("fixed", (0.1, 0.7, 1.0)))
 BOTH = levels(swept=SWEPT)
 LINEAR = levels(swept=SWEPT, rules=("",), others=[])
-STRANGERS = [
-    *LINEAR,
-    *[("ou", at) for at in (0.2, 0.4, 0.8)],
-    *[("mine", at) for at in (1.0, 10.0, 1000.0)],
-]
+STRANGERS = [*LINEAR, *(("ou", at) for at in (0.2, 0.4, 0.8))]
+STRANGERS += [("mine", at) for at in (1.0, 10.0, 1000.0)]
 ODD_NAMES = ["<script>", "a_$b^{c}$ & \\d", "広場 & 'x'", "line\nbreak\x1b[31m", "x" * 300, ""]
 NAMES = ("fid_threshold", "fixed_error", "operating_points", "after_attack", "linkability")
 MIDDLE = re.compile(r"M([-\d.]+) ([-\d.]+)")
@@ -158,10 +155,7 @@ def test_each_mechanism_is_a_scheme_but_controls_and_its_rules_stand_together():
 def test_the_frontier_is_drawn_beside_white_noise_and_who_knows_more_is_hollow():
     usual = make_frontier().assign(criterion="missed_at_equal_false_alarms", robot="kalman_cv")
     white = usual[usual["mechanism"] == "fixed"].assign(mechanism=WHITE)
-    many = [
-        white,
-        *(usual[usual["mechanism"] == "fid"].assign(mechanism=f"m{n}") for n in range(7)),
-    ]
+    many = [white, *(usual.query("mechanism == 'fid'").assign(mechanism=f"m{n}") for n in range(7))]
     knows = many[1][many[1]["metric"] == "plr"].assign(consumer="ou_rts", knowledge="anchor")
     told = pd.concat([*many, knows.assign(value=0.95)])
     made = {one.name: one for one in figures_of(replace(make_run(), frontier=told))}["frontier"]
