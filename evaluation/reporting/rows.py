@@ -181,8 +181,8 @@ class Results:
         """Draw one metric over another, with 95 % intervals, and return the axes.
 
         `x` and `y` are metrics as in `frame`, or `plr_after`: after the strongest attack; `x` may
-        be `level`, on a logarithmic axis, where raw is a line. A mechanism looks as on the page.
-        `ax` are the axes to draw on, else new ones.
+        be `level`, on a logarithmic axis, where raw is a line in its interval. A mechanism looks as
+        on the page. `ax` are the axes to draw on, else new ones.
         """
         from matplotlib import pyplot as plt  # noqa: PLC0415 - slow to import, and seldom needed
 
@@ -211,6 +211,8 @@ class Results:
             ink: dict[str, Any] = {"color": INKS[look.place], "label": name}
             if x == "level" and not x_at.any():  # raw has none
                 ax.axhline(y_at[0], linestyle="--" if look.hollow else ":", **ink)
+                (below,), (above,) = y_error
+                ax.axhspan(y_at[0] - below, y_at[0] + above, color=ink["color"], alpha=0.1)
                 continue
             shape: dict[str, Any] = {"marker": MARKERS[look.shape], "capsize": 2, "linewidth": 0.8}
             face = "none" if look.hollow else ink["color"]

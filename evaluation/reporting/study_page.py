@@ -61,11 +61,8 @@ def _forest(one: Answered, simulated: frozenset[str]) -> Forest:
         chart.y_ticks.append((y, name))
         x, *ends = at(of)
         chart.lines.append((f"bar k{look.place}", bar(ends, at=y)))
-        told = "{}: {:+.1f} [{:.1f}, {:.1f}]".format(name, *of)
-        told = (
-            told
-            if np.isfinite(of).all()
-            else f"{name}: {of[0]:+.1f}, too few people for an interval"
-        )
-        chart.marks.append((look.css, look.path(x, y), told))
+        interval = " [{:.1f}, {:.1f}]".format(*of[1:])
+        if not np.isfinite(of).all():
+            interval = ", too few people for an interval"
+        chart.marks.append((look.css, look.path(x, y), f"{name}: {of[0]:+.1f}{interval}"))
     return Forest(f"{one.adding} adding, {one.law} error", one.sentence, chart)

@@ -19,7 +19,7 @@ def test_version(capsys):
 
 
 @pytest.mark.parametrize(
-    ("word", "hint"), [("matirx", "did you mean 'matrix'?"), ("zz", "known: ")]
+    ("word", "hint"), [("matirx", "did you mean 'matrix'?"), ("zzz", "known: matrix")]
 )
 def test_an_unknown_command_has_a_hint(word, hint, capsys):
     assert command.main([word]) == 2

@@ -1,11 +1,14 @@
 """Several runs, one answer: the table, the page, what is read again, and what is refused."""
 
+import math
+
 import pandas as pd
 import pytest
 
 from evaluation import study
 from evaluation.analysis import pooled
 from evaluation.experiment.settings import Settings
+from evaluation.reporting import study_page
 from evaluation.results import study as answer
 from evaluation.runs.manifest import read_manifest
 from isac_track.config import StageSettings
@@ -50,7 +53,10 @@ def test_who_has_fewer_than_100_candidates_is_compared_with_nobody(answered):
     (name,) = {one for one in pd.read_csv(out / "study.csv")["question"] if "linked" in one}
     assert name == "people_linked_own_gallery"
     rows = [{**of[0].rows[0], "question": name, "recording": one} for one in "abcde"]
+    rows[0] |= {"ci_low": math.nan, "ci_high": math.nan}
     (told,) = pooled.answered(rows, simulated=frozenset())
+    page = study_page.render([told], simulated=frozenset(), runs=[])
+    assert page.count("too few people for an interval") == 1
     assert (told.pooled, told.sentence[:12]) == (None, "Not compared")
 
 

@@ -92,7 +92,12 @@ AT, SO_FAR = "at equal PLR linkage differs by", "as far as these attacks go"
         ("does not track", ["attacks"], 0.0, "No (PLR): linkage falls where PLR hardly changes ("),
         ("tracks", ["attacks"], 0.0, f"Yes (PLR): {AT} 0 to 21 of {{}}, {SO_FAR}"),
         ("between", [], 0.02, f"Not shown either way (PLR): {AT} 2 to 21 of {{}}; were it equal, "),
-        ("not testable", [], 0.0, "Not testable (PLR): rerelease, linear: nobody links; of 2 item"),
+        (
+            "not testable",
+            [],
+            0.0,
+            "Not testable (PLR): rerelease, linear: nobody links; of 2 items",
+        ),
     ],
 )
 def test_the_fourth_answer_says_what_was_decided_and_how_wide_it_is(decision, evidence, low, said):

@@ -37,7 +37,9 @@ def test_the_level_that_the_last_answer_names_has_a_row_where_there_is_room_for_
     assert chosen_levels(headline_of(run)) == [("ou", 0.3)]
     lines = first_screen(run, before=12)
     assert any(line.startswith("ou:0.3 ") for line in lines)
-    assert any("Of the levels that keep attacked PLR below 50 %, ou:0.3 " in one for one in lines)
+    assert any(
+        "5 Level: Of the levels that keep attacked PLR below 50 %, ou:0.3 " in one for one in lines
+    )
 
 
 def test_the_paper_levels_come_first_then_one_of_every_other_mechanism():

@@ -193,5 +193,6 @@ def test_a_plot_has_units_and_a_line_with_intervals_for_each_family_and_rule(mad
     again = made.loaded.plot(x="level", y="rank1", ax=axes)
     assert again is axes
     assert axes.get_xscale() == "log"
+    assert [one.get_alpha() for one in axes.patches] == [0.1, 0.1]  # intervals of raw, and clean
     assert "d_sigma in m" in axes.get_xlabel()
     plt.close(axes.figure)
