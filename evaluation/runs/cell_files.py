@@ -26,7 +26,7 @@ import pyarrow.parquet as pq
 from evaluation.cells.link_scores import ABOUT, ASSIGNED, COMPANIONS, DERIVED, ESTIMATES, REPLICATES
 from evaluation.cells.link_setup import linkage_weights
 from evaluation.cells.sample_tracks import COLUMNS as SAMPLE_COLUMNS
-from evaluation.cells.tables import ROWS, Tables
+from evaluation.cells.tables import DESCRIPTORS, ON_TRIAL, ROWS, Tables
 from evaluation.runs.files import (
     FOLDER,
     GALLERY,
@@ -54,10 +54,17 @@ _OUTCOME: Final = (
 """Columns of a linkage cell beside its replicates."""
 _NONE: Final = np.zeros(0, dtype=np.float32)
 _ALIKE: Final = {
-    *("plr", "ael_s", "mel_s", "plr_gap", "plr_attacked"),
+    *("plr", "plr_gap", "plr_attacked"),
     *("separation_m", "tpr_at_fpr_1pct", "chance"),
 }
 """Numbers that occur again and again, in other rows or for other consumers: whole they compress."""
+_SINGLE: Final = {
+    *DESCRIPTORS,
+    *ON_TRIAL,
+    *("mse_m2", "benchmark_mse_m2", "benchmark_plr", "plr_ceiling", "plr_optimum", "plr_gap"),
+    *("duration_s", "speed_mps", "sigma_m"),
+}
+"""What is told of one track or window: seven digits of it are kept, a sixth of a run's disk."""
 
 
 class Held(NamedTuple):
@@ -114,6 +121,7 @@ def packed(
             stacked.append(table)
         consumers[label] = {"key": key, "code": dict(own), "tables": places}
     whole = pa.concat_tables(stacked, promote_options="default").combine_chunks()
+    whole = _of_precision(whole, pa.float32())
     index = {"unit": unit, "code": dict(code), "consumers": consumers}
     # The leading bytes of like numbers are alike: apart from the others they compress.
     floats = {field.name for field in whole.schema if pa.types.is_floating(field.type)}
@@ -133,6 +141,12 @@ def packed(
         writer.add_key_value_metadata({_INDEX: json.dumps(index).encode()})
     content: bytes = sink.getvalue().to_pybytes()
     return content
+
+
+def _of_precision(whole: pa.Table, kind: pa.DataType) -> pa.Table:
+    """Return a table with the columns of `_SINGLE` as numbers of another kind."""
+    changed = (one.with_type(kind) if one.name in _SINGLE else one for one in whole.schema)
+    return whole.cast(pa.schema(changed))
 
 
 def index_of(content: bytes | Path) -> Index | None:
@@ -344,7 +358,7 @@ def _content(
             coded = [name for name in names if name in _NAMES]
             # Not pq.read_table: its data set machinery costs more than reading such a file.
             with pq.ParquetFile(path, metadata=about, read_dictionary=coded) as file:
-                whole = file.read(columns=names, use_threads=False)
+                whole = _of_precision(file.read(columns=names, use_threads=False), pa.float64())
             found.append((path, whole, _index(about.metadata)))
     return found
 
