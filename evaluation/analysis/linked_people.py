@@ -97,6 +97,7 @@ def read_probes(
     cells = {
         (entry["mechanism"], entry["level"], entry["consumer"], entry["knowledge"]): entry
         for entry in manifest["cells"]
+        if not entry.get("world")
     }
     levels = by_task(sweeps.found, metric=SUCCESS)
     return {

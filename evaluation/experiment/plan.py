@@ -13,6 +13,7 @@ from attacks.tasks.build import sessions_of
 from evaluation.experiment import fingerprint
 from evaluation.experiment.axes import Axes, Consumer, axes, jobs_of
 from evaluation.experiment.constants import BLOCK_SCENES
+from evaluation.experiment.presets import PRESETS
 from isac_track import datasets
 from isac_track.datasets import Dataset, crowd
 from isac_track.errors import DataError, PluginError, told
@@ -22,10 +23,6 @@ if TYPE_CHECKING:
     from attacks.tasks.sessions import Sessions
     from evaluation.experiment.settings import Settings
     from isac_track.plugins import Plugin
-
-
-MOST_MODELLED = 300
-"""People who are linked in a model world: all pairs under all lags, one filter each."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -138,7 +135,7 @@ def plan(settings: Settings) -> Plan:
     is_apart = settings.cell_timeout_s is not None or settings.scheduler is not None
     if is_apart or jobs > 1 or fingerprint.has_strangers(crossed):
         _check_sendable(units)
-    most = min(MOST_MODELLED, settings.stages.linkage.most_people)
+    most = min(PRESETS[settings.preset].model_people, settings.stages.linkage.most_people)
     few = settings.stages.changed({"linkage.most_people": most})
     out = Path("runs") / f"{dataset.name}-{settings.preset}-{settings.seed}"
     return Plan(

@@ -29,6 +29,8 @@ class Preset:
     """Mechanisms that are reconstructed on walks of the fitted motion, too, under both laws."""
     model_linked: tuple[str, ...] = ()
     """Those of `model` behind which they are linked, too, where errors are Gaussian."""
+    model_people: int = 100
+    """Of a task at most, there: the optimum takes all pairs under all lags."""
 
 
 SMOKE_LEVELS = ("raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1")
@@ -98,6 +100,7 @@ _PAPER = Preset(
     protections=PROTECTIONS,
     other_law=SMOKE_LEVELS,
     model=(*SMOKE_LEVELS, "ou:0.4"),
+    model_linked=("fid:1",),
     summary="2,000 scenes (500 attacked), raw, 13 eta, 10 fixed errors, both rules, 6 controls, "
     "4 levels of slow, Laplace and white noise",
 )
@@ -110,6 +113,7 @@ PRESETS = {
         protections=(),
         other_law=(),
         model=(),
+        model_linked=(),
         summary="40 scenes, the 5 levels that the paper gives numbers for",
     ),
     "paper": _PAPER,
@@ -145,6 +149,7 @@ PRESETS = {
         tasks=("rerelease",),
         model=_AUDITED,
         model_linked=_AUDITED[:9],
+        model_people=300,
         summary="750 scenes, 11 levels, slow attacks too: how far they are from the optimum in "
         "worlds of walks that follow the model",
     ),

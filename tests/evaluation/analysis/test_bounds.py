@@ -59,7 +59,7 @@ def test_in_worlds_of_the_fitted_motion_attacks_stand_beside_the_optimum(
 def test_linkers_stand_beside_the_optimal_ratio_where_errors_are_gaussian(tmp_path, monkeypatch):
     axes = {"mechanisms": ("raw", "fixed:0.5"), "tasks": ("rerelease",), "predictors": ()}
     axes |= {"attacks": ("shape",), "protections": (), "other_law": ()}
-    both = {"model": ("fixed:0.5",), "model_linked": ("fixed:0.5",)}
+    both = {"model": ("fixed:0.5",), "model_linked": ("fixed:0.5",), "model_people": 40}
     monkeypatch.setitem(PRESETS, "paper", replace(PRESETS["paper"], scenes=4, **axes, **both))
     stages = StageSettings().changed({"linkage.most_people": 60})
     found = run(Settings(dataset="plaza", jobs=1, out=tmp_path / "model", stages=stages))
