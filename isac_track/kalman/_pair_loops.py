@@ -8,6 +8,7 @@ import numpy as np
 from isac_track.compiling import FLOAT, INT, compiled, read, together, written
 from isac_track.types import Floats, Ints
 
+_BIG = 1e100
 _Walks: TypeAlias = tuple[Floats, Floats, Floats, Ints]
 _WALKS = together(read(1), read(2), read(1), read(1, "int64"))
 
@@ -32,7 +33,7 @@ def one_walk(  # noqa: PLR0915 - the steps of a filter, written out
             i, j = o1[row], o2[other]
             pp, pv, pb, vv, vb, bb = prior[0], 0.0, 0.0, prior[1], 0.0, prior[2]
             mean[:] = 0.0
-            square, volume, along, across = 0.0, 0.0, 0.0, 0.0
+            square, volume, scale, along, across = 0.0, 0.0, 1.0, 0.0, 0.0
             now, started = 0.0, False
             while i < o1[row + 1] or j < o2[other + 1]:
                 mine = j >= o2[other + 1] or (i < o1[row + 1] and t1[i] <= t2[j] + lags_s[at])
@@ -52,16 +53,20 @@ def one_walk(  # noqa: PLR0915 - the steps of a filter, written out
                 else:
                     h_p, h_v, h_b, r = pp + pb, pv + vb, pb + bb, r2[j]
                     s = h_p + h_b + r
-                k_p, k_v, k_b = h_p / s, h_v / s, h_b / s
-                volume += log(2.0 * pi * s)
+                inverse = 1.0 / s
+                k_p, k_v, k_b = h_p * inverse, h_v * inverse, h_b * inverse
+                scale *= 2.0 * pi * s  # one logarithm for many samples
+                if scale > _BIG or scale < 1.0 / _BIG:
+                    volume += log(scale)
+                    scale = 1.0
                 shift = 0.0 if mine else 1.0
                 ax = (z1[i, 0] if mine else 0.0) - mean[0, 0] - shift * mean[2, 0]
                 ay = (z1[i, 1] if mine else 0.0) - mean[0, 1] - shift * mean[2, 1]
                 bx = (0.0 if mine else z2[j, 0]) - mean[0, 2] - shift * mean[2, 2]
                 by = (0.0 if mine else z2[j, 1]) - mean[0, 3] - shift * mean[2, 3]
-                square += (ax * ax + ay * ay + bx * bx + by * by) / s
-                along += (ax * bx + ay * by) / s
-                across += (ax * by - ay * bx) / s
+                square += (ax * ax + ay * ay + bx * bx + by * by) * inverse
+                along += (ax * bx + ay * by) * inverse
+                across += (ax * by - ay * bx) * inverse
                 for c, off in ((0, ax), (1, ay), (2, bx), (3, by)):
                     mean[0, c] += k_p * off
                     mean[1, c] += k_v * off
@@ -76,5 +81,5 @@ def one_walk(  # noqa: PLR0915 - the steps of a filter, written out
                     i += 1
                 else:
                     j += 1
-            out[other, at, 0] = -volume - 0.5 * square
+            out[other, at, 0] = -volume - log(scale) - 0.5 * square
             out[other, at, 1] = sqrt(along * along + across * across)
