@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.commands import Ended
 from helpers.recordings import tracks_of, write_csv
 
 from isac_track import datasets
@@ -73,6 +74,17 @@ def csv_recording(tmp_path, tracks):
     path = tmp_path / "walks.csv"
     write_csv(path, tracks)
     return path
+
+
+@pytest.fixture
+def ran(capsys):
+    """Run a command in this process: exit code, output and errors."""
+
+    def run(command, *words):
+        capsys.readouterr()
+        return Ended(command.main([str(word) for word in words]), *capsys.readouterr())
+
+    return run
 
 
 @pytest.fixture

@@ -73,14 +73,6 @@ def test_a_users_mistake_is_one_line_and_exit_code_2(arguments, message, capsys,
     assert "Traceback" not in shown.err
 
 
-@pytest.mark.parametrize("out", ["walks.csv", "walks.csv/run", "run\udcff"])
-def test_what_cannot_be_a_folder_is_said_before_anything_is_announced(out, small, tmp_path, capsys):
-    assert run(*small[:-1], tmp_path / out) == 2
-    shown = capsys.readouterr().err
-    assert len(shown.splitlines()) == 1
-    assert shown.endswith("choose another --out\n")
-
-
 def test_a_backend_that_matplotlib_does_not_know_is_said_before_anything_is_printed():
     words = [sys.executable, "-m", "evaluation.report", "--pdf", "nowhere"]
     environment = os.environ | {"MPLBACKEND": "nonsense"}

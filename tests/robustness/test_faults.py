@@ -12,7 +12,16 @@ import time
 
 import pandas as pd
 import pytest
-from helpers.commands import FEW, UNDRAWN, assert_same, content, end, in_session, start
+from helpers.commands import (
+    FEW,
+    UNDRAWN,
+    assert_refused,
+    assert_same,
+    content,
+    end,
+    in_session,
+    start,
+)
 from helpers.processes import ROOT, wait_for
 from helpers.small_runs import write_walks
 
@@ -100,12 +109,6 @@ def begin(place, out, *options, **axes):
     return start(place, *UNDRAWN, *words(place, out, *options, **axes), changed=changed)
 
 
-def one_line(errors):
-    (line,) = [line for line in errors.splitlines() if line.startswith("error: ")]
-    assert errors.splitlines()[-1] == line
-    return line
-
-
 def here(place, out, **axes):
     """Run what has many scenes to the end in this process."""
     with pytest.MonkeyPatch.context() as patch:
@@ -161,45 +164,23 @@ def hanging(place):
         end(process)
 
 
-def interrupt(process):
-    """Send Ctrl-C as a terminal does, to the whole group, and see that all is over at once."""
-    os.killpg(process.pid, signal.SIGINT)
-    started = time.monotonic()
-    _, errors = process.communicate(timeout=30)
-    assert time.monotonic() - started < END_S
-    assert process.returncode == 130, errors
-    assert errors.splitlines()[-1].startswith("interrupted; finished cells are kept, the same")
-    assert "Traceback" not in errors
-    wait_for(lambda: not in_session(process.pid), most_s=END_S)
-
-
 class TestInterrupted:
-    def test_a_second_run_is_refused_and_ctrl_c_ends_even_what_hangs(self, place, hanging, capsys):
+    def test_a_second_run_is_refused_and_ctrl_c_ends_even_what_hangs(self, place, hanging, ran):
         out = place / "hanging"
         process = hanging(out)
-        again = words(place, out)
-        for second in (lambda: matrix.main(again), lambda: report.main([str(out)])):
-            assert second() == 2
-            line = one_line(capsys.readouterr().err)
-            assert f"another run is writing to {out} (process {process.pid})" in line
-        interrupt(process)
+        for second in (ran(matrix, *words(place, out)), ran(report, out)):
+            assert_refused(second, f"another run is writing to {out} (process {process.pid})")
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+        started = time.monotonic()
+        _, errors = process.communicate(timeout=30)
+        assert time.monotonic() - started < END_S
+        assert process.returncode == 130, errors
+        assert errors.splitlines()[-1].startswith("interrupted; finished cells are kept, the same")
+        assert "Traceback" not in errors
+        wait_for(lambda: not in_session(process.pid), most_s=END_S)
         # Now the folder is free again.
         with locked(out):
             pass
-
-    @pytest.mark.slow
-    @pytest.mark.parametrize(
-        ("sign", "jobs"), [("cells", 1), ("cells/*.parquet", 2), ("summary.csv", 1)]
-    )
-    def test_it_ends_at_once_and_the_same_command_continues(self, place, many_scenes, sign, jobs):
-        out = place / "interrupted"
-        process = begin(place, out, scenes=SCENES, jobs=jobs)
-        wait_for(lambda: any(out.glob(sign)) or process.poll() is not None, most_s=60)
-        assert process.poll() is None, process.stderr.read()
-        interrupt(process)
-        if sign == "summary.csv":  # the last of three, each of which began where one was ended
-            here(place, out)
-            assert_same(out, many_scenes[0])
 
     def test_a_worker_that_lets_no_thread_run_ends_with_its_parent(self, place, hanging):
         process = hanging(place / "orphaned")
@@ -209,7 +190,7 @@ class TestInterrupted:
         wait_for(lambda: not in_session(process.pid), most_s=END_S)
 
 
-def test_every_kind_of_damage_is_found_and_computed_again(place, many_scenes, capsys):
+def test_every_kind_of_damage_is_found_and_computed_again(place, many_scenes, ran, capsys):
     expected, _ = many_scenes
     out = place / "damaged"
     shutil.copytree(place / "many-scenes", out)
@@ -226,10 +207,7 @@ def test_every_kind_of_damage_is_found_and_computed_again(place, many_scenes, ca
     # One line is missing, and the last one was cut short.
     left = [line for line in lines if line not in others[:2]]
     sums.write_text("\n".join([*left, others[1][:40]]))
-    assert report.main([str(out)]) == 2
-    line = one_line(capsys.readouterr().err)
-    assert "and 5 more: not as the run wrote it" in line
-    assert str(out / "cells") in line
+    assert_refused(ran(report, out), "and 5 more: not as the run wrote it", str(out / "cells"))
     here(place, out, jobs=1)
     errors = capsys.readouterr().err
     assert "6 cells were not as they had been written and are computed anew" in errors

@@ -1,4 +1,4 @@
-"""Twenty-four kills, four at each moment of a run: the same command continues to the same bytes."""
+"""Thirty ends, five at each moment of a run: the same command continues to the same bytes."""
 
 import os
 import signal
@@ -27,6 +27,7 @@ KILLS = (
     (os.kill, signal.SIGKILL),  # the parent alone
     (os.killpg, signal.SIGTERM),
     (os.kill, signal.SIGTERM),
+    (os.killpg, signal.SIGINT),  # as a terminal sends it
 )
 SCENES = ("--scenes", 1000)
 """Four blocks of two levels each."""
@@ -55,7 +56,7 @@ def undisturbed(place):
 
 
 @pytest.mark.parametrize("moment", MOMENTS)
-def test_four_kills_when_a_run_has_begun_with(moment, place, undisturbed):
+def test_five_ends_when_a_run_has_begun_with(moment, place, undisturbed):
     pattern, number = MOMENTS[moment]
     drawn = pattern == "figures/*"
     out = place / moment.replace(" ", "-")
@@ -78,7 +79,7 @@ def test_four_kills_when_a_run_has_begun_with(moment, place, undisturbed):
         kill(process.pid, sign)
         began = time.monotonic()
         shown = process.communicate()
-        assert process.returncode == -sign
+        assert process.returncode == (130 if sign == signal.SIGINT else -sign), shown
         assert "Traceback" not in "".join(shown)
         wait_for(lambda pid=process.pid: not in_session(pid), most_s=END_S)
         assert time.monotonic() - began < 2 * END_S

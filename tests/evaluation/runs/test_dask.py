@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 from collections import deque
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +19,7 @@ from helpers.small_runs import smoke, write_walks
 
 import evaluation
 from evaluation import matrix
-from evaluation.cells.where import Failed, here, note
+from evaluation.cells.where import Failed
 from evaluation.cells.work import Block
 from evaluation.experiment.axes import Consumer
 from evaluation.experiment.settings import Settings
@@ -376,38 +375,3 @@ class TestADeathAtAnUnknownPlace:
         assert (*place_of(cell), why) == (3, "fixed:0.5", "least_squares", "died")
         assert len(finished) == len(set(finished)) == 5
         assert tries == 2  # the work, the cell
-
-
-def test_each_thread_of_a_worker_notes_where_it_is_itself():
-    note("raw", "shared")
-    seen = []
-    other = threading.Thread(target=lambda: (note("fixed:1", "shared"), seen.append(here.at)))
-    other.start()
-    other.join()
-    assert seen == [("fixed:1", "shared")]
-    assert here.at == ("raw", "shared")
-    note()
-
-
-@pytest.mark.slow
-def test_the_driver_stays_under_a_gigabyte(settings, cluster):
-    """A hundred thousand scenes, 800 cells: what the driver takes for all that it gets back."""
-    axes = {"mechanisms": ("raw", "fixed:0.7"), "predictors": ("least_squares",)}
-    many = sent(settings, cluster, scenes=100_000, **axes)
-    code = f"""
-import resource
-from evaluation import Settings, run
-peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
-peaks = []
-tell = lambda done, total, what: done == total and peaks.append(peak())
-run(Settings(preset="smoke", dataset={many.dataset!r}, scenes=100_000, attacks=(), tasks=(),
-    executor="dask", scheduler={cluster.address!r}, out={str(many.out)!r}, **{axes!r}),
-    progress=tell, pictures=False)
-print(peaks[0], peak())
-"""
-    found = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=1200
-    )
-    computing_mb, reporting_mb = map(int, found.stdout.split()[-2:])
-    assert len(cells(many)) == 2 * 400
-    assert computing_mb <= reporting_mb < 1000

@@ -177,26 +177,11 @@ class TestWhatARunLeaves:
         assert (again.out / "summary.csv").read_bytes() == first
 
 
-def test_workers_change_no_bit(settings, tmp_path):
-    """Three blocks for two workers."""
-    for jobs in (1, 2):
-        run(settings, scenes=501, jobs=jobs, out=tmp_path / f"{jobs}")
-    one, two = (tmp_path / f"{jobs}" / "summary.csv" for jobs in (1, 2))
-    assert one.read_bytes() == two.read_bytes()
-
-
-def test_one_block_that_is_shared_out_by_levels_changes_no_bit(finished, drawn, monkeypatch):
-    def here(compute, works, **_):
-        assert len(works) == n_pieces
-        for work in works:
-            yield work, list(compute(work))
-
-    monkeypatch.setattr("evaluation.runs.execute.spread", here)
-    ready = replace(plan(replace(finished, fresh=True)), jobs=2)
-    n_pieces = 3  # of the gallery, too: a level each
-    evaluation.run(ready=ready, pictures=False)
+def test_workers_who_share_out_a_block_by_levels_change_no_bit(settings, drawn):
+    """Several blocks for two workers: tests/robustness/test_faults.py."""
+    run(settings, jobs=2)
     for name in ("summary.csv", "decisions.csv"):
-        assert (finished.out / name).read_bytes() == (drawn.out / name).read_bytes()
+        assert (settings.out / name).read_bytes() == (drawn.out / name).read_bytes()
 
 
 def test_further_scenes_are_for_utility_and_change_none_of_the_attacked(
@@ -439,17 +424,3 @@ def test_intervals_cluster_by_group(settings, tmp_path, csv_recording):
     results = run(settings, dataset=str(path))
     assert set(results.summary["n"]) == {2}
     assert len(summary.estimates(settings.out, results.manifest)[0]) == 3 * 7
-
-
-def test_nothing_dropped_goes_uncounted(settings, tmp_path):
-    people = {"long1": 80, "long2": 80, "long3": 80, "long4": 80, "short": 9, "dot": 1}
-    lines = ["t,id,x,y"]
-    for place, (name, n) in enumerate(people.items()):
-        lines += [f"{t * 0.4:.1f},{name},{t * 0.3 + place},{place}" for t in range(n)]
-    path = tmp_path / "mixed.csv"
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    manifest = run(settings, dataset=str(path)).manifest["dataset"]
-    dropped = sum(repair["count"] for repair in manifest["repairs"] if "one" in repair["kind"])
-    assert dropped == 1
-    counts = {name: manifest[name] for name in ("tracks_used", "too_short", "tracks")}
-    assert counts == {"tracks_used": 4, "too_short": 1, "tracks": 5}

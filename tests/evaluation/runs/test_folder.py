@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from helpers.commands import assert_refused
 from helpers.runs import change_code
 from helpers.small_runs import smoke, write_walks
 from helpers.summaries import edit_manifest
@@ -26,13 +27,6 @@ from evaluation.runs.manifest import read_manifest, write_manifest
 from isac_track.errors import DataError, IsacTrackError, SettingsError
 
 NOBODY = 65534
-
-
-def one_line(capsys):
-    """The one error that was said, last of all."""
-    said = capsys.readouterr().err.splitlines()
-    assert [line for line in said if line.startswith("error: ")] == said[-1:]
-    return said[-1]
 
 
 @contextlib.contextmanager
@@ -92,27 +86,27 @@ class TestWhereTheFolderCannotBeUsed:
         ("name", "said"),
         [
             ("n" * 300, "File name too long; "),
+            ("file", "is a file; "),
             ("file/run", "is a file; "),
             ("/proc/run", "No such file or directory; "),
+            ("run\udcff", ""),
         ],
     )
-    def test_it_is_one_line(self, dry, name, said, tmp_path, capsys, options):
+    def test_it_is_said_before_anything_is_announced(self, dry, name, said, tmp_path, ran, options):
         (tmp_path / "file").touch()
-        out = tmp_path / name
-        code = matrix.main([*options, "--out", str(out), *["--dry-run"] * dry])
-        if dry and code == 0:  # nothing is there, and what cannot be made is told when it is
+        ended = ran(matrix, *options, "--out", tmp_path / name, *["--dry-run"] * dry)
+        if name == "/proc/run":  # nothing is there, and what cannot be made is told when it is
+            assert ended.code == (0 if dry else 2)
             return
-        assert code == 2
-        line = one_line(capsys)
-        assert said in line
-        assert str(out) in line
+        assert_refused(ended, said, "choose another --out")
+        assert len(ended.err.splitlines()) == 1
 
     @pytest.mark.parametrize("dry", [True, False])
-    def test_a_name_that_no_folder_can_have_is_one_line(self, dry, tmp_path, capsys, options):
+    def test_a_name_that_no_folder_can_have_is_one_line(self, dry, tmp_path, ran, options):
         config = tmp_path / "run.toml"
         config.write_text(r'out = "a\u0000b"')
-        assert matrix.main([*options, "--config", str(config), *["--dry-run"] * dry]) == 2
-        assert r"'a\x00b' cannot be the name of a folder; choose another" in one_line(capsys)
+        ended = ran(matrix, *options, "--config", config, *["--dry-run"] * dry)
+        assert_refused(ended, r"'a\x00b' cannot be the name of a folder; choose another")
 
     def test_somebody_elses_folder_is_named(self, tmp_path, tiny):
         out = tmp_path / "run"
@@ -143,7 +137,7 @@ class TestWhereTheFolderCannotBeUsed:
             ("SHA256SUMS", "matrix", "{path} cannot be read: Is a directory"),
         ],
     )
-    def test_what_is_in_place_of_another_is_named(self, out, name, command, said, capsys, options):
+    def test_what_is_in_place_of_another_is_named(self, out, name, command, said, ran, options):
         path = min(out.glob(name), default=out / name)
         if name == "cells":
             shutil.rmtree(path)
@@ -151,18 +145,17 @@ class TestWhereTheFolderCannotBeUsed:
         else:
             path.unlink(missing_ok=True)
             path.mkdir()
-        words = [str(out)] if command == "report" else [*options, "--out", str(out)]
-        assert {"report": report, "matrix": matrix}[command].main(words) == 2
-        assert said.format(path=path) in one_line(capsys)
+        ended = ran(report, out) if command == "report" else ran(matrix, *options, "--out", out)
+        assert_refused(ended, said.format(path=path))
         assert path.is_dir() is (name != "cells")
 
-    def test_where_nothing_can_be_locked_a_run_is_refused(self, out, capsys, monkeypatch, options):
+    def test_where_nothing_can_be_locked_a_run_is_refused(self, out, ran, monkeypatch, options):
         def refuse(*_):
             raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
         monkeypatch.setattr("evaluation.runs.files.fcntl.flock", refuse)
-        assert matrix.main([*options, "--out", str(out)]) == 2
-        assert f"error: cannot lock {out / '.lock'}: No locks available; " in one_line(capsys)
+        ended = ran(matrix, *options, "--out", out)
+        assert_refused(ended, f"error: cannot lock {out / '.lock'}: No locks available; ")
 
     def test_a_folder_that_may_not_be_written_has_no_lock(self, finished, everybodys):
         out = Path(shutil.copytree(finished, everybodys / "run"))
@@ -208,48 +201,37 @@ class TestManifest:
         with pytest.raises(DataError, match="is damaged"):
             store.open_run(out, identity={}, fresh=False)
 
-    def test_that_is_damaged_is_replaced_by_fresh_and_nothing_else(
-        self, out, capsys, tiny, options
-    ):
+    def test_that_is_damaged_is_replaced_by_fresh_and_nothing_else(self, out, ran, tiny, options):
         (out / "manifest.json").write_text('{"identity": {}, "cells": []}')
         (out / "notes.txt").write_text("mine")
-        assert report.main([str(out)]) == 2
-        said = one_line(capsys)
-        assert f"{out} was written by another version, or its manifest.json is damaged" in said
-        assert matrix.main([*options, "--out", str(out)]) == 2
-        assert "run the matrix again with --fresh" in one_line(capsys)
+        told = f"{out} was written by another version, or its manifest.json is damaged"
+        assert_refused(ran(report, out), told)
+        assert_refused(ran(matrix, *options, "--out", out), "run the matrix again with --fresh")
         evaluation.run(replace(tiny, out=out, fresh=True), pictures=False)
         assert len(list((out / "cells").iterdir())) == 2
         assert (out / "notes.txt").read_text() == "mine"
 
     @pytest.mark.parametrize("held", [b"", b"[]", b'{"cells": 1}', b"\xff\xfe", b"[" * 100_000])
-    def test_that_nothing_can_be_made_of_is_one_line(self, held, out, capsys, options):
-        (out / "manifest.json").write_bytes(held)
-        assert report.main([str(out)]) == 2
-        said = one_line(capsys)
-        path = out / "manifest.json"
-        assert f"{path} cannot be read" in said or f"{path} is not the manifest" in said
-        assert matrix.main([*options, "--out", str(out)]) == 2
-        assert str(path) in one_line(capsys)
+    def test_that_nothing_can_be_made_of_is_one_line(self, held, out, ran, options):
+        (path := out / "manifest.json").write_bytes(held)
+        assert_refused(ran(report, out), f"{path} ")
+        assert_refused(ran(matrix, *options, "--out", out), str(path))
 
-    def test_of_a_run_that_never_began_is_continued_but_has_no_report(self, tmp_path, capsys, tiny):
+    def test_of_a_run_that_never_began_is_continued_but_has_no_report(self, tmp_path, ran, tiny):
         out = tmp_path / "run"
         ready = plan(replace(tiny, out=out))
         manifest, _, _ = store.open_run(out, identity=ready.identity, fresh=False)
         write_manifest(out, manifest | {"code": ready.code, "state": "running"})
-        assert report.main([str(out)]) == 2
-        assert f"{out} holds a run that never started" in one_line(capsys)
+        assert_refused(ran(report, out), f"{out} holds a run that never started")
         assert len(evaluation.run(ready=ready, pictures=False).failed) == 0
 
-    def test_of_a_run_without_a_finished_cell_has_no_report(self, out, capsys):
+    def test_of_a_run_without_a_finished_cell_has_no_report(self, out, ran):
         edit_manifest(out, lambda one: one.update(cells=[]))
-        assert report.main([str(out)]) == 2
-        assert f"{out} holds no finished cell; run the matrix again" in one_line(capsys)
+        assert_refused(ran(report, out), f"{out} holds no finished cell; run the matrix again")
 
-    def test_that_takes_one_kind_of_cell_for_another_is_told_by_its_columns(self, out, capsys):
+    def test_that_takes_one_kind_of_cell_for_another_is_told_by_its_columns(self, out, ran):
         edit_manifest(out, lambda one: one["cells"][0].update(kind="predictor"))
-        assert report.main([str(out)]) == 2
-        assert "has no column conflict: it is no cell of the kind" in one_line(capsys)
+        assert_refused(ran(report, out), "has no column conflict: it is no cell of the kind")
 
 
 class TestChecksums:
@@ -285,15 +267,14 @@ class TestChecksums:
 
 
 class TestAnnounced:
-    def test_cells_without_a_checksum_do_not_count_as_finished(self, out, capsys, options):
-        arguments = [*options, "--out", str(out), "--dry-run"]
-        said = lambda: " ".join(capsys.readouterr().err.split())  # noqa: E731 - in lines of 80
-        assert matrix.main(arguments) == 0
+    def test_cells_without_a_checksum_do_not_count_as_finished(self, out, ran, options):
+        def said():
+            ended = ran(matrix, *options, "--out", out, "--dry-run")
+            return " ".join(ended.err.split())  # in lines of 80
+
         assert "4 cells, 4 of them finished by SHA256SUMS, in" in said()
         first, second = (out / "SHA256SUMS").read_text().splitlines()
         (out / "SHA256SUMS").write_text(f"{first}\n{second[:70]}")
-        assert matrix.main(arguments) == 0
         assert "4 cells, 2 of them finished by SHA256SUMS, in" in said()
         (out / first.partition("  ")[2]).unlink()
-        assert matrix.main(arguments) == 0
         assert "4 cells, in" in said()
