@@ -4,9 +4,10 @@ import json
 from functools import partial
 
 import pytest
+from helpers.commands import assert_refused
 from helpers.summaries import FID, FIXED, IND, USUAL, edit_manifest, edited, write_run
 
-from evaluation.design import main
+from evaluation import design
 
 
 @pytest.fixture
@@ -42,23 +43,16 @@ def unpredicted(out):
 class TestExitCode:
     ARGUMENTS = ("--max-missed", "0.23")
 
-    def test_is_0_if_fid_meets_everything_under_both_rules(self, made, capsys):
-        assert main([*self.ARGUMENTS, str(made())]) == 0
-        said = capsys.readouterr().out.replace("\n", " ")
-        assert said.startswith(
-            "Yes: with fid eta = 100 (linear) and eta = 100 (independent), or fixed d_sig"
-        )
-        assert " linear adding " in said
-        assert "adding adding" not in said
+    def test_is_0_if_fid_meets_everything_under_both_rules(self, made, ran):
+        said = ran(design, *self.ARGUMENTS, made())
+        told = "Yes: with fid eta = 100 (linear) and eta = 100 (independent), or fixed d_sig"
+        assert (said.code, " ".join(said.out.split())[: len(told)]) == (0, told)
 
-    def test_is_1_if_one_rule_fails_and_0_if_it_is_not_asked_about(self, made, capsys):
+    @pytest.mark.parametrize(("rules", "code"), [("", 1), ("independent", 0), ("linear", 1)])
+    def test_is_1_if_one_rule_fails_and_0_if_it_is_not_asked_about(self, made, ran, rules, code):
+        asked = ["--adding", rules] if rules else []
         out = made(USUAL | {"fid": {1.0: 0.4, 1000.0: 0.3}})
-        fid = [*self.ARGUMENTS, "--family", "fid"]
-        assert main([*fid, str(out)]) == 1
-        said = capsys.readouterr().out.replace("\n", " ")
-        assert said.startswith("No: no level meets the targets with linear adding: fid.")
-        assert main([*fid, "--adding", "independent", str(out)]) == 0
-        assert main([*fid, "--adding", "linear", str(out)]) == 1
+        assert ran(design, *self.ARGUMENTS, "--family", "fid", *asked, out).code == code
 
     @pytest.mark.parametrize(
         ("rates", "families", "code", "told"),
@@ -72,19 +66,19 @@ class TestExitCode:
         ],
     )
     def test_is_0_if_some_family_asked_about_meets_everything(
-        self, made, capsys, rates, families, code, told
+        self, made, ran, rates, families, code, told
     ):
         named = [word for name in families for word in ("--family", name)]
-        assert main([*self.ARGUMENTS, *named, str(made(rates))]) == code
-        assert told in " ".join(capsys.readouterr().out.split())
+        said = ran(design, *self.ARGUMENTS, *named, made(rates))
+        assert (said.code, told in " ".join(said.out.split())) == (code, True)
 
-    def test_limits_hold_after_attack_unless_asked_as_shared(self, made, capsys):
+    def test_limits_hold_after_attack_unless_asked_as_shared(self, made, ran):
         # PLR at eta = 100: 0.4 as shared, 0.7 after the strongest attack.
-        question = [*self.ARGUMENTS, "--family", "fid", "--max-plr", "0.5", str(made())]
-        assert main(question) == 1
-        assert capsys.readouterr().out.startswith("No: above the limits of PLR: fid.")
-        assert main([*question, "--as-shared"]) == 0
-        assert "privacy limit holds as shared." in " ".join(capsys.readouterr().out.split())
+        question = [*self.ARGUMENTS, "--family", "fid", "--max-plr", "0.5", made()]
+        attacked, shared = (ran(design, *question, *more) for more in ([], ["--as-shared"]))
+        assert attacked.out.startswith("No: above the limits of PLR: fid.")
+        assert "privacy limit holds as shared." in " ".join(shared.out.split())
+        assert (attacked.code, shared.code) == (1, 0)
 
     @pytest.mark.parametrize(
         ("run", "spoil", "options", "message"),
@@ -96,7 +90,7 @@ class TestExitCode:
             (ONLY_FID, None, [], "--mechanism fid:1..1000/10,adding=independent, or ask for"),
             (ONLY_FID, None, ["--adding", "independent"], "ask for --adding linear alone"),
             ({"rates": {"fixed": FIXED}}, None, [], "fixed:0.1..1/10,adding=independent, or"),
-            ({"rates": {}}, None, ["--adding", "linear"], "fid:1..1000/10\n"),
+            ({"rates": {}}, None, ["--adding", "linear"], "fid:1..1000/10"),
             ({}, holding("manifest.json"), [], "holds no run"),
             ({}, holding("summary.csv"), [], "python -m evaluation.report"),
             ({}, holding("linkability.csv"), ["--max-rank1", "0.5"], "--max-rank1: "),
@@ -110,40 +104,33 @@ class TestExitCode:
         ],
     )
     def test_is_2_with_one_line_for_what_the_run_cannot_answer(
-        self, made, capsys, run, spoil, options, message
+        self, made, ran, run, spoil, options, message
     ):
         out = made(**run)
         if spoil is not None:
             spoil(out)
-        assert main([*self.ARGUMENTS, *options, str(out)]) == 2
-        said = capsys.readouterr()
-        assert said.out == ""
-        assert said.err.startswith("error: ")
-        assert said.err.count("\n") == 1
-        assert message in said.err
+        said = ran(design, *self.ARGUMENTS, *options, out)
+        assert_refused(said, message)
+        assert (said.out, said.err.count("\n")) == ("", 1)
 
-    def test_is_2_without_a_target(self, made, capsys):
-        assert main([str(made())]) == 2
-        assert "--max-missed" in capsys.readouterr().err
+    def test_is_2_without_a_target(self, made, ran):
+        assert_refused(ran(design, made()), "--max-missed")
 
-    def test_is_0_without_linkability_if_nobody_asks(self, made, capsys):
-        assert main([*self.ARGUMENTS, str(made(cells=None))]) == 0
-        assert "Rank 1" not in capsys.readouterr().out
+    def test_is_0_without_linkability_if_nobody_asks(self, made, ran):
+        said = ran(design, *self.ARGUMENTS, made(cells=None))
+        assert (said.code, "Rank 1" in said.out) == (0, False)
 
-    def test_json_is_one_object_and_nothing_else(self, made, capsys):
+    def test_json_is_one_object_and_nothing_else(self, made, ran):
         out = made(simulated=True, notice="nobody walked here")
-        assert main([*self.ARGUMENTS, "--max-plr", "0.1", "--json", str(out)]) == 1
-        said = capsys.readouterr()
+        said = ran(design, *self.ARGUMENTS, "--max-plr", "0.1", "--json", out)
         found = json.loads(said.out)
-        assert said.err == ""
-        assert not found["met"]
+        assert (said.code, said.err, found["met"]) == (1, "", False)
         assert "nobody walked here" in found["notes"]
 
 
 class TestPlan:
-    def test_says_the_total_error_first_and_needs_no_run(self, capsys):
-        assert main(["--plan", "--max-plr", "0.2"]) == 0
-        first, *rest = capsys.readouterr().out.splitlines()
+    def test_says_the_total_error_first_and_needs_no_run(self, ran):
+        first, *rest = ran(design, "--plan", "--max-plr", "0.2").out.splitlines()
         # [(sqrt 2 0.09 / -ln 0.8)^4 / (0.057 0.0836^3)]^(1/6)
         assert first.startswith("total std per axis, raw and added: 3.83 m")
         assert any("python -m evaluation.matrix" in line for line in rest)
@@ -151,9 +138,9 @@ class TestPlan:
         assert any("--mechanism ou:0.90 " in line for line in rest)
         assert max(map(len, rest)) <= 80
 
-    def test_of_missed_conflicts_nothing_can_be_said(self, capsys):
-        assert main(["--plan", "--max-plr", "0.2", "--max-missed", "0.15"]) == 1
-        assert "only a run tells" in capsys.readouterr().out
+    def test_of_missed_conflicts_nothing_can_be_said(self, ran):
+        said = ran(design, "--plan", "--max-plr", "0.2", "--max-missed", "0.15")
+        assert (said.code, "only a run tells" in said.out) == (1, True)
 
     @pytest.mark.parametrize(
         ("options", "says"),
@@ -165,6 +152,5 @@ class TestPlan:
             ([], "--max-plr"),
         ],
     )
-    def test_a_mistake_is_one_line(self, options, says, capsys):
-        assert main(["--plan", *options]) == 2
-        assert says in capsys.readouterr().err.splitlines()[-1]
+    def test_a_mistake_is_one_line(self, options, says, ran):
+        assert_refused(ran(design, "--plan", *options), says)

@@ -1,13 +1,11 @@
 """The command: its words, its exit codes, its files."""
 
-import os
 import re
-import subprocess
-import sys
 
 import pandas as pd
 import pytest
-from helpers.processes import run_python
+from helpers import commands
+from helpers.commands import assert_refused
 
 from evaluation import matrix
 from evaluation.experiment.axes import axes
@@ -20,22 +18,17 @@ from isac_track.config import StageSettings
 pytestmark = pytest.mark.usefixtures("undrawn")
 
 
-def run(*arguments):
-    return matrix.main([str(argument) for argument in arguments])
-
-
 @pytest.fixture
 def small(csv_recording, tmp_path):
     words = "--scenes 8 --mechanism raw --predictor none --attack none --out"
     return ["--dataset", csv_recording, *words.split(), tmp_path / "run"]
 
 
-def test_a_dry_run_writes_nothing_and_a_run_ends_in_a_table(small, tmp_path, capsys):
-    assert run(*small, "--dry-run") == 0
-    assert "1 cells" in capsys.readouterr().err
+def test_a_dry_run_writes_nothing_and_a_run_ends_in_a_table(small, tmp_path, ran):
+    assert "1 cells" in ran(matrix, *small, "--dry-run").err
     assert not (tmp_path / "run").exists()
-    assert run(*small) == 0
-    shown = capsys.readouterr()
+    shown = ran(matrix, *small)
+    assert shown.code == 0
     assert "known in 0.3 m" in shown.out
     assert f"tables: {tmp_path / 'run' / 'tables.txt'}" in shown.out
     assert "12 of 12 tracks used, 8 scenes; 1 cells" in shown.err
@@ -63,28 +56,23 @@ def test_a_dry_run_writes_nothing_and_a_run_ends_in_a_table(small, tmp_path, cap
         (["--pre", "smoke"], "unrecognized arguments: --pre smoke"),
     ],
 )
-def test_a_users_mistake_is_one_line_and_exit_code_2(arguments, message, capsys, monkeypatch):
+def test_a_users_mistake_is_one_line_and_exit_code_2(arguments, message, ran, monkeypatch):
     monkeypatch.delenv("ISAC_TRACK_DATA", raising=False)
-    assert run("--dry-run", *arguments) == 2
-    shown = capsys.readouterr()
-    last = shown.err.strip().splitlines()[-1]
-    assert last.startswith("error: ")
-    assert message in last
-    assert "Traceback" not in shown.err
+    assert_refused(ran(matrix, "--dry-run", *arguments), message)
 
 
-def test_a_backend_that_matplotlib_does_not_know_is_said_before_anything_is_printed():
-    words = [sys.executable, "-m", "evaluation.report", "--pdf", "nowhere"]
-    environment = os.environ | {"MPLBACKEND": "nonsense"}
-    done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert "no backend 'nonsense'; unset MPLBACKEND" in done.stderr
-    assert len(done.stderr.splitlines()) == 1
+def test_a_backend_that_matplotlib_does_not_know_is_said_before_anything_is_printed(tmp_path):
+    words = ("-m", "evaluation.report", "--pdf", "nowhere")
+    ended = commands.run(tmp_path, *words, changed={"MPLBACKEND": "nonsense"})
+    assert_refused(ended, "no backend 'nonsense'; unset MPLBACKEND")
+    assert len(ended.err.splitlines()) == 1
 
 
-def test_a_name_that_a_spreadsheet_would_run_is_text_in_every_table(small, csv_recording, tmp_path):
+def test_a_name_that_a_spreadsheet_would_run_is_text_in_every_table(
+    small, csv_recording, tmp_path, ran
+):
     named = csv_recording.rename(tmp_path / "=cmd.csv")
-    assert run("--dataset", named, *small[2:]) == 0
+    assert ran(matrix, "--dataset", named, *small[2:]).code == 0
     tables = [path.read_text() for path in (tmp_path / "run").rglob("*.csv")]
     assert any("'=cmd" in one for one in tables)
     cells = [cell for one in tables for line in one.splitlines() for cell in line.split(",")]
@@ -97,13 +85,14 @@ def test_numbers_among_names_stay_numbers():
     )
 
 
-def test_an_interruption_is_exit_code_130_and_says_how_to_continue(small, capsys, monkeypatch):
+def test_an_interruption_is_exit_code_130_and_says_how_to_continue(small, ran, monkeypatch):
     def interrupt(_settings):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(matrix, "settings_from", interrupt)
-    assert run(*small) == 130
-    assert "the same command continues" in capsys.readouterr().err
+    ended = ran(matrix, *small)
+    assert ended.code == 130
+    assert "the same command continues" in ended.err
 
 
 def settings_of(*arguments):
@@ -151,13 +140,12 @@ def test_a_file_gives_the_same_keys_and_the_command_line_wins(tmp_path):
         ("seed = = 1", "Invalid value"),
     ],
 )
-def test_a_wrong_file_names_itself_and_the_key(tmp_path, capsys, text, message):
+def test_a_wrong_file_names_itself_and_the_key(tmp_path, ran, text, message):
     path = tmp_path / "run.toml"
     path.write_text(text, encoding="utf-8")
-    assert run("--config", path, "--dry-run") == 2
-    shown = capsys.readouterr().err
-    assert message in shown
-    assert len(shown.strip().splitlines()) == 1
+    ended = ran(matrix, "--config", path, "--dry-run")
+    assert_refused(ended, message)
+    assert len(ended.err.splitlines()) == 1
 
 
 def test_the_presets_are_those_of_the_design():
@@ -176,9 +164,8 @@ def test_the_presets_are_those_of_the_design():
     assert frontier.utility == {one.spec for one in frontier.predictors}  # all scenes, each robot
 
 
-def test_list_names_everything_that_can_be_named(capsys):
-    assert run("--list") == 0
-    shown = capsys.readouterr().out
+def test_list_names_everything_that_can_be_named(ran):
+    shown = ran(matrix, "--list").out
     for kind in ("mechanisms", "predictors"):
         assert all(name in shown for name in plugins.names(kind))
     assert all(name in shown for name in PRESETS)
@@ -194,28 +181,27 @@ with contextlib.suppress(SystemExit):
     matrix.main([{option!r}])
 heavy = {{'pandas', 'scipy', 'matplotlib', 'pyarrow', 'sklearn', 'numba'}}
 sys.exit(str(heavy & sys.modules.keys()) if heavy & sys.modules.keys() else 0)"""
-    answer = run_python(tmp_path, "-c", script)
-    assert answer.returncode == 0, answer.stderr
+    ended = commands.run(tmp_path, "-c", script)
+    assert ended.code == 0, ended
 
 
-def test_the_default_falls_back_to_the_simulated_crowd_and_says_so(tmp_path, capsys, monkeypatch):
+def test_the_default_falls_back_to_the_simulated_crowd_and_says_so(tmp_path, ran, monkeypatch):
     monkeypatch.delenv("ISAC_TRACK_DATA", raising=False)
     monkeypatch.setenv("ISAC_TRACK_CACHE", str(tmp_path / "empty"))
     out = tmp_path / "run"
     words = "--preset smoke --scenes 8 --mechanism raw --task none"
-    assert run(*words.split(), "--out", out) == 0
-    shown = capsys.readouterr()
+    shown = ran(matrix, *words.split(), "--out", out)
+    assert shown.code == 0
     assert "notice: students03 is not here" in shown.err
     assert "plaza" in shown.out
     assert "plaza" in (out / "manifest.json").read_text(encoding="utf-8")
     assert set(pd.read_csv(out / "summary.csv")["dataset"]) == {"plaza"}
 
 
-def test_what_a_reader_must_know_is_a_notice(csv_recording, tmp_path, capsys):
+def test_what_a_reader_must_know_is_a_notice(csv_recording, tmp_path, ran):
     words = "--scenes 8 --mechanism raw --task none --predictor kalman_cv:noise=declared"
     words += " --set scenes.clearance_m=6.5 --set scenes.max_redraws=2"
-    assert run("--dataset", csv_recording, *words.split(), "--out", tmp_path / "run") == 0
-    shown = capsys.readouterr()
+    shown = ran(matrix, "--dataset", csv_recording, *words.split(), "--out", tmp_path / "run")
     assert "kalman_cv:noise=declared asked for SIGMA, which a robot does not have" in shown.err
     assert "2 notices in full: tables.txt" in shown.err
     doubts = " ".join(shown.out.partition("Doubts: ")[2].split())

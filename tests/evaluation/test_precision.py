@@ -5,6 +5,7 @@ import math
 
 import pandas as pd
 import pytest
+from helpers.commands import assert_refused
 
 import evaluation
 from evaluation import matrix
@@ -59,10 +60,8 @@ def test_a_precision_that_250_scenes_reach_takes_250(precise):
         (["--precision", "0.1", "--dry-run"], "leave out --dry-run"),
     ],
 )
-def test_what_cannot_be_is_one_line_and_exit_2(options, says, tmp_path, capsys):
-    assert matrix.main(["--preset", "smoke", *options, "--out", str(tmp_path / "run")]) == 2
-    errors = capsys.readouterr().err.splitlines()
-    assert [line for line in errors if says in line] == errors[-1:]
+def test_what_cannot_be_is_one_line_and_exit_2(options, says, tmp_path, ran):
+    assert_refused(ran(matrix, "--preset", "smoke", *options, "--out", tmp_path / "run"), says)
 
 
 def test_more_scenes_than_a_run_takes_are_refused(precise):

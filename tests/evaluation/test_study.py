@@ -4,6 +4,7 @@ import math
 
 import pandas as pd
 import pytest
+from helpers.commands import assert_refused
 
 from evaluation import study
 from evaluation.analysis import pooled
@@ -90,12 +91,6 @@ def test_what_fid_is_held_against_fixed_noise_by_is_no_other_mechanism(answered)
         ([], "--dataset"),
     ],
 )
-def test_a_mistake_is_told_before_anything_runs(options, says, tmp_path, capsys):
-    out = tmp_path / "study"
-    try:
-        code = study.main([*options, "--preset", "smoke", "--out", str(out)])
-    except SystemExit as left:
-        code = left.code
-    assert code == 2
-    assert says in capsys.readouterr().err
-    assert not out.exists()
+def test_a_mistake_is_told_before_anything_runs(options, says, tmp_path, ran):
+    assert_refused(ran(study, *options, "--preset", "smoke", "--out", tmp_path / "study"), says)
+    assert not (tmp_path / "study").exists()
