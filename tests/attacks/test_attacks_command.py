@@ -6,7 +6,8 @@ import tomllib
 from importlib.metadata import EntryPoint
 
 import pytest
-from helpers.processes import ROOT, run_python
+from helpers.commands import run
+from helpers.processes import ROOT
 
 from attacks.__main__ import KINDS, main
 from attacks.testing import CHECKS, LINKAGE_CHECKS, MECHANISM_CHECKS, PREDICTOR_CHECKS
@@ -72,10 +73,10 @@ class TestCheck:
         assert summary == f"{len(CHECKS)} passed, 0 failed, 0 skipped"
 
     def test_an_attack_that_fails_as_a_module(self, tmp_path):
-        done = run_python(tmp_path, "-m", "attacks", "check", f"{MINE}:across_tracks")
-        assert (done.returncode, done.stderr) == (1, "")
-        assert f"{len(CHECKS) - 1} passed, 1 failed, 0 skipped" in done.stdout
-        (failed,) = re.findall(r"^  FAIL  (\w+) +(.*)$", done.stdout, re.MULTILINE)
+        done = run(tmp_path, "-m", "attacks", "check", f"{MINE}:across_tracks")
+        assert (done.code, done.err) == (1, "")
+        assert f"{len(CHECKS) - 1} passed, 1 failed, 0 skipped" in done.out
+        (failed,) = re.findall(r"^  FAIL  (\w+) +(.*)$", done.out, re.MULTILINE)
         assert failed[0] == "order_of_tracks_does_not_matter"
         assert failed[1].startswith("across_tracks as blind (granted nothing), 8 walks")
 
@@ -179,8 +180,8 @@ class TestNew:
             for name in (kind[0], f"{kind[:3]}_with_quite_a_long_name"):
                 assert main(["new", name, "--kind", kind]) == 0
         for words in (["check"], ["format", "--check"]):
-            done = run_python(here, "-m", "ruff", *words, "--no-cache", ".")
-            assert done.returncode == 0, done.stdout + done.stderr
+            done = run(here, "-m", "ruff", *words, "--no-cache", ".")
+            assert done.code == 0, done
 
     @pytest.mark.parametrize(
         ("name", "message"),

@@ -10,7 +10,8 @@ from helpers import broken_attacks, broken_linkers, broken_plugins
 from helpers.broken_attacks import MECHANISM, SCENE, SIGMA, TRAIN, Jitters, attack
 from helpers.broken_linkers import BASE, linker
 from helpers.broken_plugins import Noise, Stand, plugin
-from helpers.processes import ROOT, run_python
+from helpers.commands import run
+from helpers.processes import ROOT
 
 from attacks.linkage.kinematic import Kinematic
 from attacks.testing import (
@@ -252,8 +253,8 @@ class TestRunning:
             "import sys, attacks.testing, isac_track.testing.__main__\n"
             "sys.exit(', '.join({'pytest', 'hypothesis'} & sys.modules.keys()) or 0)"
         )
-        done = run_python(tmp_path, "-c", code)
-        assert done.returncode == 0, done.stderr
+        done = run(tmp_path, "-c", code)
+        assert done.code == 0, done
 
 
 def test_sigma_is_there_for_who_requires_it():

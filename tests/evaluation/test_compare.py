@@ -4,13 +4,12 @@ import io
 import json
 import re
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.commands import assert_refused, start
 from helpers.runs import rows_of
 from helpers.small_runs import smoke, write_walks
 from helpers.summaries import edit_manifest
@@ -82,13 +81,12 @@ def both(run):
 
 
 @pytest.fixture
-def command(run, capsys):
+def command(run, ran):
     """Exit code, output and errors of the command; runs are named in braces."""
 
     def said(*words):
-        given = [run(word[1:-1]) if word[:1] == "{" else word for word in map(str, words)]
-        code = compare.main([str(one) for one in given])
-        return code, *capsys.readouterr()
+        named = [run(word[1:-1]) if word[:1] == "{" else word for word in map(str, words)]
+        return ran(compare, *named)
 
     return said
 
@@ -330,17 +328,15 @@ class TestCommand:
         ],
     )
     def test_what_cannot_be_compared_ends_in_one_line(self, command, words, said):
-        code, _, errors = command(*words)
-        assert code == 2
-        (line,) = errors.splitlines()
-        assert line.startswith("error: ")
-        assert said in line
+        ended = command(*words)
+        assert_refused(ended, said)
+        assert len(ended.err.splitlines()) == 1
 
-    def test_a_reader_who_leaves_early_sees_no_traceback(self, run):
-        words = [sys.executable, "-m", "evaluation.compare", run("base"), run("wide"), "--json"]
-        with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+    def test_a_reader_who_leaves_early_sees_no_traceback(self, run, tmp_path):
+        words = ("-m", "evaluation.compare", run("base"), run("wide"), "--json")
+        with start(tmp_path, *words) as process:
             process.stdout.close()
-            assert process.stderr.read() == b""
+            assert process.stderr.read() == ""
         assert process.returncode == 141
 
 
@@ -375,7 +371,4 @@ class TestVerdicts:
 
     def test_a_broken_verdict_is_named(self, pair, command):
         (pair[1] / "verdict.json").write_text('{"items": [{"id": "x"}]}')
-        code, _, errors = command(*pair)
-        assert code == 2
-        (line,) = errors.splitlines()
-        assert str(pair[1] / "verdict.json") in line
+        assert_refused(command(*pair), str(pair[1] / "verdict.json"))

@@ -151,6 +151,14 @@ def _sensed(sessions, seed, stages):
     return sensed_sessions(sessions, groups=groups, stages=stages, seed=seed)
 
 
+def numbers_of(cell):
+    """All that a cell of linkage says, in one row: equal where two cells are alike to the bit."""
+    scores = (one.scores.ravel() for one in cell.searches)
+    estimates = cell.scored.estimates.values()
+    said = ([one.value, one.ci_low, one.ci_high, *one.replicates] for one in estimates)
+    return np.concatenate([*scores, *said, [cell.scored.p_value]])
+
+
 def linked(sessions, by, *links, controls=False, seed=0, stages=STAGES):
     """What all achieve who link in a task: by consumer and adversary.
 

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
-from helpers.processes import ROOT
+from helpers.processes import ROOT, TESTS
 
 MATRIX = ("-m", "evaluation.matrix")
 _UNDRAWN = "import sys; from evaluation import matrix, results; "
@@ -28,7 +28,7 @@ class Ended(NamedTuple):
 
 def start(folder, *words, changed=(), **process):
     """Start this Python in a folder; what is `changed` in its environment to None is taken out."""
-    environment = os.environ | {"PYTHONPATH": str(ROOT)} | dict(changed)
+    environment = os.environ | {"PYTHONPATH": f"{ROOT}:{TESTS}"} | dict(changed)
     pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     return subprocess.Popen(
         [sys.executable, *map(str, words)],

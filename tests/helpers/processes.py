@@ -1,26 +1,10 @@
-"""Commands as a user starts them: a process of their own, in a folder of their own."""
+"""Where the project is, and how to wait for what a process does."""
 
-import os
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 TESTS = Path(__file__).parents[1]
 ROOT = TESTS.parent
-
-
-def run_python(folder, *arguments, timeout_s=120):
-    """Run this Python with the project and the tests' helpers on its path; text comes back."""
-    return subprocess.run(
-        [sys.executable, *arguments],
-        cwd=folder,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(TESTS)])},
-        capture_output=True,
-        text=True,
-        timeout=timeout_s,
-        check=False,
-    )
 
 
 def wait_for(condition, *, most_s):

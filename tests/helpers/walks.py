@@ -32,7 +32,7 @@ def flat_release(t, xy, offsets, *, sigma=None):
     return Release(t=t, xy=xy, sigma=sigma, offsets=offsets, pseudonym=names)
 
 
-def context(train=None, *, granted=None, mechanism=None, repeats=(), epsilon_m=0.3):
+def context(train=None, *, granted=None, epsilon_m=0.3, **held):
     """An attack's context; what is granted is TRAIN where there is a training set, or as said."""
     if granted is None:
         granted = () if train is None else (Knowledge.TRAIN,)
@@ -40,9 +40,8 @@ def context(train=None, *, granted=None, mechanism=None, repeats=(), epsilon_m=0
         rng=stream(0, "test", "attack"),
         epsilon_m=epsilon_m,
         granted=frozenset(granted),
-        mechanism=mechanism,
         train=train,
-        repeats=repeats,
+        **held,
     )
 
 

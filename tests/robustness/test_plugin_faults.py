@@ -32,6 +32,7 @@ FAULTS = {
     "returns numbers": ("mean", "must return a Prediction"),
     "not a number": ("Prediction(mean * np.nan)", FAR),
     "infinite": ("Prediction(mean + np.inf)", FAR),
+    "peeks": ("Prediction(mean + release.sigma.max())", "failed: AttributeError"),
     "too few": ("Prediction(mean[1:])", "must return a Prediction with mean"),
     "turned over": ("Prediction(mean.T)", "failed: ValueError: mean must have shape"),
     "complex": ("Prediction(mean + 0j)", "failed: "),

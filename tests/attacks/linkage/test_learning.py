@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers.walks import context, moved, odd_release, two_releases
+from helpers.walks import context, two_releases
 
 from attacks.linkage.learning import EVERYBODY, MARGIN, learn, log_rank
 from isac_track.protocols import LinkageTrainingSet
@@ -76,12 +76,3 @@ def test_few_mates_are_the_mates():
     )
     rows = [0, 1, 2, 4]
     assert [one.tolist() for one in taught] == [rows, TRAIN.mate[rows].tolist()]
-
-
-def test_some_tracks_of_a_release():
-    release = moved(odd_release(0))
-    some = release.tracks([5, 0, 9])
-    for row, source in enumerate((5, 0, 9)):
-        assert np.array_equal(some[row].xy, release[source].xy)
-        assert np.array_equal(some[row].t, release[source].t)
-    assert some.pseudonym == tuple(release.pseudonym[row] for row in (5, 0, 9))

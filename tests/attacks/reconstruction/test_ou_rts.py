@@ -4,12 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from helpers.walks import cv_walks, flat_release
+from helpers.walks import context, cv_walks, flat_release
 
 from attacks.reconstruction.kalman_rts import KalmanRTS, RadialRTS
 from attacks.reconstruction.ou_rts import OuRTS, fitted
 from isac_track.plugins import parse
-from isac_track.protocols import AttackContext, TrainingSet
+from isac_track.protocols import TrainingSet
 from isac_track.rng import stream
 from isac_track.sharing import Fixed, Raw
 from isac_track.sharing_controls import Correlated, correlated_errors
@@ -19,7 +19,6 @@ MECHANISM, REPEATS, SCENE = Knowledge.MECHANISM, Knowledge.REPEATS, Knowledge.SC
 ANCHOR, COMPANIONS = Knowledge.ANCHOR, Knowledge.COMPANIONS
 
 Q, NOISE_M = 0.05, 0.1
-INFORMED = frozenset({Knowledge.MECHANISM, Knowledge.TRAIN})
 
 
 @dataclass(frozen=True)
@@ -41,21 +40,13 @@ def walks(std_m, tau_s, *, n=40, size=150, white_m=NOISE_M):
     return flat_release(t, xy, offsets), path
 
 
-def context(*, taught=None, mechanism=None):
-    """As informed, where somebody is there to learn from, or blind."""
-    granted = INFORMED if mechanism is not None else frozenset()
-    return AttackContext(
-        rng=stream(0, "test", "attack"),
-        epsilon_m=0.3,
-        granted=granted,
-        mechanism=mechanism,
-        train=taught,
-    )
+def informed(taught, mechanism):
+    return context(taught, granted=(MECHANISM, Knowledge.TRAIN), mechanism=mechanism)
 
 
-def error_m2(attack, seen, truth, **knows):
-    """Mean squared error of a reconstruction."""
-    return float(((attack.fit(context(**knows))(seen).xy - truth) ** 2).mean())
+def error_m2(attack, seen, truth, known=None):
+    """Mean squared error of a reconstruction, blind or of who knows more."""
+    return float(((attack.fit(known or context())(seen).xy - truth) ** 2).mean())
 
 
 @pytest.mark.parametrize("error", [(0.5, 2.0), (1.0, 5.0), (0.8, 10.0)])
@@ -90,24 +81,22 @@ def test_half_or_twice_the_error_costs_little_next_to_none():
 def test_what_it_is_told_and_taught_serves_it():
     release, truth = walks(0.8, 5.0)
     other, known = walks(0.8, 5.0, n=20, size=120)
-    taught = {"taught": TrainingSet(other, known)}
-    told = error_m2(OuRTS(), release, truth, mechanism=Slow(0.8, 5.0), **taught)
-    misled = error_m2(OuRTS(), release, truth, mechanism=Slow(0.1, 90.0), **taught)
-    blind = error_m2(OuRTS(), release, truth)
-    assert told < 1.1 * blind
-    assert misled < 1.1 * told  # the training people show what the mechanism does not say
+    taught = TrainingSet(other, known)
     law = replace(Correlated(1.0, 5.0), adding="independent")  # says d_sigma: per axis 0.71 m
-    assert error_m2(OuRTS(), release, truth, mechanism=law, **taught) < 1.1 * told
+    told, misled, by_law = (
+        error_m2(OuRTS(), release, truth, informed(taught, mechanism))
+        for mechanism in (Slow(0.8, 5.0), Slow(0.1, 90.0), law)
+    )
+    assert told < 1.1 * error_m2(OuRTS(), release, truth)
+    assert misled < 1.1 * told  # the training people show what the mechanism does not say
+    assert by_law < 1.1 * told
 
 
 @pytest.mark.parametrize("mechanism", [None, Raw(), Fixed(0.5)])
 def test_where_nothing_slow_is_added_it_is_the_smoother_of_white_errors(mechanism):
     release, truth = walks(0.0, 0.0, white_m=0.5)
-    taught = {} if mechanism is None else {"taught": TrainingSet(release, truth)}
-    own, white = (
-        attack.fit(context(mechanism=mechanism, **taught))(release)
-        for attack in (OuRTS(), RadialRTS())
-    )
+    known = informed(TrainingSet(release, truth), mechanism) if mechanism else context()
+    own, white = (attack.fit(known)(release) for attack in (OuRTS(), RadialRTS()))
     np.testing.assert_array_equal(own.xy, white.xy)
 
 
@@ -120,14 +109,9 @@ def test_parameters_that_cannot_be_are_refused():
 def beyond(release, **granted):
     """The smoother of who is told the error and was granted more."""
     knows = {"repeats": (REPEATS, SCENE), "anchor": (ANCHOR,), "companions": (COMPANIONS,)}
-    context = AttackContext(
-        rng=stream(0, "test", "attack"),
-        epsilon_m=0.3,
-        granted=frozenset({MECHANISM, *(one for name in granted for one in knows[name])}),
-        mechanism=Slow(0.8, 5.0),
-        **granted,
-    )
-    return OuRTS(q=Q).fit(context)(release)
+    known = (MECHANISM, *(one for name in granted for one in knows[name]))
+    told = context(granted=known, mechanism=Slow(0.8, 5.0), **granted)
+    return OuRTS(q=Q).fit(told)(release)
 
 
 def known_at(release, truth, places):

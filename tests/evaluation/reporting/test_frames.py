@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
-from helpers.processes import run_python
+from helpers.commands import run
 from helpers.small_runs import write_walks
 
 import evaluation
@@ -90,7 +90,7 @@ def test_reading_writes_nothing_and_imports_nothing_slow(made):
     before = {path: path.stat().st_mtime_ns for path in made.run.out.rglob("*")}
     slow = "{'numba', 'scipy', 'sklearn', 'matplotlib', 'jinja2', 'rich'}"
     code = f"import evaluation, sys; evaluation.load('run'); print({slow} & set(sys.modules))"
-    assert run_python(made.run.out.parent, "-c", code).stdout == "set()\n"
+    assert run(made.run.out.parent, "-c", code).out == "set()\n"
     assert {path: path.stat().st_mtime_ns for path in made.run.out.rglob("*")} == before
 
 

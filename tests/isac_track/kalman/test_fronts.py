@@ -7,6 +7,7 @@ import pytest
 from helpers.kalman_cases import PRIOR_STD, Q, batch, some_tracks
 
 from isac_track import kalman
+from isac_track.kalman.slow_errors import SlowError, smooth_tracks
 
 MOODS = kalman.Moods((0.05, 4.0), (2.5, 1.25))
 LINEAR = {
@@ -16,6 +17,7 @@ LINEAR = {
 }
 FRONTS = LINEAR | {
     "positions, 5 passes": lambda case: kalman.smooth_positions(case, q=Q, passes=5, anneal=0.15),
+    "slow error": lambda case: smooth_tracks(case, SlowError(0.7, 2.0), q=Q, passes=3),
     "imm, last": lambda case, **options: kalman.imm_last(case, MOODS, **options),
     "imm, smoothed": lambda case: kalman.imm_smoother(case, MOODS),
 }

@@ -114,19 +114,3 @@ def test_a_read_only_installation_compiles_in_every_process_and_says_so(read_onl
         done.stderr,
     )
     assert not list(read_only_copy.rglob("*.nbi"))
-
-
-@pytest.mark.slow
-def test_a_read_only_installation_uses_the_user_s_own_cache(read_only_copy):
-    user = ordinary_user()
-    home = Path(tempfile.mkdtemp(prefix="isac-track-home-"))
-    try:
-        if user is not None:
-            os.chown(home, user, -1)
-        code = f"import sys; sys.path.insert(0, {str(read_only_copy)!r})\n" + USE
-        first = run(code, user=user, cwd="/", HOME=str(home))
-        assert (first.returncode, first.stderr) == (0, NOTICE)
-        second = run(code, user=user, cwd="/", HOME=str(home))
-        assert (second.returncode, second.stderr) == (0, "")
-    finally:
-        shutil.rmtree(home)

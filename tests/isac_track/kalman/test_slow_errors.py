@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from helpers.kalman_cases import Q, batch, some_tracks
+from helpers.kalman_cases import Q, batch
 from scipy.stats import multivariate_normal
 
 from isac_track.kalman import kalman_last, smooth_positions
@@ -90,13 +90,6 @@ def test_without_an_error_they_are_those_of_a_walk_alone():
         theirs = smooth_positions(case, q=Q, passes=passes, anneal=0.15)
         for one, other in zip(ours, theirs, strict=True):
             np.testing.assert_allclose(one, other, atol=1e-9)
-
-
-def test_no_bit_depends_on_the_other_tracks():
-    case, error = batch(sizes=(7, 1, 30, 2)), SlowError(0.7, 2.0)
-    whole = smooth_tracks(case, error, q=Q, passes=3)[0]
-    alone = [smooth_tracks(some_tracks(case, [i]), error, q=Q, passes=3)[0] for i in range(4)]
-    np.testing.assert_array_equal(whole, np.concatenate(alone))
 
 
 @pytest.mark.parametrize("tau_s", [0.0, 0.3, 5.0])
