@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from helpers.commands import Ended
 from helpers.recordings import tracks_of, write_csv
+from helpers.small_runs import one_process
 
 from isac_track import datasets
 from isac_track.rng import stream
@@ -85,6 +86,12 @@ def ran(capsys):
         return Ended(command.main([str(word) for word in words]), *capsys.readouterr())
 
     return run
+
+
+@pytest.fixture(name="one_process")
+def _one_process():
+    with one_process():
+        yield
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ def test_links_lead_somewhere(path):
     assert missing == []
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("undrawn", "one_process")
 def test_the_plugin_guide_runs_as_it_stands(tmp_path, monkeypatch, csv_recording, capsys):
     guide = (ROOT / "docs" / "plugins.md").read_text(encoding="utf-8")
     for name, code in re.findall(r"```python\n# (\w+\.py)\n(.*?)```", guide, flags=re.DOTALL):

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import pandas as pd
 import pytest
 from helpers.processes import ROOT
+from helpers.small_runs import one_process
 
 from evaluation.results import build
 
@@ -32,7 +33,7 @@ def finished(tmp_path_factory):
     folder, said = tmp_path_factory.mktemp("tutorial"), io.StringIO()
     for path in EXAMPLE.glob("*.py"):
         shutil.copy(path, folder)
-    with pytest.MonkeyPatch.context() as patch, redirect_stdout(said):
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(said), one_process():
         patch.chdir(folder)
         patch.syspath_prepend(folder)
         runpy.run_path("tutorial.py")

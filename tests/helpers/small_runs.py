@@ -1,8 +1,12 @@
 """Recordings as files, and settings, for runs that take seconds."""
 
+from contextlib import contextmanager
+
 import numpy as np
+import pytest
 
 from evaluation.experiment.settings import Settings
+from evaluation.runs.workers import spread
 from isac_track.rng import stream
 
 
@@ -11,6 +15,20 @@ def smoke(dataset, out=None, *, scenes=12, **changes):
     usual = {"mechanisms": ("raw", "fixed:0.7"), "predictors": ("least_squares",), "jobs": 1}
     usual |= {"attacks": (), "tasks": ()} | changes
     return Settings(preset="smoke", dataset=str(dataset), scenes=scenes, out=out, **usual)
+
+
+@contextmanager
+def one_process():
+    """All is computed here, strangers' plug-ins too: to start a worker takes seconds."""
+
+    def here(function, works, **_):
+        return spread(function, works, jobs=1, limit_s=None)
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("execute", "trials"):
+            patch.setattr(f"evaluation.runs.{name}.spread", here)
+        patch.setattr("evaluation.matrix._n_workers", lambda _: 0)
+        yield
 
 
 def write_walks(path, *, n_people=30, seed=0):

@@ -333,6 +333,7 @@ def test_without_a_command_nobody_knows_whose_ctrl_c_it_was():
         guarded("mine", interrupted)
 
 
+@pytest.mark.usefixtures("one_process")
 def test_where_nothing_is_left_the_reason_is_one_line(tmp_path, arguments, capsys):
     options = ("--out", tmp_path / "run", "--predictor", "none", *ALONE)
     assert matrix.main(arguments(*options, *named(mechanism=["Shared:east_m=1e250"]))) == 2
@@ -366,6 +367,7 @@ def test_what_fails_with_anybody_fails_before_the_run(tmp_path, arguments, capsy
     assert ("Traceback" in trace) == (plugin not in {"Dies", "Hangs"})
 
 
+@pytest.mark.usefixtures("one_process")
 def test_it_is_in_nobodys_way(tmp_path, arguments):
     """Neither in that of another run in this folder, nor of one that is there."""
     out = tmp_path / "run"
@@ -379,6 +381,7 @@ def test_it_is_in_nobodys_way(tmp_path, arguments):
     assert {one: one.read_bytes() for one in out.rglob("*") if one.is_file()} == before
 
 
+@pytest.mark.usefixtures("one_process")
 def test_what_is_finished_is_not_tried_again(tmp_path, arguments):
     words = arguments("--out", tmp_path / "run", "--mechanism", "raw", *ALONE)
     words += named(predictor=["Counts"])

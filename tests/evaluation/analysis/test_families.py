@@ -53,7 +53,7 @@ def test_the_paper_s_mechanism_is_the_one_with_nothing_else_changed():
     }
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("undrawn", "one_process")
 def test_a_run_with_a_mechanism_of_ones_own_treats_it_like_fid(csv_recording, tmp_path, capsys):
     out = tmp_path / "run"
     mechanisms = ("raw", "fixed:0.2..1/3", "helpers.mechanisms:Twice:0.1..0.5/3")

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from helpers.small_runs import smoke, write_walks
+from helpers.small_runs import one_process, smoke, write_walks
 
 import evaluation
 from evaluation.analysis import weak_attacks as flags
@@ -226,7 +226,8 @@ def results(tmp_path_factory):
     walks = write_walks(folder / "walks.csv", n_people=24)
     axes = {"mechanisms": ("clean", "raw", "fixed:1"), "attacks": ("identity", "kalman_rts", *BAD)}
     settings = smoke(walks, folder / "run", scenes=18, predictors=(), **axes)
-    return evaluation.run(settings, pictures=False)
+    with one_process():
+        return evaluation.run(settings, pictures=False)
 
 
 def test_a_bad_attack_in_a_real_run_is_flagged_in_the_file_and_the_frame(results):

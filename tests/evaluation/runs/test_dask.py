@@ -30,6 +30,7 @@ from isac_track import plugins
 from isac_track.errors import SettingsError
 
 distributed = pytest.importorskip("distributed")
+pytestmark = pytest.mark.usefixtures("one_process")  # what is not on a cluster
 
 PLUGINS = """
 import os, time

@@ -303,6 +303,7 @@ class TestAnotherRunInTheSameFolder:
         assert mine.is_file()
 
 
+@pytest.mark.usefixtures("one_process")
 def test_a_failed_plugin_leaves_the_folder_usable(settings):
     told = "bad_plugins:Raises.*' failed: RuntimeError: no luck"
     with pytest.raises(PluginError, match=told):  # before the run
@@ -317,6 +318,7 @@ def test_a_failed_plugin_leaves_the_folder_usable(settings):
     assert set(results.summary["mechanism"]) == {"raw", "fixed"}  # raw was finished
 
 
+@pytest.mark.usefixtures("one_process")
 def test_what_failed_is_told_until_it_is_mended_whatever_is_run_next(settings, monkeypatch):
     sweep, one = ("helpers.bad_plugins:NotAt3:0.1..0.5/3",), ("helpers.bad_plugins:NotAt3:0.5",)
     with pytest.warns(FailedCellsWarning, match="not at 0.3"):
@@ -334,6 +336,7 @@ def test_what_failed_is_told_until_it_is_mended_whatever_is_run_next(settings, m
     assert len(run(settings, mechanisms=one, fresh=True).failed) == 0
 
 
+@pytest.mark.usefixtures("one_process")
 def test_what_spoils_its_own_or_fails_in_the_gallery_costs_nothing_else(settings, drawn):
     spoils, many = (f"helpers.bad_plugins:{name}" for name in ("Spoils", "NeedsMany"))
     axes = {"mechanisms": (f"{spoils}:0.5", f"{many}:0.5", "raw", "fixed:0.7")}
