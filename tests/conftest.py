@@ -1,6 +1,12 @@
 """Tracks to test on: small made-up ones everywhere, the real recording where it is at hand."""
 
+# ruff: noqa: E402 - what is said to numpy is said before it is there
 import os
+
+# Tests run side by side, and threads of BLAS that fight over the cores take twice their time.
+for library in ("OPENBLAS", "MKL", "OMP"):
+    os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+
 import signal
 from pathlib import Path
 
