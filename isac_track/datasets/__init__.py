@@ -209,33 +209,26 @@ def _found(
     unit: str | None,
 ) -> tuple[registry.Known, dict[str, Path], str | None]:
     """Return what is meant by a name or path, its files, and what is to be said of the choice."""
-    notice: str | None = None
     if name is not None and _is_path(name):
         path = Path(name)
         # Rows of another recording must never pass for those of a known one.
         title = shown(path.name if path.stem in KNOWN else path.stem)
-        source = registry.Known(title, format=format or "", fps=fps)
-        files = {MAIN_FILE: path}
-    else:
-        if name is None:
-            source = KNOWN[DEFAULT if registry.locate(KNOWN[DEFAULT])[0] else FALLBACK]
-        else:
-            source = registry.known(str(name))
-        if (format, fps, unit) != (None, None, None):
-            raise DataError(
-                f"{'the default data set' if name is None else source.name} is known by name: "
-                "leave --format, --fps and --unit out (they describe a file of your own)"
-            )
-        if source.session is None:
-            files = registry.files_of(source, download=download and name is not None)
-        else:
-            files = {MAIN_FILE: crowd.bundled_path(source.session)}
-            if name is None:
-                notice = (
-                    f"{DEFAULT} is not here ({registry.searched()}): using the bundled simulated "
-                    f"crowd {FALLBACK}. To get it: python -m isac_track.datasets fetch {DEFAULT}"
-                )
-    return source, files, notice
+        return registry.Known(title, format=format or "", fps=fps), {MAIN_FILE: path}, None
+    is_asked = name is not None or bool(registry.locate(KNOWN[DEFAULT])[0])
+    usual = DEFAULT if is_asked else FALLBACK
+    source = registry.known(usual if name is None else str(name))
+    if (format, fps, unit) != (None, None, None):
+        raise DataError(
+            f"{'the default data set' if name is None else source.name} is known by name: "
+            "leave --format, --fps and --unit out (they describe a file of your own)"
+        )
+    if source.session is None:
+        return source, registry.files_of(source, download=download and name is not None), None
+    notice = (
+        f"{DEFAULT} is not here ({registry.searched()}): using the bundled simulated "
+        f"crowd {FALLBACK}. To get it: python -m isac_track.datasets fetch {DEFAULT}"
+    )
+    return source, {MAIN_FILE: crowd.bundled_path(source.session)}, None if is_asked else notice
 
 
 def _grand_central(path: Path, source: registry.Known) -> _Read:
@@ -245,8 +238,8 @@ def _grand_central(path: Path, source: registry.Known) -> _Read:
     rows, digest = read_gc.read_gc(path, where=shown(path))
     registry.check(path, source, file_name=registry.WHOLE, actual=digest)
     tracks, repairs = to_tracks(rows)
-    repairs = (*repairs, *read_gc.fast_pieces(tracks, where=shown(path)))
-    return tracks, repairs, digest, GRAND_CENTRAL
+    fast = read_gc.fast_pieces(tracks, where=shown(path))
+    return tracks, (*repairs, *fast), digest, GRAND_CENTRAL
 
 
 def _format_of(path: Path, name: str, *, data: bytes) -> tuple[str, tuple[Repair, ...]]:
@@ -258,7 +251,6 @@ def _format_of(path: Path, name: str, *, data: bytes) -> tuple[str, tuple[Repair
     known = ", ".join((*FORMATS, GRAND_CENTRAL))
     if not name:
         where = shown(path)
-        recording.check_text(data=data, path=where)
         header = read_frames.read_header(data=data, path=where)
         if header.columns:
             rate = "" if header.fps is None else f", {header.fps:g} frames a second"

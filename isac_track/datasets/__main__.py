@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,9 +17,6 @@ from isac_track.errors import IsacTrackError
 
 if TYPE_CHECKING:
     import argparse
-
-    from rich.console import Console
-    from rich.table import Table
 
 _LONG_S = (12.0, 21.6)  # Durations of interest: 21.6 s are the tracks that scenes are made of.
 _FROZEN = f"{datasets.FROZEN_SHARE:.0%}"
@@ -53,39 +50,25 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _console() -> Console:
-    from rich.console import Console  # noqa: PLC0415 - `--help` stays quick
+def _aligned(table: Mapping[str, Sequence[str]], title: str, *columns: str) -> str:
+    """Return rows by their label under a header, the label to the left and numbers to the right."""
+    import pandas as pd  # noqa: PLC0415 - `--help` stays quick
 
-    # No guessing at numbers and paths, whole lines to be copied: the text is data, not markup.
-    return Console(highlight=False, markup=False, emoji=False, soft_wrap=True)
-
-
-def _table(label: str, *columns: str) -> Table:
-    from rich.box import SIMPLE_HEAD  # noqa: PLC0415 - `--help` stays quick
-    from rich.table import Table  # noqa: PLC0415 - `--help` stays quick
-
-    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False)
-    table.add_column(label, no_wrap=True)
-    for name in columns:
-        table.add_column(name, justify="right", no_wrap=True)
-    return table
+    frame = pd.DataFrame(table.values(), index=list(table), columns=list(columns))
+    return frame.rename_axis(columns=title).to_string()
 
 
 def _list(_: argparse.Namespace) -> int:
-    table = _table(
-        "data set", "tracks", *(f">={s:g} s" for s in _LONG_S), "median s", "m/s", "zero", "frozen"
-    )
-    notes = []
-    status = DONE
-    for data_set in KNOWN.values():
-        cells = ["-"] * 7
-        where = f"not here; `python -m isac_track.datasets fetch {data_set.name}`"
+    rows, notes, status = {}, [], DONE
+    for name, data_set in KNOWN.items():
+        rows[name] = ["-"] * 7
+        where = f"not here; `python -m isac_track.datasets fetch {name}`"
         try:
             if not registry.locate(data_set)[1]:
-                found = datasets.load(data_set.name, download=False)
+                found = datasets.load(name, download=False)
                 summary = datasets.summarise(found.tracks)
                 where = found.path
-                cells = [
+                rows[name] = [
                     f"{len(summary)}",
                     *(f"{datasets.n_lasting(summary, duration_s)}" for duration_s in _LONG_S),
                     f"{summary.duration_s.median():.1f}",
@@ -94,17 +77,14 @@ def _list(_: argparse.Namespace) -> int:
                     f"{summary.frozen.sum()}",
                 ]
         except IsacTrackError as error:
-            where = f"error: {error}"
-            status = WRONG
-        table.add_row(data_set.name, *cells)
-        notes.append(f"{data_set.name}: {data_set.about}; {where}")
-    console = _console()
-    console.print(table, soft_wrap=False)
-    console.print("", *notes, registry.searched(), sep="\n")
-    console.print(
-        f"m/s: median of the tracks' mean speeds. zero: share of steps of exactly no "
-        f"length. frozen: tracks with at least {_FROZEN} such steps.",
-        soft_wrap=False,
+            where, status = f"error: {error}", WRONG
+        notes.append(f"{name}: {data_set.about}; {where}")
+    long = (f">={duration_s:g} s" for duration_s in _LONG_S)
+    columns = ("tracks", *long, "median s", "m/s", "zero", "frozen")
+    print(_aligned(rows, "data set", *columns), "", *notes, registry.searched(), sep="\n")
+    print(
+        "m/s: median of the tracks' mean speeds. zero: share of steps of exactly no\n"
+        f"length. frozen: tracks with at least {_FROZEN} such steps."
     )
     return status
 
@@ -129,7 +109,7 @@ def _show(arguments: argparse.Namespace) -> int:
         "credit": found.citation,
         "licence": found.licence,
     }
-    table = _table("per track", "min", "5%", "median", "95%", "max")
+    rows = {}
     for label, column, form in (
         ("duration, s", "duration_s", ".2f"),
         ("mean speed, m/s", "speed_mean_mps", ".2f"),
@@ -138,31 +118,25 @@ def _show(arguments: argparse.Namespace) -> int:
         ("steps of no length", "still_share", ".1%"),
     ):
         quantiles = summary[column].quantile([0.0, 0.05, 0.5, 0.95, 1.0])
-        table.add_row(label, *(format(one, form) for one in quantiles))
-    console = _console()
-    for label, fact in facts.items():
-        if fact:
-            console.print(f"{label:<12} {fact}")
-    console.print()
-    console.print(table, soft_wrap=False)
-    if found.repairs:
-        console.print()
-    for repair in found.repairs:
-        console.print(f"{repair.count:>6} {repair.kind:<14} {repair.detail}")
+        rows[label] = [format(one, form) for one in quantiles]
+    lines = [f"{label:<12} {fact}" for label, fact in facts.items() if fact]
+    lines += ["", _aligned(rows, "per track", "min", "5%", "median", "95%", "max")]
+    lines += [""] * bool(found.repairs)
+    lines += [f"{one.count:>6} {one.kind:<14} {one.detail}" for one in found.repairs]
+    print(*lines, sep="\n")
     return DONE
 
 
 def _fetch(arguments: argparse.Namespace) -> int:
-    console = _console()
     for name in arguments.name:
         data_set = registry.known(name)
         if data_set.session is not None:
-            console.print(f"{name} is bundled: nothing to fetch")
+            print(f"{name} is bundled: nothing to fetch")
             continue
         files, downloaded = registry.fetch(data_set)
         done = "fetched" if downloaded else "already here"
         for path in files.values():
-            console.print(f"{name}: {done}: {shown(path)}")
+            print(f"{name}: {done}: {shown(path)}")
     return DONE
 
 

@@ -36,8 +36,6 @@ _CALLED = {
 _FRAME_RATE = r"(?:frame\s*rate|\bfps\s*[:=])[^\d.+-]*([-+]?[\d.]+(?:e[-+]?\d+)?)"
 _USED = ("frame", "id", "x", "y")
 _TRACK_FIELDS = ("f", "p", "x", "y")
-_LONGEST_LINE = 10_000
-"""Characters: what a line holds beyond its row is not used, and takes memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +99,7 @@ def read_columns(
 
 def read_header(*, data: bytes, path: str) -> Header:
     """Return what the comments before the first row say; DataError if it cannot be so."""
+    recording.check_text(data=data, path=path)
     fps: float | None = None
     units: dict[str, int] = {}
     named: list[tuple[int, list[str]]] = []
@@ -111,7 +110,8 @@ def read_header(*, data: bytes, path: str) -> Header:
             n_fields = len(text.split("#", 1)[0].split())
             break
         if fps is None:
-            fps = _frame_rate_in(text, where=f"{path}, line {number}")
+            found = re.search(_FRAME_RATE, text, re.IGNORECASE)
+            fps = recording.checked_fps(found[1], where=f"{path}, line {number}") if found else None
         for unit in re.findall(r"\b[xy]\s*[/\[(]\s*([a-z]+)|\bin\s+([cm]?m)\b", text.lower()):
             units.setdefault((unit[0] or unit[1])[:40], number)
         bare = re.sub(r"\s*[/\[(]\s*[a-z]+[\])]?", "", text.lower()[1:])
@@ -131,19 +131,6 @@ def read_header(*, data: bytes, path: str) -> Header:
     places = {name: names.index(name) for name in _USED if of_line}
     marker = names.index("marker") if names.count("marker") == 1 else None
     return Header(fps, next(iter(units), ""), places, of_line, marker)
-
-
-def _frame_rate_in(text: str, *, where: str) -> float | None:
-    """Return the frame rate that a comment gives, if any."""
-    found = re.search(_FRAME_RATE, text, re.IGNORECASE)
-    if not found:
-        return None
-    try:
-        rate = float(found[1])
-    except ValueError:
-        reason = f"the framerate {found[1][:40]!r} is not a number"
-        raise DataError(f"{where}: {reason}") from None
-    return recording.checked_fps(rate, where=where)
 
 
 def _split(data: bytes) -> Iterator[tuple[int, list[str]]]:
@@ -261,8 +248,6 @@ def _frame_rate(
 
 def _parse(line: str) -> tuple[str, dict[str, Any]]:
     """Return the kind of line and what it holds."""
-    if len(line) > _LONGEST_LINE:
-        raise ValueError(f"{len(line)} characters, over {_LONGEST_LINE}; one row is on a line")
     try:
         entry = json.loads(line)
     except json.JSONDecodeError as error:

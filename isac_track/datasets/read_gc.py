@@ -1,12 +1,13 @@
 """Reader of Grand Central: an archive or a folder with a file for each pedestrian, in pixels.
 
 ``Annotation/NNNNNN.txt`` holds x, y (pixels) and frame, one number a line, again and again;
-``H.json`` the homography of [x, y, 1] to metres. An archive is read as a stream and never
-unpacked: no name in it becomes a path, and limits end one that is not what it says.
+``H.json`` the homography of [x, y, 1] to metres. An archive is read in memory and never
+unpacked on disk: no name in it becomes a path, and limits end one that is not what it says.
 """
 
 import gzip
 import hashlib
+import io
 import json
 import os
 import re
@@ -16,7 +17,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path, PurePosixPath
-from typing import IO, cast
 
 import numpy as np
 
@@ -68,21 +68,6 @@ def fast_pieces(tracks: Tracks, *, where: str) -> list[Repair]:
     return [Repair("fast-piece", fast.size, text)] if fast.size else []
 
 
-class _Counted:
-    """A stream of bytes that ends in a DataError where it gives more than it may."""
-
-    def __init__(self, stream: gzip.GzipFile, where: str) -> None:
-        self._stream, self._where, self._n_bytes = stream, where, 0
-
-    def read(self, size: int) -> bytes:
-        """Return up to `size` bytes."""
-        data = self._stream.read(size)
-        self._n_bytes += len(data)
-        if self._n_bytes > MOST_BYTES:
-            raise DataError(f"{self._where}: unpacks to over {MOST_BYTES} bytes: not Grand Central")
-        return data
-
-
 def _called(name: str) -> str:
     """Return the name in its folder of a file that is used; empty for any other."""
     found = _USED.fullmatch(name)
@@ -93,13 +78,15 @@ def _archived(path: Path, where: str) -> Iterator[tuple[str, bytes]]:
     """Yield name and content of the files of an archive that are used; all members are checked."""
     try:
         with gzip.open(path) as stream:
-            counted = cast("IO[bytes]", _Counted(stream, where))
-            with tarfile.open(fileobj=counted, mode="r|") as archive:
-                for count, member in enumerate(archive, start=1):
-                    if fault := _fault(member, count):
-                        raise DataError(f"{where}: {fault}")
-                    if _called(member.name) and (file := archive.extractfile(member)):
-                        yield member.name, file.read()
+            data = stream.read(MOST_BYTES + 1)
+        if len(data) > MOST_BYTES:
+            raise DataError(f"{where}: unpacks to over {MOST_BYTES} bytes: not Grand Central")
+        with tarfile.open(fileobj=io.BytesIO(data), mode="r:") as archive:
+            for count, member in enumerate(archive, start=1):
+                if fault := _fault(member, count):
+                    raise DataError(f"{where}: {fault}")
+                if _called(member.name) and (file := archive.extractfile(member)):
+                    yield member.name, file.read()
     except (tarfile.TarError, zlib.error, EOFError, OSError, ValueError) as error:
         reason = recording.brief(error)
         raise DataError(f"{where}: not an archive that can be read ({reason})") from None
@@ -114,7 +101,7 @@ def _fault(member: tarfile.TarInfo, count: int) -> str:
         return f"member {name!r} leads out of the archive"
     if not (member.isreg() or member.isdir()):
         return f"member {name!r} is a link or a device, not a file"
-    if member.size > (_MOST_FILE_BYTES if _called(member.name) else MOST_BYTES):
+    if _called(member.name) and member.size > _MOST_FILE_BYTES:  # sparse, it may be of any size
         return f"member {name!r} has {member.size} bytes: not Grand Central"
     return ""
 

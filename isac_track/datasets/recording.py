@@ -192,9 +192,13 @@ def check_text(*, data: bytes, path: str) -> None:
         ) from None
 
 
-def checked_fps(fps: float, *, where: str) -> float:
+def checked_fps(fps: float | str, *, where: str) -> float:
     """Return `fps` if it lies within `FPS_LIMITS`, else raise DataError; `where` opens it."""
+    try:
+        rate = float(fps)
+    except ValueError:
+        raise DataError(f"{where}: the framerate {str(fps)[:40]!r} is not a number") from None
     low, high = FPS_LIMITS
-    if not low <= fps <= high:  # NaN fails both
-        raise DataError(f"{where}: {fps:g} frames per second is not a frame rate above 0")
-    return fps
+    if not low <= rate <= high:  # NaN fails both
+        raise DataError(f"{where}: {rate:g} frames per second is not a frame rate above 0")
+    return rate

@@ -31,7 +31,7 @@ def main(arguments: list[str] | None = None) -> int:
         options = parser.parse_args(arguments)
         if options.list:
             for one in CHECKS:
-                print(f"{one.name:38} {one.statement}")  # noqa: T201 - a command's output
+                print(f"{one.name:38} {one.statement}")
             return DONE
         if options.target is None:
             raise SettingsError("name the functions to check: package.module:OBJECT")

@@ -14,7 +14,7 @@ from scipy.special import ndtr
 
 from isac_track.rng import stream
 from isac_track.sensing import unit_errors
-from isac_track.testing._metrics import Function, check, expect, expect_that, register
+from isac_track.testing._metrics import Function, check, expect, expect_that
 from isac_track.testing.engine import statement_of
 from isac_track.types import Bools, ErrorLaw, Floats
 
@@ -160,7 +160,7 @@ def _check_each(*needs: str) -> Callable[[Callable[[Function], None]], None]:
         for need in needs:
             statement = statement_of(body).format(of=_NAMES[need])
             name = _NAMES[need].lower() + body.__name__
-            register(body, name=name, statement=statement, needs=(need,))
+            check(body, name=name, statement=statement, needs=(need,))
 
     return register_all
 
@@ -190,10 +190,9 @@ def _boundary_is_strict(function: Function) -> None:
     t, errors = np.array([0.0, 1.0, 2.0]), np.array([[0.75, 1.0], [1.25, 0.0], [0.0, -1.25]])
     above = 1.0 if function.__name__ == "plr" else 3.0
     for epsilon_m, value in ((1.25, 0.0), (float(np.nextafter(1.25, 2.0)), above)):
-        found = of(function, Track("", t, np.zeros_like(errors), errors, epsilon_m))
         case = f"errors {errors.tolist()} m, all of length 1.25 m, 1 s apart"
-        what = f"{_NAMES[function.__name__]} at epsilon {epsilon_m!r} m"
-        expect(found, value, what=what, case=case)
+        track = Track(case, t, np.zeros_like(errors), errors, epsilon_m)
+        expect_of(function, track, value)
 
 
 @_check_each("plr", "ael_s", "mel_s")

@@ -105,32 +105,27 @@ OWN = Metrics(
 CHECKS: dict[str, Check] = {}  # Filled as the modules of checks are imported.
 
 
-def check(body: Callable[..., None]) -> Callable[..., None]:
-    """Register a check; it receives the functions that its parameters are called after.
+def check(
+    body: Callable[..., None], *, name: str = "", statement: str = "", needs: tuple[str, ...] = ()
+) -> Callable[..., None]:
+    """Register a check; it receives, guarded, the functions that its parameters are called after.
 
     One that asks for an `rng` besides runs on `DRAWS` random streams of its own.
     """
-    name, parameters = body.__name__, tuple(inspect.signature(body).parameters)
-    needs = tuple(need for need in parameters if need != "rng")
+    parameters = tuple(inspect.signature(body).parameters)
+    name, statement = name or body.__name__, statement or statement_of(body)
+    needs = needs or tuple(need for need in parameters if need != "rng")
 
-    def on_draws(*functions: Function) -> None:
+    def on_offered(metrics: Metrics) -> None:
+        functions = [_guarded(need, getattr(metrics, need)) for need in needs]
+        if "rng" not in parameters:
+            body(*functions)
+            return
         for index in range(DRAWS):
             body(*functions, rng=stream(0, "testing", name, index))
 
-    run = body if needs == parameters else on_draws
-    register(run, name=name, statement=statement_of(body), needs=needs)
-    return body
-
-
-def register(
-    body: Callable[..., None], *, name: str, statement: str, needs: tuple[str, ...]
-) -> None:
-    """Add a check to the kit; `body` receives the functions that it needs, guarded."""
-
-    def on_offered(metrics: Metrics) -> None:
-        body(*(_guarded(need, getattr(metrics, need)) for need in needs))
-
     CHECKS[name] = Check(name=name, statement=statement, body=on_offered, needs=needs)
+    return body
 
 
 def expect(actual: object, expected: object, *, what: str, case: object) -> None:
