@@ -118,28 +118,25 @@ def parse(kind: Kind, spec: str) -> tuple[Plugin, ...]:
     It is a SettingsError if a name, parameter or value does not exist or does not fit, and a
     PluginError if the plug-in cannot be imported or is not what its kind must be.
     """
-    name, value, options = _split(kind, spec)
+    name, pairs = _split(kind, spec)
     cls, origin = _load(kind, name)
     with _naming(spec):
         hints = _hints(cls, origin)
-        given: dict[str, Any] = {}
-        for key, text in options.items():
-            if key not in hints:
-                raise SettingsError(
-                    f"{name} has no parameter {errors.quoted(key)}{_nearest(key, hints)}"
-                )
-            given[key] = _read(text, hints[key], key)
-        changes = [given]
-        if value is not None:
-            if not hints:
+        changes: list[dict[str, Any]] = [{}]
+        for key, text in pairs:
+            parameter = key or next(iter(hints), "")
+            if not parameter:
                 raise SettingsError(f"{name} takes no value")
-            first = next(iter(hints))
-            if first in given:
-                raise SettingsError(f"{first} is given twice")
-            levels = [value]
-            if ".." in value:
-                levels = _sweep(value, is_log=getattr(cls, "sweep", "linear") == "log")
-            changes = [{first: _read(level, hints[first], first), **given} for level in levels]
+            if parameter not in hints:
+                what = f"{name} has no parameter {errors.quoted(parameter)}"
+                raise SettingsError(f"{what}{_nearest(parameter, hints)}")
+            if parameter in changes[0]:
+                raise SettingsError(f"{parameter} is given twice")
+            texts = [text]
+            if not key and ".." in text:
+                texts = _sweep(text, is_log=getattr(cls, "sweep", "linear") == "log")
+            given = [_read(one, hints[parameter], parameter) for one in texts]
+            changes = [{**change, parameter: one} for change in changes for one in given]
         return tuple(configured(kind, name, cls, origin, change) for change in changes)
 
 
@@ -228,13 +225,12 @@ def _naming(spec: str) -> Iterator[None]:
         raise kind(f"{errors.quoted(spec)}: {error}") from error.__cause__
 
 
-def _split(kind: Kind, spec: str) -> tuple[str, str | None, dict[str, str]]:
-    """Return name, VALUE and parameters of a SPEC, as text."""
+def _split(kind: Kind, spec: str) -> tuple[str, list[tuple[str, str]]]:
+    """Return the name in a SPEC and its parameters, as text; VALUE has no name."""
     name, _, rest = _from_path(spec.strip()).partition(":")
     attribute = rest.partition(":")[0]
     may_be_module = name.isidentifier() and attribute.isidentifier() and name not in names(kind)
-    value: str | None = None
-    options: dict[str, str] = {}
+    pairs: list[tuple[str, str]] = []
     with _naming(spec):
         # A module without a package is a file of one's own.
         if "." in name or (may_be_module and find_spec(name) is not None):
@@ -246,14 +242,12 @@ def _split(kind: Kind, spec: str) -> tuple[str, str | None, dict[str, str]]:
         for position, part in enumerate(rest.split(",") if rest else []):
             key, equals, text = (one.strip() for one in part.partition("="))
             if equals and key and text:
-                if key in options:
-                    raise SettingsError(f"{key} is given twice")
-                options[key] = text
+                pairs.append((key, text))
             elif not equals and position == 0 and key:
-                value = key
+                pairs.append(("", key))
             else:
                 raise SettingsError(f"{errors.quoted(part)} is not key=value")
-    return name, value, options
+    return name, pairs
 
 
 def _from_path(spec: str) -> str:
@@ -316,13 +310,11 @@ def _hints(cls: type, origin: str) -> dict[str, Any]:
         holder = type("Parameter", (), {"__annotations__": {item.name: item.type}})
         try:
             hints |= typing.get_type_hints(holder, globalns=known)
-        except NameError as error:
-            raise PluginError(
-                f"{origin}: {error}; a parameter's type must be imported at run time, "
-                "not under TYPE_CHECKING"
-            ) from error
         except Exception as error:  # an annotation is code
-            raise PluginError(f"{origin}: the type of {item.name}: {errors.told(error)}") from error
+            raise PluginError(
+                f"{origin}: the type of {item.name}: {errors.told(error)}; it must be imported at "
+                "run time, not under TYPE_CHECKING"
+            ) from error
     return hints
 
 
@@ -392,7 +384,25 @@ def _sweep(value: str, *, is_log: bool) -> list[str]:
 
 def configured(kind: Kind, name: str, cls: type, origin: str, changes: dict[str, Any]) -> Plugin:
     """Return the plug-in of a class and its parameters, checked, with the names that it has."""
-    instance = _made(name, cls, origin, changes)
+    needed = [
+        item.name
+        for item in _parameters(cls)
+        if item.name not in changes and item.default is item.default_factory is dataclasses.MISSING
+    ]
+    if needed:
+        text = f"{name} needs a value for {', '.join(needed)}, as in {name}:VALUE"
+        raise SettingsError(text)
+    try:
+        instance = cls(**changes)
+    except IsacTrackError:
+        raise
+    except ValueError as error:
+        raise SettingsError(errors.told(error).removeprefix("ValueError: ")) from None
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt) and may_be_ctrl_c():
+            raise
+        why = f"{errors.told(error)}; a plug-in refuses a value by a ValueError"
+        raise PluginError(f"{origin} cannot be made: {why}") from error
     adding = check_declared(kind, instance, origin)
     level: float | None = None
     parameters: list[str] = []
@@ -406,29 +416,6 @@ def configured(kind: Kind, name: str, cls: type, origin: str, changes: dict[str,
     column = ":".join([name, *([",".join(parameters)] if parameters else [])])
     spec = column if level is None else ",".join([f"{name}:{_text(level)}", *parameters])
     return Plugin(column, level, spec, origin, instance, family=name, adding=adding)
-
-
-def _made(name: str, cls: type, origin: str, changes: dict[str, Any]) -> Any:  # noqa: ANN401 - whatever class it is
-    try:
-        return cls(**changes)
-    except IsacTrackError:
-        raise
-    except ValueError as error:
-        raise SettingsError(errors.told(error).removeprefix("ValueError: ")) from None
-    except BaseException as error:
-        if isinstance(error, KeyboardInterrupt) and may_be_ctrl_c():
-            raise
-        needed = [
-            item.name
-            for item in _parameters(cls)
-            if item.name not in changes
-            and item.default is item.default_factory is dataclasses.MISSING
-        ]
-        if needed and isinstance(error, TypeError):
-            text = f"{name} needs a value for {', '.join(needed)}, as in {name}:VALUE"
-            raise SettingsError(text) from None
-        why = f"{errors.told(error)}; a plug-in refuses a value by a ValueError"
-        raise PluginError(f"{origin} cannot be made: {why}") from error
 
 
 def check_declared(kind: Kind, instance: object, origin: str) -> str:
@@ -453,14 +440,13 @@ def check_declared(kind: Kind, instance: object, origin: str) -> str:
         needs = declared(attribute)
         if not isinstance(needs, frozenset) or not all(isinstance(one, Knowledge) for one in needs):
             raise PluginError(f"{origin}.{attribute} must be a frozenset of Knowledge")
-        denied = ", ".join(sorted(one.name for one in needs if one is not Knowledge.SIGMA))
-        if kind == "predictors" and denied:
-            raise PluginError(f"{origin} requires {denied}, which a robot is never granted")
-    if kind == "attacks":
-        try:
-            kind_of(instance)
-        except ValueError as error:
-            raise PluginError(f"{origin}: {error}") from None
+    if kind == "predictors" and (denied := needs - {Knowledge.SIGMA}):
+        names_of = ", ".join(sorted(one.name for one in denied))
+        raise PluginError(f"{origin} requires {names_of}, which a robot is never granted")
+    try:
+        kind_of(instance)
+    except ValueError as error:
+        raise PluginError(f"{origin}: {error}") from None
     return ""
 
 

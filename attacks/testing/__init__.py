@@ -18,26 +18,17 @@ of an attack runs once for each adversary that grants it something else
 import dataclasses
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from functools import lru_cache, partial
-from typing import Any, Literal, TypeAlias, cast
+from typing import Any, TypeAlias, cast
 from unittest import SkipTest
 
 from attacks.tasks.task_list import TASKS
 from attacks.testing import _checks, _plugin_checks
+from attacks.testing._attack_cases import LinkageCase, ReconstructionCase
 from attacks.testing._checks import Row
-from attacks.testing._linkage_cases import LinkageCase
-from attacks.testing._reconstruction_cases import ReconstructionCase
 from attacks.testing._releases import copied
-from isac_track import plugins
+from isac_track import plugins, protocols
 from isac_track.errors import PluginError, SettingsError
-from isac_track.protocols import (
-    ADVERSARIES,
-    LinkageAttack,
-    Mechanism,
-    Predictor,
-    ReconstructionAttack,
-    grants,
-    kind_of,
-)
+from isac_track.protocols import ADVERSARIES, grants, kind_of
 from isac_track.testing import engine
 from isac_track.testing.engine import Check
 from isac_track.testing.engine import Outcome as CheckResult
@@ -47,9 +38,8 @@ __all__ = ["CHECKS", "LINKAGE_CHECKS", "MECHANISM_CHECKS", "PREDICTOR_CHECKS", "
 __all__ += ["adversaries_of", "checks_for", "parametrize_attack_checks", "run_checks"]
 __all__ += ["parametrize_mechanism_checks", "parametrize_predictor_checks"]
 
-Noun: TypeAlias = Literal["attack", "mechanism", "predictor"]
-Attack: TypeAlias = "ReconstructionAttack | LinkageAttack"
-Subject: TypeAlias = "Attack | Mechanism | Predictor"
+Attack: TypeAlias = protocols.ReconstructionAttack | protocols.LinkageAttack
+Subject: TypeAlias = Attack | protocols.Mechanism | protocols.Predictor
 
 
 def _in_every_row(body: engine.Body, subject: Hashable) -> None:
@@ -126,10 +116,10 @@ _KITS: dict[str, tuple[Any, dict[str, Check]]] = {
     "predictor": (_plugin_checks.PredictorCase, PREDICTOR_CHECKS),
 }
 """What makes up the cases of each kind of plug-in, and what holds for it."""
-_NOUNS: dict[str, Noun] = {"fit": "attack", "share": "mechanism", "predict": "predictor"}
+_NOUNS = {"fit": "attack", "share": "mechanism", "predict": "predictor"}
 
 
-def noun_of(subject: object) -> Noun:
+def noun_of(subject: object) -> str:
     """Return what somebody's object is, by its method; an attack if nothing says otherwise."""
     return next((noun for method, noun in _NOUNS.items() if hasattr(subject, method)), "attack")
 
@@ -175,7 +165,7 @@ def run_checks(subject: Subject, *, names: Sequence[str] | None = None) -> tuple
     return tuple(engine.outcomes(chosen, subject))
 
 
-def _parametrized(noun: Noun, subjects: Iterable[Subject]) -> Any:  # noqa: ANN401 - a pytest mark; pytest is not imported here
+def _parametrized(noun: str, subjects: Iterable[Subject]) -> Any:  # noqa: ANN401 - a pytest mark; pytest is not imported here
     cases = [
         (f"{_label(subject)}-{name}", (subject, check))
         for subject in subjects

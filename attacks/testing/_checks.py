@@ -19,7 +19,7 @@ from isac_track.testing.engine import Body, by_name, call
 from isac_track.types import ErrorLaw, Floats, Ints, Knowledge, Release
 
 Case: TypeAlias = Any
-"""One of those of `_reconstruction_cases`, `_linkage_cases` or `_plugin_checks`."""
+"""One of those of `_attack_cases` or `_plugin_checks`."""
 
 SAME = 1e-6  # Room for rounding: m, or a share of the spread of the scores.
 SAME_FRAME = 1e-5  # The same after a motion by some hundred metres and seconds.

@@ -63,7 +63,6 @@ class MechanismCase(made.Case):
         return np.column_stack([track, result.t, result.xy, *sigma])
 
     def fault(self, release: Release) -> str:
-        """Return what is wrong with a release that can be read all the same; empty if nothing."""
         if not within(release.xy, -SHARED_LIMIT_M, SHARED_LIMIT_M):
             return f"a position is not within {SHARED_LIMIT_M:g} m of the origin"
         return self.samples_of(release)[1]

@@ -203,6 +203,5 @@ def changed_by(run: Callable[[Holder], object], given: Holder) -> list[str]:
     """Return the paths of the arrays that a call changes in its copy of what it is given."""
     own = copied(given)
     run(own)
-    after = arrays_of(own)
-    paths = arrays_of(given).items()
-    return [path[1:] for path, before in paths if before.tobytes() != after[path].tobytes()]
+    both = zip(arrays_of(given).items(), arrays_of(own).values(), strict=True)
+    return [path[1:] for (path, before), after in both if before.tobytes() != after.tobytes()]

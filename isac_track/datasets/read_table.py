@@ -82,13 +82,14 @@ def read_parquet(*, data: bytes, path: str) -> Rows:
     if not data:
         raise DataError(f"{path}: the file is empty")
     try:
-        file = parquet.ParquetFile(pa.BufferReader(data))
-        metadata, names = file.metadata, tuple(file.schema_arrow.names)
+        metadata = parquet.read_metadata(pa.BufferReader(data))
+        schema = metadata.schema.to_arrow_schema()
         groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
         n_rows = max(metadata.num_rows, sum(group.num_rows for group in groups))
         unpacked_bytes = sum(group.total_byte_size for group in groups)
     except Exception as error:  # noqa: BLE001 - a damaged file makes pyarrow raise nearly anything
         raise DataError(f"{path}: not a parquet file ({brief(error)})") from None
+    names = tuple(schema.names)
     _check_header(names=names, where=path)
     if n_rows > max(_FREE_ROWS, len(data)):
         raise DataError(f"{path}: claims {n_rows} rows in {len(data)} bytes; not a recording")
@@ -100,18 +101,17 @@ def read_parquet(*, data: bytes, path: str) -> Rows:
         used = [name for name in names if name in _USED]
         # Each text once: a long one that stands in every row would not fit into the memory.
         kinds = {pa.string(), pa.large_string()}
-        texts = [name for name in used if file.schema_arrow.field(name).type in kinds]
+        texts = [name for name in used if schema.field(name).type in kinds]
         file = parquet.ParquetFile(pa.BufferReader(data), read_dictionary=texts)
         table = file.read(columns=used, use_threads=False)
-        columns = {name: table[name] for name in table.column_names}
-        del table
-        for column in columns.values():
-            column.validate(full=True)  # pyarrow reads codes beyond the dictionary as they are
+        table.validate(full=True)  # pyarrow reads codes beyond the dictionary as they are
         for name in used:  # pyarrow passes over what its parts call differently
-            if name not in columns:
+            if name not in table.column_names:
                 raise ValueError(f"column {name} is not in it")  # noqa: TRY301 - told below
     except Exception as error:  # noqa: BLE001 - as above
         raise DataError(f"{path}: the parquet file is damaged ({brief(error)})") from None
+    columns = {name: table[name] for name in used}
+    del table
     place = recording.Place(path, lambda: np.arange(1, n_rows + 1), unit="row")
     return _rows(columns, names=names, place=place)
 

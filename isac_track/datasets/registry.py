@@ -279,7 +279,13 @@ def fetch(data_set: Known) -> tuple[dict[str, Path], bool]:
     if data_set.get and absent:
         way_out = f"and set {DATA_VARIABLE}=DIR ({searched()})"
         raise DataError(f"{data_set.name}: {data_set.get}, {way_out}")
-    absent += [] if data_set.get else _damaged(files, data_set)
+    for file_name, path in files.items() if not data_set.get else ():
+        try:
+            read_bytes(path, data_set=data_set)
+        except DataError:
+            if path != folder / file_name:
+                raise
+            absent.append(file_name)
     for file_name in absent:
         url, target = url_of(data_set, file_name), folder / file_name
         way_out = (
@@ -308,19 +314,6 @@ def fetch(data_set: Known) -> tuple[dict[str, Path], bool]:
     return files, bool(absent)
 
 
-def _damaged(files: Mapping[str, Path], data_set: Known) -> list[str]:
-    """Return which of the files in the cache are not the right ones; DataError for the user's."""
-    damaged = []
-    for file_name, path in files.items():
-        try:
-            read_bytes(path, data_set=data_set)
-        except DataError:
-            if path != cache_folder() / data_set.name / file_name:
-                raise
-            damaged.append(file_name)
-    return damaged
-
-
 def _remove_leftovers(folder: Path, file_name: str) -> None:
     """Remove what killed downloads left: the file says which process it was."""
     for path in folder.glob(f".{file_name}.*"):
@@ -337,21 +330,21 @@ def _reason(error: Exception) -> str:
     from requests import exceptions  # noqa: PLC0415 - as above
     from urllib3.exceptions import ProtocolError, ReadTimeoutError  # noqa: PLC0415 - as above
 
-    if isinstance(error, exceptions.HTTPError):
-        return f"the server answered {getattr(error.response, 'status_code', '')}"
     # A server that falls silent in the middle is no Timeout to requests.
     silent = "no answer in time"
     broken = silent if "timed out" in str(error) else "no connection, or it broke off (offline?)"
-    for kind, reason in (
-        (exceptions.ProxyError, "the proxy refuses the connection"),
-        (exceptions.SSLError, "no trusted connection (a proxy that opens TLS?)"),
-        (ProtocolError, "the connection broke off"),
-        (exceptions.Timeout | ReadTimeoutError, silent),
-        (exceptions.ConnectionError, broken),
-    ):
-        if isinstance(error, kind):
-            return reason
-    return f"cannot be downloaded ({type(error).__name__})"
+    status = getattr(getattr(error, "response", None), "status_code", "")
+    reasons = {
+        exceptions.HTTPError: f"the server answered {status}",
+        exceptions.ProxyError: "the proxy refuses the connection",
+        exceptions.SSLError: "no trusted connection (a proxy that opens TLS?)",
+        ProtocolError: "the connection broke off",
+        exceptions.Timeout: silent,
+        ReadTimeoutError: silent,
+        exceptions.ConnectionError: broken,
+        Exception: f"cannot be downloaded ({type(error).__name__})",
+    }
+    return next(reason for kind, reason in reasons.items() if isinstance(error, kind))
 
 
 def _answer(url: str) -> requests.Response:

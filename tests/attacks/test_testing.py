@@ -28,8 +28,7 @@ from attacks.testing import (
     parametrize_predictor_checks,
     run_checks,
 )
-from attacks.testing._linkage_cases import LinkageCase
-from attacks.testing._reconstruction_cases import ReconstructionCase
+from attacks.testing._attack_cases import LinkageCase, ReconstructionCase
 from attacks.testing._releases import RAW_SIGMA_M, of_each
 from isac_track import plugins
 from isac_track.errors import PluginError, SettingsError

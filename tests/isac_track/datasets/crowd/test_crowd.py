@@ -14,7 +14,6 @@ import isac_track
 from isac_track import datasets
 from isac_track.datasets import crowd
 from isac_track.datasets.crowd import CrowdSettings, __main__, model, plan
-from isac_track.errors import DataError
 
 ROOT = Path(isac_track.__file__).parent.parent
 
@@ -183,14 +182,6 @@ def test_the_command_writes_both_sessions_and_a_file_gives_back_the_millimetres(
         assert same(crowd.read_npz(tmp_path / "new" / name), made)
         assert made.source == tuple(plan.person_id(row) for row in range(SHORT.n_people))
     assert capsys.readouterr().out.count("70 tracks") == 2
-
-
-@pytest.mark.parametrize("name", ["text.npz", "other.npz", "missing.npz"])
-def test_a_file_of_another_kind_is_an_error_that_names_it(tmp_path, name):
-    (tmp_path / "text.npz").write_text("no")
-    np.savez(tmp_path / "other.npz", x=np.zeros(2))
-    with pytest.raises(DataError, match=name):
-        crowd.read_npz(tmp_path / name)
 
 
 def test_the_statistics_by_hand(stats):
