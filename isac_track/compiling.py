@@ -46,18 +46,16 @@ class _Notice(event.Listener):
         self.cached = True
 
     def on_start(self, event: object) -> None:  # noqa: ARG002 - numba's signature
-        if self.said:
-            return
-        self.said = True
-        text = "compiling filters, once, a few seconds"
+        once = "once, a few seconds"
         if not self.cached:
-            text = (
-                "compiling filters, a few seconds, on every start: no cache can be written "
+            once = (
+                "a few seconds, on every start: no cache can be written "
                 "(NUMBA_CACHE_DIR may name a folder for it)"
             )
         # A line, not a warning: users who turn warnings into errors must not lose their run.
-        sys.stderr.write(f"isac-track: {text}\n")
-        sys.stderr.flush()
+        if not self.said:
+            print(f"isac-track: compiling filters, {once}", file=sys.stderr, flush=True)  # noqa: T201 - so that users know why they wait
+        self.said = True
 
     def on_end(self, event: object) -> None:
         pass

@@ -48,17 +48,13 @@ def _check_fields(settings: Any) -> None:  # noqa: ANN401 - of any stage
         if not (low < value < high if is_open else low <= value <= high):  # False for NaN
             wanted = f"between {low:g} and {high:g}" if is_open else f"within {low:g} to {high:g}"
             raise SettingsError(f"{name} must lie {wanted}, got {quoted(value)}")
-    for lower, upper in _ORDERED.get(stage, ()):
-        least, most = getattr(settings, lower), getattr(settings, upper)
-        if most < least:
-            raise SettingsError(f"{stage}.{upper} ({most:g}) is below {stage}.{lower} ({least:g})")
 
 
-_ORDERED = {
-    "resample": [("rate_min_hz", "rate_max_hz")],
-    "scenes": [("ring_min_m", "ring_max_m")],
-    "linkage": [("handover_least_s", "handover_window_s")],
-}
+_ORDERED = (
+    ("resample.rate_min_hz", "resample.rate_max_hz"),
+    ("scenes.ring_min_m", "scenes.ring_max_m"),
+    ("linkage.handover_least_s", "linkage.handover_window_s"),
+)
 """Of either pair the second may not be below the first."""
 
 
@@ -199,6 +195,11 @@ class StageSettings:
     linkage: LinkageSettings = field(default_factory=LinkageSettings)
 
     def __post_init__(self) -> None:
+        values = self.flat()
+        for lower, upper in _ORDERED:
+            if values[upper] < values[lower]:
+                below = f"{upper} ({values[upper]:g}) is below {lower} ({values[lower]:g})"
+                raise SettingsError(below)
         if self.scenes.near_miss_max_m <= self.conflict.safety_radius_m:
             raise SettingsError(
                 f"scenes.near_miss_max_m ({self.scenes.near_miss_max_m:g}) must exceed "
@@ -221,10 +222,8 @@ class StageSettings:
             stage, key = name.split(".")
             annotation = _types_of(_types_of(StageSettings)[stage])[key]
             per_stage.setdefault(stage, {})[key] = _parse(value, annotation)
-        stages = {
-            stage: replace(getattr(self, stage), **changes) for stage, changes in per_stage.items()
-        }
-        return replace(self, **stages)
+        changed = {one: replace(getattr(self, one), **some) for one, some in per_stage.items()}
+        return replace(self, **changed)
 
     def flat(self) -> dict[str, Any]:
         """Return ``{"stage.key": value}`` for every setting."""

@@ -6,13 +6,11 @@ import signal
 
 import pytest
 from helpers.commands import assert_refused, run, start
-from helpers.mirror import closed, endless, serving, silent, trickling
+from helpers.mirror import FAILS, WALK, serving, silent
 from helpers.processes import wait_for
 
 pytestmark = pytest.mark.slow
 
-WALK = b"1 1 0 0 0 0 0 0\n11 1 0.4 0 0 0 0 0\n"
-OTHER = WALK + b"\n"
 FETCH = f"""
 import sys
 from isac_track.datasets import registry
@@ -24,49 +22,6 @@ sys.exit(main(["fetch", "small"]))
 """
 """The command, of a data set of two rows, with less patience."""
 MOST_S = 8.0
-
-
-def answers(header, *, then=None):
-    """Answer with a whole header, as it is, and what comes after it."""
-
-    def answer(handler):
-        handler.wfile.write(header)
-        if then:
-            then(handler)
-
-    return answer
-
-
-def redirected(to):
-    return answers(f"HTTP/1.0 302 Found\r\nLocation: {to}\r\nContent-Length: 0\r\n\r\n".encode())
-
-
-def slow_header(handler):
-    while not handler.server.over.wait(0.2):
-        handler.wfile.write(b"X-Patience: a virtue\r\n")
-
-
-FAILS = {
-    # What the server does: and what is said of it.
-    "not there": (404, "the server answered 404"),
-    "forbidden": (403, "the server answered 403"),
-    "overloaded": (503, "the server answered 503"),
-    "another file": (OTHER, "not the expected file: sha256 is"),
-    "nothing": (b"", "not the expected file: sha256 is e3b0c442"),
-    "cut short": ((len(WALK), WALK[:10], None), "the connection broke off"),
-    "longer than announced": ((10, WALK, None), "not the expected file: sha256 is"),
-    "hangs up": (closed, "no connection, or it broke off"),
-    "says nothing": (silent, "no answer in time"),
-    "falls silent": ((len(WALK), WALK[:10], silent), "no answer in time"),
-    "trickles": ((len(WALK), WALK[:10], trickling), "no answer in time"),
-    "a slow header": (answers(b"HTTP/1.0 200 OK\r\n", then=slow_header), "no answer in time"),
-    "without end": ((None, b"", endless), "not the expected file: over 100000000 bytes"),
-    "of a terabyte": ((10**12, b"", endless), "not the expected file: over 100000000 bytes"),
-    "no HTTP": (answers(b"SSH-2.0-what\r\n"), "no connection, or it broke off"),
-    "turns in a circle": (redirected("obsmat.txt"), "cannot be downloaded (TooManyRedirects)"),
-    "points into the machine": (redirected("file:///obsmat.txt"), "cannot be downloaded"),
-    "points to nobody": (redirected("http://127.0.0.1:1/"), "no connection, or it broke off"),
-}
 
 
 @pytest.fixture
