@@ -19,23 +19,18 @@ TEMPLATES = {
     "pyproject.toml": "pyproject.toml.tmpl",
     "README.md": "README.md.tmpl",
 }
-_ATTACK: dict[str, str] = {
-    "noun": "attack",
-    "one_check": "null_stays_at_chance",
-    "against": "every sharing mechanism of the preset",
-    "known": "python -m attacks list",
-    "beside": "",
-}
-_OTHER = _ATTACK | {"known": "python -m evaluation.matrix --list"}
+_ATTACK = {"noun": "attack", "one_check": "null_stays_at_chance", "beside": ""}
 KINDS: dict[str, dict[str, str]] = {
     "reconstruction": _ATTACK | {"idea": "smooth", "parameter": "tau_s", "another": "0.1"},
     "linkage": _ATTACK | {"idea": "describe", "parameter": "bin_s", "another": "0.5"},
-    "mechanism": _OTHER
-    | {"noun": "mechanism", "idea": "how_much", "parameter": "d_sigma", "another": "0.2"}
-    | {"one_check": "sigma_is_declared", "against": "raw sharing", "beside": "--mechanism raw "},
-    "predictor": _OTHER
-    | {"noun": "predictor", "idea": "ahead", "parameter": "window_s", "another": "0.5"}
-    | {"one_check": "odd_tracks_are_predicted"},
+    "mechanism": {
+        "noun": "mechanism",
+        "one_check": "sigma_is_declared",
+        "beside": "--mechanism raw ",
+    }
+    | {"idea": "how_much", "parameter": "d_sigma", "another": "0.2"},
+    "predictor": {"noun": "predictor", "one_check": "odd_tracks_are_predicted", "beside": ""}
+    | {"idea": "ahead", "parameter": "window_s", "another": "0.5"},
 }
 """What the packages of the kinds differ in, beside the template of the module."""
 _IMPORTED = {"ClassVar", "Knowledge", "Literal", "Prediction", "Reconstruction"}

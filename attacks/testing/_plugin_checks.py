@@ -24,7 +24,6 @@ from isac_track.types import (
     Prediction,
     Release,
     Sensed,
-    stretches,
     within,
 )
 
@@ -83,14 +82,15 @@ class MechanismCase(made.Case):
 
     def reordered(self) -> tuple[MechanismCase, Callable[[Floats], Floats]]:
         """Return the case with its tracks in another order, and how an answer follows."""
-        sensed, rows = self.sensed, made.draws("plugin", "order").permutation(len(self.sensed))
-        samples, offsets = stretches(sensed.offsets[rows], np.diff(sensed.offsets)[rows])
+        rows = made.draws("plugin", "order").permutation(len(self.sensed))
+        parts = [self.sensed[row] for row in rows]
         turned: dict[str, Any] = {
-            item.name: getattr(sensed, item.name)[samples if per == "sample" else rows]
-            for item in fields(sensed)
-            if (per := item.metadata.get("per"))
+            item.name: np.concatenate([getattr(part, item.name) for part in parts])
+            for item in fields(self.sensed)
+            if item.metadata.get("per")
         }
-        changed = replace(self, sensed=replace(sensed, offsets=offsets, **turned))
+        offsets = np.cumsum([0, *(part.t.size for part in parts)])
+        changed = replace(self, sensed=replace(self.sensed, offsets=offsets, **turned))
 
         def follow(answer: Floats) -> Floats:
             place = np.argsort(rows)[answer[:, 0].astype(np.int64)]

@@ -184,7 +184,7 @@ def read_trajnet(*, data: bytes, path: str, fps: float | None) -> Rows:
     """
     values: array[float] = array("d")
     lines, scene_lines = array("q"), array("q")
-    row_rates: dict[float, int] = {}
+    row_rate, said_in = None, 0
     recording.check_text(data=data, path=path)
     for number, line in enumerate(recording.lines_of(data), start=1):
         if not line.strip():
@@ -196,22 +196,26 @@ def read_trajnet(*, data: bytes, path: str, fps: float | None) -> Rows:
                 lines.append(number)
                 continue
             scene_lines.append(number)
-            if content.get("fps") is not None:
-                row_rates.setdefault(_number(content, "fps"), number)
+            rate = None if content.get("fps") is None else _number(content, "fps")
+            if rate is not None and row_rate not in {None, rate}:
+                said = f"contradicts the {row_rate:g} of line {said_in}"
+                raise ValueError(f"scene fps {rate:g} {said}")  # noqa: TRY301 - told below
         except (ValueError, RecursionError) as error:
             reason = "too deeply nested" if isinstance(error, RecursionError) else str(error)
             raise DataError(f"{path}, line {number}: {reason}") from None
+        if row_rate is None:
+            row_rate, said_in = rate, number
     if not lines:
         raise DataError(f"{path}: the file holds no track rows")
     place = recording.Place(path, lambda: np.array(lines, dtype=np.int64))
     table = np.frombuffer(values).reshape(-1, 4).T
     rows = recording.framed(dict(zip(_TRACK_FIELDS, table, strict=True)), place)
     scenes = recording.Place(path, lambda: np.array(scene_lines, dtype=np.int64))
-    notes = scenes.noted(
-        "scene-lines", np.arange(len(scene_lines)), "scene lines; whole tracks are used"
-    )
-    if row_rates:
-        fps = _frame_rate(rows, row_rates=row_rates, fps=fps, path=path, notes=notes)
+    every, text = np.arange(len(scene_lines)), "scene lines; whole tracks are used"
+    notes = scenes.noted("scene-lines", every, text)
+    if row_rate is not None:
+        fps, more = _frame_rate(rows, row_rate, where=f"{path}, line {said_in}", fps=fps)
+        notes += more
     if fps is None:
         raise DataError(
             f"{path}: no scene line gives fps; give frames per second with --fps "
@@ -221,29 +225,23 @@ def read_trajnet(*, data: bytes, path: str, fps: float | None) -> Rows:
 
 
 def _frame_rate(
-    rows: Rows, *, row_rates: dict[float, int], fps: float | None, path: str, notes: list[Repair]
-) -> float:
-    """Return the frame rate that the scene lines give; a note is made if it is not their `fps`."""
-    (row_rate, line), *others = row_rates.items()
-    for other, other_line in others:
-        reason = f"scene fps {other:g} contradicts the {row_rate:g} of line {line}"
-        raise DataError(f"{path}, line {other_line}: {reason}")
+    rows: Rows, row_rate: float, *, where: str, fps: float | None
+) -> tuple[float, list[Repair]]:
+    """Return the frame rate that the scene lines give, and a note if it is not their `fps`."""
     # The commonest step in frames between rows of one person; 1 if there is none.
     order = np.lexsort((rows.t, rows.person))
     steps = np.diff(rows.t[order])[np.diff(rows.person[order]) == 0]
     commonest, counts = np.unique(steps[steps > 0], return_counts=True)
     step = float(commonest[counts.argmax()]) if commonest.size else 1.0
-    where, clock = f"{path}, line {line}", f"{row_rate:g} rows a second, {step:g} frames apart"
-    declared = recording.checked_fps(row_rate, where=where) * step
+    declared = recording.checked_fps(row_rate * step, where=where)
+    clock = f"{row_rate:g} rows a second, {step:g} frames apart"
     if fps is not None and not np.isclose(fps, declared, rtol=1e-6):
         raise DataError(
-            f"{path}: --fps {fps:g} contradicts the scene lines: {clock}, "
+            f"{rows.place.path}: --fps {fps:g} contradicts the scene lines: {clock}, "
             f"are {declared:g} frames a second; leave --fps out"
         )
-    if step != 1.0:
-        detail = f"{path}: line {line}: {clock}; times are frames at {declared:g} a second"
-        notes.append(recording.Repair("frame-clock", 1, detail))
-    return recording.checked_fps(declared, where=where)
+    detail = f"{where}: {clock}; times are frames at {declared:g} a second"
+    return declared, [Repair("frame-clock", 1, detail)] if step != 1.0 else []
 
 
 def _parse(line: str) -> tuple[str, dict[str, Any]]:

@@ -84,7 +84,7 @@ def test_trajnet_scenes_count_rows_a_second_while_f_counts_video_frames():
     tracks, repairs = read_walk(data, "trajnet", fps=None)
     np.testing.assert_allclose(tracks.t, T)
     assert kinds(repairs) == {"scene-lines": 1, "frame-clock": 1}
-    assert "f: line 1: 2.5 rows a second, 10 frames apart" in repairs[1].detail
+    assert "f, line 1: 2.5 rows a second, 10 frames apart" in repairs[1].detail
     assert same(read_walk(data, "trajnet", fps=25.0)[0], tracks)
 
 
