@@ -76,6 +76,9 @@ def told(
     """
     found = [Told(name, dict.fromkeys(sweeps.known, AS_SHARED)) for name in DESCRIPTORS]
     crossed: dict[Key, Estimate] = {}
+    mine: dict[tuple[str, str], dict[Key, Summed]] = {}
+    for key, one in sums.items():
+        mine.setdefault((key.mechanism, key.measure.source.task), {})[key] = one
     every = ((by, by_task(sweeps.found, metric=by)) for by in (EXPOSURE, SUCCESS))
     for by, task, blocks in ((by, *one) for by, tasks in every for one in tasks.items()):
         of = by_mechanism(blocks)
@@ -85,12 +88,8 @@ def told(
             if RAW not in whose:
                 continue
             for name, source in whose.items():
-                mine = {
-                    key: one
-                    for key, one in sums.items()
-                    if key.mechanism == name and key.measure.source.task == task
-                }
-                crossed |= cross_fitted(mine, sweeps.known, source, seed=seed, by=by)[0]
+                own = mine.get((name, task), {})
+                crossed |= cross_fitted(own, sweeps.known, source, seed=seed, by=by)[0]
             names = DESCRIPTORS
             if task:
                 at_raw = sweeps.found.get(whose[RAW].measure(SUCCESS_OF_100).at(RAW, None))
