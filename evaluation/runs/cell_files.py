@@ -47,10 +47,8 @@ if TYPE_CHECKING:
 _INDEX: Final = b"isac_track.cells"
 _SCORES: Final = "scores"
 _NAMES: Final = ("source", "group", "search", "side", "assigned", "metric", "about")
-_OUTCOME: Final = (
-    *("group", "above", "tied", "chance", "assigned", "about", *COMPANIONS),
-    *("metric", "value", "ci_low", "ci_high", "n"),
-)
+_NAMED, _COUNTED = ("metric", "group", "assigned"), ("above", "tied", "chance", *COMPANIONS)
+_OUTCOME: Final = (*_NAMED, *_COUNTED, "about", "value", "ci_low", "ci_high", "n")
 """Columns of a linkage cell beside its replicates."""
 _NONE: Final = np.zeros(0, dtype=np.float32)
 _ALIKE: Final = {
@@ -243,50 +241,58 @@ def _outcomes(
     whole: pa.Table, entries: Sequence[tuple[str, Held, bool]], drawn: Collection[str] | None
 ) -> Iterator[LinkageOutcome]:
     """Yield what consumers of a file achieve: of each its task, its tables, whether it draws."""
-    metrics, groups, assigned = (_coded(whole[name]) for name in ("metric", "group", "assigned"))
-    above, tied, chance = (whole[name].to_numpy() for name in ("above", "tied", "chance"))
-    along = np.stack([whole[name].to_numpy() for name in COMPANIONS], axis=1)
+    (codes, metrics), groups, assigned = map(_coded, map(whole.column, _NAMED))
+    above, tied, chance, *along = (whole[name].to_numpy() for name in _COUNTED)
     fields = [whole[name].to_numpy() for name in ("value", "ci_low", "ci_high", "n")]
     is_mate = np.array([ASSIGNED.index(name) - 1 for name in assigned[1]], dtype=np.int64)
-    found = []
-    sums: defaultdict[tuple[Any, ...], list[tuple[Floats, Floats]]] = defaultdict(list)
-    asked: defaultdict[tuple[Any, ...], list[tuple[dict[str, Any], str]]] = defaultdict(list)
+    stored = [name for name in whole.column_names if name not in _OUTCOME]
+    stored = [name for name in stored if drawn is None or name in drawn]
+    wanted, texts = {*(RANK_METRICS if drawn is None else drawn)} - {*DERIVED}, whole["about"]
+    found: list[tuple[Any, slice, dict[str, Any], dict[str, Summed]]] = []
+    probed: list[Ints] = []
+    alike: defaultdict[tuple[Any, ...], list[int]] = defaultdict(list)
     for task, held, draws in entries:
         at = {name: slice(first, first + n) for name, (first, n) in held.tables.items()}
-        about = json.loads(whole["about"][at[ABOUT].start].as_py())
-        replicates: dict[str, Any] = {}
-        summed: dict[str, Summed] = {}
-        for metric in whole.column_names if REPLICATES in at else ():
-            of = whole[metric].slice(*held.tables[REPLICATES])
-            if (drawn is None or metric in drawn) and of.null_count == 0:
-                replicates[metric] = of.to_numpy()
-        found.append((about, at[ESTIMATES], replicates, summed))
-        if not draws:
-            continue
-        rows, place = at[ROWS], {name: n for n, name in enumerate(about["clusters"])}
+        about = json.loads(texts[at[ABOUT].start].as_py())
+        of = {
+            name: whole[name].slice(*held.tables[REPLICATES]) for name in stored if REPLICATES in at
+        }
+        replicates = {name: one.to_numpy() for name, one in of.items() if one.null_count == 0}
+        if draws:
+            drawn_as = tuple(about["drawn_as"]), about["n_groups"], task, about["seed"]
+            alike[tuple(about["clusters"]), drawn_as].append(len(found))
+        found.append((about, at[ESTIMATES], replicates, {}))
+        probed.append(np.arange(at[ROWS].start, at[ROWS].stop))
+    for (names, drawn_as), of_draws in alike.items():  # as one, people after people
+        weights, n_cells = _weights(*drawn_as), len(of_draws)
+        n_clusters = weights.shape[1]
+        rows = np.concatenate([probed[place] for place in of_draws])
+        place_of = {name: place for place, name in enumerate(names)}
+        place = np.array([place_of.get(name, -n_clusters * n_cells) for name in groups[1]])
+        first = np.repeat(np.arange(n_cells), [probed[one].size for one in of_draws]) * n_clusters
         probes = ProbeRanks(
             above=above[rows].astype(np.int64),
             tied=tied[rows].astype(np.int64),
             chance=chance[rows],
-            companions=along[rows].astype(np.int64),
+            companions=np.stack([one[rows].astype(np.int64) for one in along], axis=1),
             assigned=is_mate[assigned[0][rows]],
-            cluster=np.array([place.get(name, -1) for name in groups[1]])[groups[0][rows]],
-            n_gallery=about["numbers"]["gallery_sizes"][1],
+            cluster=place[groups[0][rows]] + first,
+            n_gallery=max(found[one][0]["numbers"]["gallery_sizes"][1] for one in of_draws),
         )
-        drawn_as = tuple(about["drawn_as"]), about["n_groups"], task, about["seed"]
-        for metric, both in _rank_sums(probes, _weights(*drawn_as).shape[1], drawn).items():
-            summed[metric] = Summed(np.stack(both), _weights(*drawn_as))
-            sums[drawn_as].append(both)
-            asked[drawn_as].append((replicates, metric))
-    for drawn_as, of in sums.items():
-        over, under = (np.stack(one) @ _weights(*drawn_as).T for one in zip(*of, strict=True))
-        with np.errstate(invalid="ignore"):  # nobody was drawn: NaN
-            ratios = (over / under).astype(np.float32)
-        for (replicates, metric), ratio in zip(asked[drawn_as], ratios, strict=True):
-            replicates[metric] = ratio
+        codes_of = (assigned[0][probed[one][0]] for one in of_draws)
+        unknown = [assigned[1][code] == "unknown" for code in codes_of]
+        for metric, both in probes.sums(n_cells * n_clusters, wanted).items():
+            over, under = (one.reshape(n_cells, n_clusters) for one in both)
+            if metric in {"rank1_assigned", "false_link_rate"}:
+                over[unknown] = np.nan
+            with np.errstate(invalid="ignore"):  # nobody was drawn: NaN
+                ratios = (over @ weights.T / (under @ weights.T)).astype(np.float32)
+            for one, *sums, ratio in zip(of_draws, over, under, ratios, strict=True):
+                _, _, replicates, summed = found[one]
+                replicates[metric], summed[metric] = ratio, Summed(np.stack(sums), weights)
     for about, mine, replicates, summed in found:
         effective = {name: effective_clusters(one.sums[1]) for name, one in summed.items()}
-        names = [metrics[1][code] for code in metrics[0][mine]]
+        names = [metrics[code] for code in codes[mine]]
         numbers = zip(*(one[mine].tolist() for one in fields), strict=True)
         estimates = {
             name: Estimate(
@@ -296,18 +302,6 @@ def _outcomes(
             for name, (value, low, high, n) in zip(names, numbers, strict=True)
         }
         yield LinkageOutcome(estimates, about["numbers"], about["cohorts"], summed)
-
-
-def _rank_sums(
-    probes: ProbeRanks, n_clusters: int, drawn: Collection[str] | None
-) -> dict[str, tuple[Floats, Floats]]:
-    """Return sum and number of the rank metrics in each cluster, (C,) each."""
-    wanted = {*(RANK_METRICS if drawn is None else drawn)} - {*DERIVED}
-    found = probes.sums(n_clusters, wanted)
-    if ASSIGNED[probes.assigned[0] + 1] == "unknown":
-        for metric in found.keys() & {"rank1_assigned", "false_link_rate"}:
-            found[metric] = np.full(n_clusters, np.nan), found[metric][1]
-    return found
 
 
 def _coded(column: pa.ChunkedArray) -> tuple[Ints, list[str]]:
