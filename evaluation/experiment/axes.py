@@ -141,9 +141,9 @@ class Axes:
 
     def readers_in(self, world: str, task: Task) -> tuple[Consumer, ...]:
         """Return who links in another world, and the optimum: who is told motion and errors."""
-        linkers = (one for one in self.readers(task) if one.kind == "linkage")
-        every = (*linkers, Consumer("linkage", task=task.name))
-        return tuple(replace(one, world=world) for one in every)
+        linkers = [one for one in self.readers(task) if one.kind == "linkage"]
+        linkers.append(Consumer("linkage", task=task.name))
+        return tuple(replace(one, world=world) for one in linkers)
 
     @property
     def linked_mechanisms(self) -> tuple[Plugin, ...]:
@@ -235,20 +235,13 @@ def axes(settings: Settings) -> Axes:
             if MODEL in world and (OTHER_LAW_WORLD in world or law == OTHER_LAW)
         },
     )
-    _check_asked(found, asked)
-    return found
-
-
-def _check_asked(found: Axes, asked: Iterable[str]) -> None:
-    """Raise SettingsError for an adversary who was asked for and would do nothing."""
     rows = (found.consumers, *map(found.readers, found.tasks))
-    does = {one.knowledge for some in rows for one in some}
-    for name in asked:
-        if name not in does:
-            raise SettingsError(
-                f"adversary {name}: no attack of the run does more with what it knows; name one "
-                f"that does, such as --attack {BREAKER}"
-            )
+    for name in {*asked} - {one.knowledge for some in rows for one in some}:
+        raise SettingsError(
+            f"adversary {name}: no attack of the run does more with what it knows; name one "
+            f"that does, such as --attack {BREAKER}"
+        )
+    return found
 
 
 def jobs_of(crossed: Axes, settings: Settings) -> int:

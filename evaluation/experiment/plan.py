@@ -176,11 +176,10 @@ def _units(
         range(-(-n_scenes // BLOCK_SCENES))
         for n_scenes in (settings.n_scenes, settings.n_utility_scenes)
     )
-    rest = every[len(attacked) :]
     utility = tuple(one for one in crossed.consumers if one.spec in crossed.utility)
     for mechanisms, consumers, blocks in (
         (crossed.mechanisms, crossed.consumers, attacked),
-        (crossed.mechanisms, utility, rest),
+        (crossed.mechanisms, utility, every[len(attacked) :]),
         *((crossed.linked_mechanisms, crossed.readers(task), (0,)) for task in crossed.tasks),
         *((some, crossed.consumers_in(world), attacked) for world, some in crossed.worlds.items()),
         *(
@@ -212,13 +211,8 @@ def _check_sendable(units: Iterable[Unit]) -> None:
     """Raise PluginError for a plug-in that no other process can be given."""
     from cloudpickle import dumps  # noqa: PLC0415 - only with workers
 
-    plugins = {
-        one.spec: one
-        for unit in units
-        for who in unit.consumers.values()
-        for one in (unit.mechanism, *who.plugins)
-    }
-    for plugin in plugins.values():
+    whose = ((unit.mechanism, *of.plugins) for unit in units for of in unit.consumers.values())
+    for plugin in {one.spec: one for some in whose for one in some}.values():
         try:
             dumps(plugin)
         except Exception as error:  # noqa: BLE001 - a stranger's __reduce__ may do anything

@@ -87,15 +87,12 @@ def variants(manifest: Mapping[str, Any] | None = None) -> list[Variant]:
     found = [Variant(BASE), *map(parse, _USUAL)]
     if manifest is None:
         return found
-    predicts = bool(manifest["settings"]["predictors"])
-    found = [
-        one
-        for one in found
-        if not one.changes_nothing(manifest) and (predicts or not one.predictor)
-    ]
+    found = [one for one in found if not one.changes_nothing(manifest)]
     # One other predictor will do: a run whose first is the paper's own is tried with the tracker.
-    other = next((one.predictor for one in found if one.predictor), "")
-    return [one for one in found if one.predictor in ("", other)]
+    others = [
+        one.predictor for one in found if one.predictor and manifest["settings"]["predictors"]
+    ]
+    return [one for one in found if one.predictor in ("", *others[:1])]
 
 
 def chosen(
@@ -107,12 +104,12 @@ def chosen(
 
     Raises IsacTrackError for an unknown one, or one that is what the run did.
     """
-    added = {text: parse(text) for text in also}
-    for text, one in added.items():
+    added = [parse(text) for text in also]
+    for text, one in zip(also, added, strict=True):
         if not one.stages:
             raise SettingsError(f"--set takes STAGE.KEY=VALUE, got {text!r}")
     named = variants(manifest) if names is None else [Variant(BASE), *map(parse, names)]
-    found = {one.name: one for one in (*named, *added.values())}
+    found = {one.name: one for one in (*named, *added)}
     for one in found.values():
         if manifest is not None and one.changes_nothing(manifest):
             raise SettingsError(f"{one.name} changes nothing: it is what the run did")
@@ -184,24 +181,26 @@ def settings_of(
     data = datasets.load(source, download=False, **own)
     if not variant.recording and data.sha256 != manifest["dataset"]["sha256"]:
         raise DataError(f"{data.path} is no longer the recording that was run; run it again")
-    asked = {task for tasks in attacks.values() for task in tasks} - {""}
-    too_small = {}
+    too_small, asked = dict[str, str](), set().union(*attacks.values()) - {""}
     for task in sorted(asked):
         try:
             sessions_of(TASKS[task], tracks=data.tracks, stages=stages, seed=ran["seed"])
         except DataError as error:
             too_small[task] = str(error)
     predictors = () if variant.predictor else tuple(ran["predictors"][:1])
-    links = [one for whole in attacks for one in whole.split("@")]
-    named: dict[Kind, Iterable[str]] = {"predictors": predictors, "attacks": links}
-    named["mechanisms"] = ran["mechanisms"]
-    for kind, spec in ((kind, spec) for kind, specs in named.items() for spec in specs):
-        # Only the user's own command line decides what is imported, never a file.
-        if plugins.is_own_class(kind, spec) and spec not in trust:
-            raise SettingsError(
-                f"the run's files name {spec!r}, a class that is not built in; "
-                f"if it is yours, say so: --trust {spec}"
-            )
+    named: dict[Kind, Iterable[str]] = {
+        "predictors": predictors,
+        "attacks": [one for whole in attacks for one in whole.split("@")],
+        "mechanisms": ran["mechanisms"],
+    }
+    for kind, specs in named.items():
+        for spec in specs:
+            # Only the user's own command line decides what is imported, never a file.
+            if plugins.is_own_class(kind, spec) and spec not in trust:
+                raise SettingsError(
+                    f"the run's files name {spec!r}, a class that is not built in; "
+                    f"if it is yours, say so: --trust {spec}"
+                )
     run = (asked - too_small.keys()) | {""}
     usual = PRESETS[ran["preset"]]
     is_usual = [ran["scenes"], ran["scenes_utility"]] == [usual.scenes, usual.utility_scenes]

@@ -38,6 +38,14 @@ _MENDED: Final = {
 }
 """What is told of repairs, by kind."""
 _TOLD_WHOLE: Final = ("header", "unit", "frame-clock")
+_NOTICES: Final = {
+    "without_rule": "{} does not say by `adding` how it adds its error: judged under both rules",
+    "untried_plugins": "{} took a minute for a few made-up people: its cells may take long",
+    "dropped_cells": "{} cells of another code version were dropped",
+    "exhausted_redraws": "{} background agents found no place with scenes.clearance_m",
+    "gallery_without": "track gallery without {}",
+}
+"""What is told of what a manifest has under a key: of each of several, or of a number."""
 _LARGE_GALLERY = 3000  # People, above which it is proposed to score some alone.
 _KINDS: tuple[Kind, ...] = ("mechanisms", "predictors", "attacks")
 
@@ -138,14 +146,21 @@ def plan_lines(ready: Plan) -> Iterator[str]:
         yield from (f"notice: {one}" for one in data_notices(about_data(ready)))
     for why in ready.axes.skipped.values():
         yield f"notice: left out: {why}"
-    yield from _large_galleries(ready)
+    sizes = {
+        one.task.name: max(Counter(one.gallery.search.tolist()).values()) for one in ready.sessions
+    }
+    large = [name for name, size in sizes.items() if size > _LARGE_GALLERY]
+    if large and not ready.settings.stages.linkage.candidates:
+        yield (
+            f"notice: {', '.join(large)}: galleries of up to {max(sizes.values()):,} people, and "
+            "time and memory grow with the square; --set linkage.candidates=100 scores the "
+            "likeliest 100 alone and says what that loses"
+        )
     slow = [one for one in ready.axes.consumers if one.is_slow]
-    if not slow:
-        return
-    from evaluation.cells.reconstruction import slow_cost_s  # noqa: PLC0415 - seldom needed
-
     n_levels = len(ready.axes.mechanisms)
     for spec in dict.fromkeys(one.spec for one in slow):
+        from evaluation.cells.reconstruction import slow_cost_s  # noqa: PLC0415 - seldom needed
+
         rows = [one for one in slow if one.spec == spec]
         cost_s = slow_cost_s(rows, tracks=ready.tracks, n_levels=n_levels)
         is_short = cost_s < _MOST_SECONDS
@@ -154,22 +169,6 @@ def plan_lines(ready: Plan) -> Iterator[str]:
         yield (
             f"notice: attack {spec} is slow: {about} for {len(rows)} adversaries at {n_levels} "
             "levels in one process; it runs on one release of each source track"
-        )
-
-
-def _large_galleries(ready: Plan) -> Iterator[str]:
-    """Yield one line that proposes to approximate, where all pairs are too many."""
-    if ready.settings.stages.linkage.candidates:
-        return
-    sizes = {
-        one.task.name: max(Counter(one.gallery.search.tolist()).values()) for one in ready.sessions
-    }
-    large = [name for name, size in sizes.items() if size > _LARGE_GALLERY]
-    if large:
-        yield (
-            f"notice: {', '.join(large)}: galleries of up to {max(sizes.values()):,} people, and "
-            "time and memory grow with the square; --set linkage.candidates=100 scores the "
-            "likeliest 100 alone and says what that loses"
         )
 
 
@@ -196,24 +195,15 @@ def notices(manifest: Mapping[str, Any]) -> Iterator[str]:
     """Yield what a reader of a finished run must know."""
     for spec, asked in manifest.get("granted", {}).items():
         yield f"{spec} asked for {' and '.join(asked)}, which a robot does not have by default"
-    for family in manifest.get("without_rule", ()):
-        told = "does not say by `adding` how it adds its error: it is judged under both rules"
-        yield f"{family} {told}"
-    for spec in manifest.get("untried_plugins", ()):
-        yield f"{spec} took more than a minute for a few made-up people: its cells may take long"
-    if dropped := manifest.get("dropped_cells"):
-        yield f"{dropped} cells of another code version were dropped"
     if damaged := manifest.get("damaged_cells"):
         told = "cells were not as they had been written and are computed anew"
         yield f"{len(damaged)} {told}, {damaged[0]} for one"
-    if redraws := manifest.get("exhausted_redraws"):
-        told = "background agents found no place with scenes.clearance_m and kept their last draw"
-        yield f"{redraws} {told}"
+    for key, words in _NOTICES.items():
+        found = manifest.get(key) or []
+        yield from map(words.format, found if isinstance(found, list) else [found])
     for task in (manifest.get("linkage") or {}).get("tasks", {}):
         if told := approximation(manifest, task):
             yield f"{task}: {told}"
-    for why in manifest.get("gallery_without", ()):
-        yield f"track gallery without {why}"
 
 
 def who_is_linked(manifest: Mapping[str, Any]) -> Iterator[str]:
@@ -256,10 +246,10 @@ def command(manifest: Mapping[str, Any]) -> str:
     else:
         options = same_run(manifest, axes=("mechanism", *CONSUMERS))
     named = {word.partition("=")[0] for word in options}
-    usual = {"--dataset": manifest["dataset"]["name"], "--seed": manifest["settings"]["seed"]}
-    for name, value in usual.items():
-        is_named = name in named or (name == "--dataset" and "--session" in named)
-        options += [] if is_named else [name, str(value)]
+    if not named & {"--dataset", "--session"}:
+        options += ["--dataset", manifest["dataset"]["name"]]
+    if "--seed" not in named:
+        options += ["--seed", str(manifest["settings"]["seed"])]
     return shlex.join(["python", "-m", "evaluation.matrix", *options])
 
 
@@ -270,29 +260,27 @@ def same_run(manifest: Mapping[str, Any], *, axes: Sequence[str] = CONSUMERS) ->
     identity, settings, dataset = (manifest[key] for key in ("identity", "settings", "dataset"))
     name, usual_stages = settings["preset"], StageSettings().flat()
     usual = PRESETS.get(name, PRESETS["paper"])
-    words = ["--preset", name] if name in PRESETS and name != "paper" else []
     known = dataset["name"] in KNOWN
-    whole = [("--dataset", dataset["name"] if known else dataset["path"])]
-    named = [("--session", path) for path in dataset.get("sessions", ())] or whole
-    words += [word for pair in named for word in pair]
-    words += ["--persistent-ids"] * bool(identity.get("persistent_ids"))
-    if not known and dataset["format"]:
-        words += ["--format", dataset["format"]]
-    for option in ("fps", "unit"):
-        if not known and identity.get(option) is not None:
-            words += [f"--{option}", str(identity[option])]
-    every = identity.get("scenes_utility", identity["scenes"])
-    if (identity["scenes"], every) != (usual.scenes, usual.utility_scenes):
-        words += ["--scenes", str(identity["scenes"])]
-    words += ["--seed", str(identity["seed"])] if identity["seed"] else []
+    own = {} if known else {"format": dataset["format"] or None}
+    own |= {} if known else {name: identity.get(name) for name in ("fps", "unit")}
+    scenes = identity["scenes"]
+    is_usual = scenes == usual.scenes
+    is_usual &= identity.get("scenes_utility", scenes) == usual.utility_scenes
+    sessions = [("session", path) for path in dataset.get("sessions", ())]
+    options = [
+        ("preset", name if name in PRESETS and name != "paper" else None),
+        *(sessions or [("dataset", dataset["name"] if known else dataset["path"])]),
+        *own.items(),
+        ("scenes", None if is_usual else scenes),
+        ("seed", identity["seed"] or None),
+    ]
     for option in axes:
         used = settings.get(f"{option}s", [])
         usually = set(getattr(usual, f"{option}s"))
         # Of one session a run leaves the task of those who come back out by itself.
         if set(used) not in (usually, usually - {"cross_session"}):
-            for value in used or ["none"]:
-                words += [f"--{option}", value]
-    for key, value in settings.get("stages", {}).items():
-        if usual_stages.get(key, value) != value:
-            words += ["--set", f"{key}={value}"]
-    return words
+            options += [(option, value) for value in used or ["none"]]
+    stages = settings.get("stages", {}).items()
+    options += [("set", f"{key}={at}") for key, at in stages if usual_stages.get(key, at) != at]
+    words = ["--persistent-ids"] * bool(identity.get("persistent_ids"))
+    return words + [word for key, at in options if at is not None for word in (f"--{key}", f"{at}")]

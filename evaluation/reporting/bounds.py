@@ -49,7 +49,7 @@ def bound_table(run: Results) -> Table:
         Column("genie, recorded walks", recorded, "%"),
     ]
     title = "How far the attacks are from the optimum of model worlds; 95 % intervals"
-    return _table(run, "bounds", title, columns, note=_GENIE, linked=False)
+    return _table(run, title, columns, note=_GENIE)
 
 
 def linked_bound_table(run: Results) -> Table:
@@ -62,21 +62,20 @@ def linked_bound_table(run: Results) -> Table:
         _column("gap", RANK_GAP, "gap"),
     ]
     title = "How far the linkers are from the optimum of a model world; 95 % intervals"
-    return _table(run, "bounds-linked", title, columns, note=_RATIO, linked=True)
+    return _table(run, title, columns, note=_RATIO)
 
 
 def _column(name: str, metric: str, key: str) -> Column:
     return Column(name, lambda row: make.estimated(metric, row[key]), METRICS[metric].unit)
 
 
-def _table(
-    run: Results, name: str, title: str, columns: Sequence[Column], *, note: str, linked: bool
-) -> Table:
+def _table(run: Results, title: str, columns: Sequence[Column], *, note: str) -> Table:
     """Return a row for each gap, of those who link or of the others."""
+    name = "bounds-linked" if note == _RATIO else "bounds"
     records = [
-        one._asdict() | {"mechanism": one.where[0], "level": one.where[1]}
+        one._asdict() | dict(zip(("mechanism", "level"), one.where, strict=True))
         for one in gaps(run.summary)
-        if bool(one.attack.task) == linked
+        if bool(one.attack.task) == (note == _RATIO)
     ]
     columns = [*mechanism_columns(run.families), *columns]
     return make.built(name, title, records, columns, notes=[_MODEL, note], n_headings=2, n_keys=4)

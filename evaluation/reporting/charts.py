@@ -1,4 +1,4 @@
-"""Charts: marks on two axes in a few SVG elements, texts as text.
+"""Charts: marks and lines on two axes, as places; the page's templates make SVG of them.
 
 A chart is as wide as a phone. Colours are classes, so that they change in the dark, and a mark's
 shape and filling say the same in grey. Every mark is named.
@@ -6,7 +6,7 @@ shape and filling say the same in grey. Every mark is named.
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -19,20 +19,12 @@ from isac_track.types import Floats
 WIDTH: Final = 360.0
 CHARACTER: Final = 5.6  # How wide a character is at most on average, in units of a chart.
 PERCENT: Final = 100.0
-_SHAPES: Final = (
-    "a3.4 3.4 0 1 0 6.8 0a3.4 3.4 0 1 0-6.8 0",
-    "m.4-3v6h6v-6z",
-    "m-.6 3h8l-4-7z",
-    "m-.8 0l4.2 4.2 4.2-4.2-4.2-4.2z",
-    "m-.6-3h8l-4 7z",
-    "m0-1.2h2.2v-2.2h2.4v2.2h2.2v2.4h-2.2v2.2h-2.4v-2.2h-2.2z",
-    "m.3-3.1l3.1 2.1 3.1-2.1-2.1 3.1 2.1 3.1-3.1-2.1-3.1 2.1 2.1-3.1z",
-)
-"""Paths that begin 3.4 left of their middle, each of a colour."""
-LOOKS: Final = len(_SHAPES)
 INKS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#1b1d20")
 MARKERS: Final = "os^DvP*"
-"""Colours as in `colours.css`, and shapes, as matplotlib has them."""
+"""Colours as in `colours.css`, and shapes as in `chart.html.j2`, as matplotlib has them."""
+LOOKS: Final = len(INKS)
+Stroke: TypeAlias = "Sequence[Any]"
+"""Places (x, y) that a line goes through."""
 _STEPS: Final = (1.0, 2.0, 5.0, 10.0)
 _MOST_STEPS: Final = 5
 _TOP: Final = 6.0
@@ -56,10 +48,6 @@ class Look(NamedTuple):
     def shape(self) -> int:
         """Number of its shape."""
         return (self.place + self.turn) % (LOOKS - 1) if self.turn else self.place % LOOKS
-
-    def path(self, x: float, y: float) -> str:
-        """Return its mark in the middle of a point."""
-        return f"M{x - 3.4:.1f} {y:.1f}{_SHAPES[self.shape]}"
 
 
 def looks_of(known: Iterable[Family]) -> dict[str, Look]:
@@ -102,7 +90,7 @@ class Axis(NamedTuple):
 
 @dataclass(eq=False, slots=True)
 class Chart:
-    """What is drawn, in units of the picture; the template knows how."""
+    """What is drawn, in units of the picture; the templates know how."""
 
     x_label: str
     height: float
@@ -110,9 +98,9 @@ class Chart:
     y_label: str = ""
     x_ticks: list[tuple[float, str]] = field(default_factory=list)
     y_ticks: list[tuple[float, str]] = field(default_factory=list)
-    grid: str = ""
-    lines: list[tuple[str, str]] = field(default_factory=list)  # Classes and path.
-    marks: list[tuple[str, str, str]] = field(default_factory=list)  # Classes, path and name.
+    grid: list[Stroke] = field(default_factory=list)
+    lines: list[tuple[str, Sequence[Stroke]]] = field(default_factory=list)  # Classes before.
+    marks: list[tuple[Look, Stroke, str]] = field(default_factory=list)  # Middles and name.
 
     @property
     def bottom(self) -> float:
@@ -129,18 +117,22 @@ class Chart:
     def x_axis(self, values: Floats, *, log: bool = False) -> Callable[[Any], Any]:
         """Draw the axis of values; return where one of them is."""
         place, self.x_ticks = _axis(values, (self.left, _RIGHT), log=log)
-        self.grid += "".join(f"M{at:.1f} 6V{self.bottom:.1f}" for at, _ in self.x_ticks)
+        self.grid += [self.down(at) for at, _ in self.x_ticks]
         return place
 
     def y_axis(self, values: Floats, *, log: bool = False) -> Callable[[Any], Any]:
         """Draw the upright axis of values; return where one of them is."""
         place, self.y_ticks = _axis(values, (self.bottom, _TOP), log=log)
-        self.grid += "".join(self.across(at) for at, _ in self.y_ticks)
+        self.grid += [self.across(at) for at, _ in self.y_ticks]
         return place
 
-    def across(self, y: float) -> str:
-        """Return the path of a line from side to side."""
-        return f"M{self.left:.1f} {y:.1f}H{_RIGHT:.0f}"
+    def across(self, y: float) -> Stroke:
+        """Return a line from side to side."""
+        return (self.left, y), (_RIGHT, y)
+
+    def down(self, x: float) -> Stroke:
+        """Return a line from top to bottom."""
+        return (x, _TOP), (x, self.bottom)
 
 
 def rows_chart(
@@ -162,7 +154,7 @@ def rows_chart(
     for place, row in enumerate(rows):
         middle = 8.0 + step * (place + 0.5)
         chart.y_ticks.append((middle, row))
-        chart.grid += chart.across(middle)
+        chart.grid.append(chart.across(middle))
         for turn, (name, (look, of)) in enumerate(series.items()):
             one = of[place]
             if one is None:
@@ -170,11 +162,10 @@ def rows_chart(
             y = middle + 4.5 * (turn - 0.5 * (len(series) - 1))
             x, *ends = at(_shares([one]))
             chart.lines.append((f"bar k{look.place}", bar(ends, at=y)))
-            chart.marks.append((look.css, look.path(x, y), f"{row}: {name} {share(one)}"))
+            chart.marks.append((look, [(x, y)], f"{row}: {name} {share(one)}"))
     for look, value in across:
         if np.isfinite(value):
-            x = at(PERCENT * value)
-            chart.lines.append((f"across k{look.place}", f"M{x:.1f} 6V{chart.bottom:.1f}"))
+            chart.lines.append((f"across k{look.place}", [chart.down(at(PERCENT * value))]))
     return chart
 
 
@@ -197,22 +188,22 @@ def plane_chart(
     at_x = chart.x_axis(_shares([one.x for one in points]))
     at_y = chart.y_axis(_shares([one.y for one in points]))
     if limit is not None:
-        chart.lines.append(("across k6", chart.across(at_y(PERCENT * limit))))
+        chart.lines.append(("across k6", [chart.across(at_y(PERCENT * limit))]))
     for curve in curves:
         way = [(at_x(_shares([one.x]))[0], at_y(_shares([one.y]))[0]) for one in curve]
-        chart.lines.append((f"curve k{curve[0].look.place}", _line(way)))
+        chart.lines.append((f"curve k{curve[0].look.place}", [way]))
     if has_front and points:
         values = np.array([(one.x.value, one.y.value) for one in points])
         corners = values[front(*values.T)]
         corners = corners[np.argsort(corners[:, 0])] * PERCENT
         x, y = (np.repeat(of, 2) for of in (at_x(corners[:, 0]), at_y(corners[:, 1])))
-        chart.lines.append(("front", _line([*zip([*x, _RIGHT], [_TOP, *y], strict=True)])))
+        chart.lines.append(("front", [[*zip([*x, _RIGHT], [_TOP, *y], strict=True)]]))
     for one in points:
         (x, *x_ends), (y, *y_ends) = at_x(_shares([one.x])), at_y(_shares([one.y]))
-        path = bar(x_ends, at=y) + bar(y_ends, at=x, upright=True)
-        chart.lines.append((f"bar k{one.look.place}", path))
+        both = bar(x_ends, at=y) + bar(y_ends, at=x, upright=True)
+        chart.lines.append((f"bar k{one.look.place}", both))
         name = f"{one.name}: {words[0]} {share(one.x)}, {words[1]} {share(one.y)}"
-        chart.marks.append((one.look.css, one.look.path(x, y), name))
+        chart.marks.append((one.look, [(x, y)], name))
     return chart
 
 
@@ -236,31 +227,26 @@ def curves_chart(
         np.concatenate([*shown, [value for _, _, value, _ in marked]]).astype(np.float64), log=y.log
     )
     for css, value in across:
-        chart.lines.append((f"across {css}", chart.across(at_y(value))))
+        chart.lines.append((f"across {css}", [chart.across(at_y(value))]))
     for one in curves:
         known = np.isfinite(one.y[0])
         places, (middle, *ends) = at_x(one.x[known]), at_y(one.y[:, known])
-        way = list(zip(places.tolist(), middle.tolist(), strict=True))
-        bars = zip(places, *ends, strict=True)
-        kind = f"k{one.look.place}"
-        chart.lines.append((f"curve {kind}", _line(way)))
-        path = "".join(bar(pair, at=at, upright=True) for at, *pair in bars)
-        chart.lines.append((f"bar {kind}", path))
-        marks = "".join(one.look.path(*at) for at in way)
-        chart.marks.append((one.look.css, marks, one.name))
+        way = [*zip(places, middle, strict=True)]
+        each = zip(places, *ends, strict=True)
+        bars = [line for at, *pair in each for line in bar(pair, at=at, upright=True)]
+        chart.lines.append((f"curve k{one.look.place}", [way]))
+        chart.lines.append((f"bar k{one.look.place}", bars))
+        chart.marks.append((one.look, way, one.name))
     for look, at, value, name in marked:
         place = at_x(at) if np.isfinite(at) else _RIGHT
-        path = look.path(float(place), float(at_y(value)))
-        chart.marks.append((look.css, path, name))
+        chart.marks.append((look, [(place, at_y(value))], name))
     return chart
 
 
-def bar(ends: Sequence[float], *, at: float, upright: bool = False) -> str:
-    """Return the path of an interval; empty without one."""
-    if not np.isfinite(ends).all():
-        return ""
-    low, high = ends
-    return f"M{at:.1f} {low:.1f}V{high:.1f}" if upright else f"M{low:.1f} {at:.1f}H{high:.1f}"
+def bar(ends: Sequence[float], *, at: float, upright: bool = False) -> list[Stroke]:
+    """Return the line of an interval; none without one."""
+    line = [(at, end) if upright else (end, at) for end in ends]
+    return [line] if np.isfinite(ends).all() else []
 
 
 def share(one: Estimate) -> str:
@@ -273,10 +259,6 @@ def _shares(of: Sequence[Estimate]) -> Floats:
     """Return values in % with both ends of their intervals, one after the other."""
     found = np.array([(one.value, one.ci_low, one.ci_high) for one in of], dtype=np.float64)
     return PERCENT * found.reshape(-1)
-
-
-def _line(way: Sequence[tuple[float, float]]) -> str:
-    return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in way)
 
 
 def _axis(

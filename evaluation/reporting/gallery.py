@@ -1,5 +1,6 @@
 """A gallery of tracks: where four people walked, what was shared of it, and what was rebuilt."""
 
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ class Panel(NamedTuple):
     mechanism: str
     shared: float
     rebuilt: float  # Shares of samples that leak.
-    paths: list[tuple[str, str]]  # Class and path of each layer.
+    paths: list[tuple[str, Sequence[Floats]]]  # Class and lines, (L, 2) each, of each layer.
     bar: tuple[float, str]  # How long a metre or a few are.
 
 
@@ -42,11 +43,11 @@ def panels(rows: pd.DataFrame) -> list[Panel]:
                     float(leaked.mean()),
                     float(kept.mean()),
                     [
-                        ("shared", _dots(places["shared"][~leaked])),
-                        ("rebuilt leak", _line(places["rec"], drawn=kept)),
-                        ("rebuilt", _line(places["rec"], drawn=np.ones_like(kept))),
-                        ("shared leak", _dots(places["shared"][leaked])),
-                        ("true", _line(places["true"], drawn=np.ones_like(kept))),
+                        ("shared", [*places["shared"][~leaked, None]]),
+                        ("rebuilt leak", _runs(places["rec"], kept)),
+                        ("rebuilt", [places["rec"]]),
+                        ("shared leak", [*places["shared"][leaked, None]]),
+                        ("true", [places["true"]]),
                     ],
                     (length * unit, f"{length:g} m"),
                 )
@@ -69,13 +70,8 @@ def _window(of: pd.DataFrame) -> tuple[Floats, float]:
     return corner, unit
 
 
-def _dots(places: Floats) -> str:
-    """Return points as lines without length, which round ends make dots."""
-    return "".join(f"M{x:.1f} {y:.1f}h0" for x, y in places.tolist())
-
-
-def _line(places: Floats, *, drawn: Bools) -> str:
-    """Return a line through some of the points, with gaps where others are."""
-    starts = drawn & ~np.append(False, drawn[:-1])
-    parts = zip(places.tolist(), drawn.tolist(), starts.tolist(), strict=True)
-    return "".join(f"{'M' if first else 'L'}{x:.1f} {y:.1f}" for (x, y), on, first in parts if on)
+def _runs(places: Floats, drawn: Bools) -> list[Floats]:
+    """Return the lines through some of the points, with gaps where others are."""
+    edges = np.flatnonzero(np.diff(drawn)) + 1
+    runs = zip(np.split(places, edges), np.split(drawn, edges), strict=True)
+    return [run for run, on in runs if on[0]]

@@ -1,7 +1,5 @@
-"""A table as LaTeX (a booktabs tabular), Markdown and CSV; `templates` has it for the page."""
+"""A table as LaTeX (a booktabs tabular) and Markdown; `templates` has it for the page."""
 
-import csv
-import io
 from collections.abc import Iterable, Sequence
 from itertools import groupby
 from pathlib import Path
@@ -20,6 +18,11 @@ _OPTIONS: dict[str, Any] = {
 }
 HTML: Final = Environment(autoescape=True, **_OPTIONS)
 HTML.filters["plain"] = printable
+# The path of lines through places; one alone is a dot.
+HTML.filters["path"] = lambda strokes: "".join(
+    "M" + ("L".join(f"{x:.1f} {y:.1f}" for x, y in line) + "h0" * (len(line) == 1))
+    for line in strokes
+)
 _LATEX = Environment(  # noqa: S701 - what is not HTML needs another escape: `tex`
     **_OPTIONS,
     block_start_string="<%",
@@ -102,12 +105,3 @@ def markdown(table: Table) -> str:
     text = str.maketrans({"&": "&amp;", "<": "&lt;", "|": r"\|"})
     plain = [[printable(cell).translate(text) for cell in row] for row in rows]
     return "".join(f"| {' | '.join(row)} |\n" for row in plain)
-
-
-def to_csv(table: Table) -> str:
-    """Return a table as it is shown, a line for each row."""
-    sink = io.StringIO()
-    rows = csv.writer(sink, lineterminator="\n")
-    rows.writerow([column.head for column in table.columns])
-    rows.writerows([[cell.full for cell in row] for row in table.rows])
-    return sink.getvalue()

@@ -54,7 +54,7 @@ def _forest(one: Answered, simulated: frozenset[str]) -> Forest:
     chart = Chart("points", 12.0 + _STEP * len(rows) + 30.0, left)
     values = PERCENT * np.array([*rows.values()], dtype=np.float64)
     at = chart.x_axis(values)
-    chart.lines.append(("across k6", f"M{at(0.0):.1f} 6V{chart.bottom:.1f}"))
+    chart.lines.append(("across k6", [chart.down(at(0.0))]))
     for place, (name, of) in enumerate(zip(rows, values, strict=True)):
         y = 8.0 + _STEP * (place + 0.5)
         look = Look(1 if name in ("pooled", _PREDICTED) else 0, hollow=name.endswith("(simulated)"))
@@ -64,5 +64,5 @@ def _forest(one: Answered, simulated: frozenset[str]) -> Forest:
         interval = " [{:.1f}, {:.1f}]".format(*of[1:])
         if not np.isfinite(of).all():
             interval = ", too few people for an interval"
-        chart.marks.append((look.css, look.path(x, y), f"{name}: {of[0]:+.1f}{interval}"))
+        chart.marks.append((look, [(x, y)], f"{name}: {of[0]:+.1f}{interval}"))
     return Forest(f"{one.adding} adding, {one.law} error", one.sentence, chart)

@@ -5,9 +5,8 @@ A file in this folder with a function `figures` makes some; those without a pane
 
 import contextlib
 import io
-import re
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -32,8 +31,6 @@ _PRINTED: Final[dict[str, dict[str, Any]]] = {
 }
 """By class, what `chart.css` says, as matplotlib's lines take it."""
 _ROOM: Final = 40  # Characters of a data set's name.
-_PIECE: Final = re.compile(r"([MLHV])([-\d. ]+)")
-_MARK: Final = re.compile(r"M([-\d.]+) ([-\d.]+)")
 _ALIGNED: Final = {"x": "center", "y": "right"}
 
 
@@ -125,16 +122,16 @@ def _printed(of: Figure) -> bytes:
                 ax.text(left + x, top + y, text, fontsize=8.5, ha=_ALIGNED[kind])
             middle = top + 0.5 * chart.bottom
             ax.text(left + 10.0, middle, chart.y_label, fontsize=8.5, rotation=90, va="center")
-            for css, path in [("grid", chart.grid), *chart.lines]:
+            for css, strokes in [("grid", chart.grid), *chart.lines]:
                 kind, _, colour = css.partition(" k")
                 ink = {"color": INKS[int(colour or 0)], **_PRINTED[kind]}
-                for line in _strokes(path):
+                for line in strokes:
                     ax.plot(*(np.array(line) + np.array([left, top])).T, **ink)
-            for css, path, _ in chart.marks:
-                for x, y in _MARK.findall(path):
-                    _mark(ax, left + float(x) + 3.4, top + float(y), css)
+            for look, places, _ in chart.marks:
+                for x, y in places:
+                    _mark(ax, left + x, top + y, look)
         for x, y, name, look in at.key:
-            _mark(ax, x, y, look.css)
+            _mark(ax, x, y, look)
             ax.text(x + 8.0, y + 3.0, name, fontsize=8.5)
         sink = io.BytesIO()
         dated = dict.fromkeys(("CreationDate", "Creator", "Producer"))
@@ -142,22 +139,7 @@ def _printed(of: Figure) -> bytes:
     return sink.getvalue()
 
 
-def _mark(ax: Any, x: float, y: float, css: str) -> None:  # noqa: ANN401 - matplotlib's axes
-    place, is_hollow = int(css.split()[1][1:]), css.endswith("hollow")
-    face = "white" if is_hollow else INKS[place]
-    look = {"color": INKS[place], "markerfacecolor": face, "markersize": 5.0}
-    ax.plot([x], [y], MARKERS[place], **look)
-
-
-def _strokes(path: str) -> Iterator[list[tuple[float, float]]]:
-    """Yield the lines of a path of absolute steps."""
-    line: list[tuple[float, float]] = []
-    for step, text in _PIECE.findall(path):
-        numbers = [float(one) for one in text.split()]
-        if step == "M":
-            yield from [line] * bool(line)
-            line = []
-        x, y = line[-1] if line else (0.0, 0.0)
-        ends = {"H": (numbers[0], y), "V": (x, numbers[0])}
-        line.append(ends.get(step, (numbers[0], numbers[-1])))
-    yield from [line] * bool(line)
+def _mark(ax: Any, x: float, y: float, of: Look) -> None:  # noqa: ANN401 - matplotlib's axes
+    ink = INKS[of.place]
+    look = {"color": ink, "markerfacecolor": "white" if of.hollow else ink, "markersize": 5.0}
+    ax.plot([x], [y], MARKERS[of.shape], **look)

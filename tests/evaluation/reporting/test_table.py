@@ -1,6 +1,5 @@
 """A table in each of its five ways: nothing lost, nothing misread, lines that fit."""
 
-import csv
 import io
 import re
 
@@ -10,7 +9,7 @@ from helpers.pages import Tags
 from rich.console import Console
 
 from evaluation.reporting import table as make
-from evaluation.reporting.markup import HTML, escape, latex, markdown, to_csv
+from evaluation.reporting.markup import HTML, escape, latex, markdown
 from evaluation.reporting.table import Cell, Column, Table, number, word
 from evaluation.reporting.terminal import PIPE_WIDTH, show_table, standard_output
 
@@ -176,9 +175,3 @@ class TestHtmlAndMarkdown:
         assert lines[1] == "| :-- | --: | --: | --: | --: |"
         assert lines[2].endswith("| 1.2 [1.0, 2.0] |")
         assert "<i>" not in "".join(lines)
-
-    def test_csv_gives_the_cells_back(self):
-        one = make_table(names=('a "b", c',))
-        rows = list(csv.reader(io.StringIO(to_csv(one))))
-        assert rows[0] == [column.head for column in one.columns]
-        assert rows[1:] == [[cell.full for cell in row] for row in one.rows]

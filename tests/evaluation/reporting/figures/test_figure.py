@@ -31,7 +31,6 @@ STRANGERS = [*LINEAR, *(("ou", at) for at in (0.2, 0.4, 0.8))]
 STRANGERS += [("mine", at) for at in (1.0, 10.0, 1000.0)]
 ODD_NAMES = ["<script>", "a_$b^{c}$ & \\d", "広場 & 'x'", "line\nbreak\x1b[31m", "x" * 300, ""]
 NAMES = ("fid_threshold", "fixed_error", "operating_points", "after_attack", "linkability")
-MIDDLE = re.compile(r"M([-\d.]+) ([-\d.]+)")
 
 
 def drawn(**changes):
@@ -39,15 +38,12 @@ def drawn(**changes):
     return {one.name: one for one in figures_of(make_run(**changes))}
 
 
-def values(path, chart, *, log):
-    """Where the marks of a path are, as the ticks say, (P, 2); one begins left of its middle."""
+def values(places, chart, *, log):
+    """What the ticks say of places, (P, 2)."""
     found = []
-    for x, y in MIDDLE.findall(path):
+    for x, y in places:
         at = []
-        for place, ticks, is_log in (
-            (float(x) + 3.4, chart.x_ticks, log[0]),
-            (float(y), chart.y_ticks, log[1]),
-        ):
+        for place, ticks, is_log in ((x, chart.x_ticks, log[0]), (y, chart.y_ticks, log[1])):
             short = [one for one in ticks if one[1].isascii()]  # not 10⁴
             places, numbers = np.array(short, dtype=float).T
             numbers = np.log10(numbers) if is_log else numbers
@@ -70,10 +66,10 @@ def test_marks_bars_and_lines_stand_where_the_numbers_are(log):
         values(marks, chart, log=log), np.column_stack([x, y])[known], rtol=0.03, atol=2.0
     )
     paths = dict(chart.lines)
-    ends = re.sub(r"M(\S+) [\d.]+V([\d.]+)", r"M\1 \2", paths["bar k1"])
+    ends = [high for _, high in paths["bar k1"]]
     np.testing.assert_allclose(values(ends, chart, log=log)[:, 1], 1.1 * y[known], **close)
-    for path, value in ((paper, 10.0), (paths["across k6"], 20.0)):
-        assert values(path, chart, log=log)[0, 1] == pytest.approx(value, rel=0.03)
+    for places, value in ((paper, 10.0), (paths["across k6"][0], 20.0)):
+        assert values(places, chart, log=log)[0, 1] == pytest.approx(value, rel=0.03)
     assert name == "paper"
 
 
@@ -164,9 +160,9 @@ def test_the_frontier_is_drawn_beside_white_noise_and_who_knows_more_is_hollow()
     chart = made.panels[0][1]
     names = [name for _, _, name in chart.marks]
     assert names[1] == "m0, 1: 77 % at +3, 75 % at +5, 73 % at +7.5"
-    (css, path, _), *_ = [one for one in chart.marks if "anchor" in one[2]]
-    assert css.endswith("hollow")
-    assert values(path, chart, log=(False, False)) == pytest.approx(
+    (look, places, _), *_ = [one for one in chart.marks if "anchor" in one[2]]
+    assert look.hollow
+    assert values(places, chart, log=(False, False)) == pytest.approx(
         np.array([[3.0, 95.0]]), abs=0.3
     )
     at = values(chart.marks[1][1], chart, log=(False, False))
