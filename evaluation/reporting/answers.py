@@ -3,7 +3,8 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, TypeAlias
+from operator import attrgetter
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -18,8 +19,6 @@ from evaluation.reporting.rows import HEADLINE, Results
 from evaluation.verdict import rules
 from isac_track.intervals import Estimate
 
-_Options: TypeAlias = Mapping[Where, tuple[Estimate, Estimate]]
-"""Levels, each with the share of conflicts that a robot misses, and PLR after attack."""
 LIMIT: Final = 0.5
 """Of PLR after attack: below it most positions are kept; what the last answer looks for."""
 _HELD: Final = "as far as these attacks go"
@@ -83,12 +82,9 @@ def reference(of: Headline) -> Where:
     if named := [where for one in HEADLINE for where in wheres if where == one]:
         return named[0]
 
-    def cost(where: Where) -> float:
-        found = of.at(where, of.robots[0]) if of.robots else None
-        return found.value if found else -1.0
-
     plain = min(of.wheres, key=lambda where: where[0] != RAW, default=(RAW, None))
-    return max(wheres, key=cost, default=plain)
+    costs = {where: one.value if (one := of.cost(where)) else -1.0 for where in wheres}
+    return max(costs, key=costs.__getitem__, default=plain)
 
 
 def _lost(of: Headline, where: Where) -> str:
@@ -96,13 +92,10 @@ def _lost(of: Headline, where: Where) -> str:
     parts = []
     for one in of.robots:
         raw = of.at((RAW, None), one) if where[0] != RAW else None
-        beside = [f"raw {100 * raw.value:.1f} %"] if raw else []
-        if value := _both(of, where, one, beside=beside):
-            who = robot_name(one.measure.consumer)
-            parts.append(f"{who} {value}")
-    if not parts:
-        return f"{_UNTESTED}the run has no predictor."
-    return f"missed conflicts at {of.name(where)}: {', '.join(parts)}."
+        if value := _both(of, where, one, *[f"raw {100 * raw.value:.1f} %"] if raw else []):
+            parts.append(f"{robot_name(one.measure.consumer)} {value}")
+    told = f"missed conflicts at {of.name(where)}: {', '.join(parts)}."
+    return told if parts else f"{_UNTESTED}the run has no predictor."
 
 
 def _leaks(of: Headline, where: Where) -> str:
@@ -117,8 +110,7 @@ def _leaks(of: Headline, where: Where) -> str:
     law = f" ({share(other)} if errors are isotropic)" if other else ""
     is_headline = of.known[where[0]].family in (*SWEPT, CLEAN)
     who = of.attacked.measure.source.label if is_headline else "the strongest attack on it"
-    near = gap_text(of.gaps, where)
-    held = f"{_HELD}, {near}" if near else _HELD
+    held = ", ".join(filter(None, [_HELD, gap_text(of.gaps, where)]))
     return f"{told}, {_both(of, where, of.attacked)}{law} after {who}, {held}."
 
 
@@ -166,9 +158,49 @@ def _told(items: Sequence[Mapping[str, Any]]) -> str:
     return f"{_LEADS[decision]} ({heads}): {said}{rests}; of {len(mine)} items {count}."
 
 
+class _Choice(NamedTuple):
+    """A level, the share of conflicts that a robot misses there, and PLR after attack."""
+
+    at: Where
+    cost: Estimate
+    left: Estimate
+    is_kept: bool = False  # Whether that is below the limit.
+    has_interval: bool = False  # Whether any has an interval to be judged by.
+
+
+def _choices(of: Headline) -> dict[str, _Choice]:
+    """Return the level of fewest missed conflicts that keeps the limit, or the closest to it.
+
+    By adding rule: "" where no mechanism has one.
+    """
+    # By the adversary of the table: `design` asks who is strongest at each level.
+    options = [
+        _Choice(where, cost, left)
+        for where in of.wheres
+        if of.attacked and (cost := of.cost(where)) and (left := of.at(where, of.attacked))
+    ]
+    # Nobody can choose to have no error at all; of a run of that alone it is told.
+    options = [one for one in options if of.known[one.at[0]].family != CLEAN] or options
+    rule_of = {one: of.known[one.at[0]].adding for one in options}
+    found = {}
+    for rule in [one for one in ADDING_RULES if one in rule_of.values()] or [""] * bool(options):
+        some = [one for one in options if rule_of[one] in ("", rule)]
+        has = any(np.isfinite(one.left.ci_high) for one in some)
+        kept = [one for one in some if (one.left.ci_high if has else one.left.value) <= LIMIT]
+        first = attrgetter("cost.value" if kept else "left.value")
+        best = min(kept or some, key=first)
+        found[rule] = best._replace(is_kept=bool(kept), has_interval=has)
+    return found
+
+
+def chosen_levels(of: Headline) -> list[Where]:
+    """Return the levels that the last answer names."""
+    return list(dict.fromkeys(one.at for one in _choices(of).values()))
+
+
 def _chosen(of: Headline) -> str:
     """Return the level that costs a robot least while most positions stay unknown after attack."""
-    said = {rule: _choice(of, options) for rule, options in _options(of).items()}
+    said = {rule: _choice(of, one) for rule, one in _choices(of).items()}
     if not said:
         return f"{_UNTESTED}that takes a predictor and a reconstruction attack."
     texts = list(dict.fromkeys(said.values()))
@@ -176,58 +208,22 @@ def _chosen(of: Headline) -> str:
     return f"{'; '.join(ruled)}; {_HELD}."
 
 
-def chosen_levels(of: Headline) -> list[Where]:
-    """Return the levels that the last answer names."""
-    return list(dict.fromkeys(_picked(options) for options in _options(of).values()))
-
-
-def _options(of: Headline) -> dict[str, _Options]:
-    """Return what there is to choose from, by adding rule: "" where no mechanism has one."""
-    # By the adversary of the table: `design` asks who is strongest at each level.
-    options = {
-        where: (cost, left)
-        for where in of.wheres
-        if of.robots and of.attacked
-        if (cost := of.at(where, of.robots[0])) and (left := of.at(where, of.attacked))
-    }
-    # Nobody can choose to have no error at all; of a run of that alone it is told.
-    options = {at: options[at] for at in options if of.known[at[0]].family != CLEAN} or options
-    rule_of = {where: of.known[where[0]].adding for where in options}
-    rules_run = [rule for rule in ADDING_RULES if rule in rule_of.values()] or [""] * bool(options)
-    return {
-        rule: {at: one for at, one in options.items() if rule_of[at] in ("", rule)}
-        for rule in rules_run
-    }
-
-
-def _has_interval(options: _Options) -> bool:
-    return any(np.isfinite(left.ci_high) for _, left in options.values())
-
-
-def _keeps(left: Estimate, options: _Options) -> bool:
-    return (left.ci_high if _has_interval(options) else left.value) <= LIMIT
-
-
-def _picked(options: _Options) -> Where:
-    """Return the level of fewest missed conflicts that keeps the limit, or the closest to it."""
-    kept = {at: cost for at, (cost, left) in options.items() if _keeps(left, options)}
-    return min(kept or options, key=lambda at: options[at][0 if kept else 1].value)
-
-
-def _choice(of: Headline, options: _Options) -> str:
-    """Return what to choose of some levels, each with what it costs and what is left to attacks."""
-    limit = f"attacked PLR below {100 * LIMIT:g} %"
+def _choice(of: Headline, one: _Choice) -> str:
+    """Return what to choose, with what it costs and what is left to attacks."""
+    at, limit, left, cost = (
+        one.at,
+        f"attacked PLR below {100 * LIMIT:g} %",
+        *map(share, one[2:0:-1]),
+    )
     few = "by the values alone, since so few people have no interval, "
-    by = "" if _has_interval(options) else few
-    at = _picked(options)
-    cost, left = options[at]
-    if not _keeps(left, options):
-        least = f"{share(left)} at {of.name(at)}, which misses {share(cost)} of the conflicts"
+    by = "" if one.has_interval else few
+    if not one.is_kept:
+        least = f"{left} at {of.name(at)}, which misses {cost} of the conflicts"
         return f"{by}no level keeps {limit}; the least is {least}"
     again = [
-        f"; found again {_how(one)}: {share(found)}"
-        for one in of.linked[-1:]
-        if (found := of.at(at, one))
+        f"; found again {_how(linked)}: {share(found)}"
+        for linked in of.linked[-1:]
+        if (found := of.at(at, linked))
     ]
     everybody = by_task(of.found, metric=EXPOSURE)[""][at]
     more = {
@@ -238,7 +234,7 @@ def _choice(of: Headline, options: _Options) -> str:
     untried = ", ".join(words for name, words in _UNDOES.items() if name not in more)
     known = ", ".join(more.values()), untried and f"not tried: {untried}"
     beyond = "; ".join(filter(None, known))
-    fewest = f"{of.name(at)} misses fewest conflicts: {share(cost)} at {share(left)} ({beyond})"
+    fewest = f"{of.name(at)} misses fewest conflicts: {cost} at {left} ({beyond})"
     return f"{by}of the levels that keep {limit}, {fewest}" + "".join(again)
 
 
@@ -248,17 +244,19 @@ def _how(one: Shown) -> str:
     return TASKS[task][1] if task in TASKS else f"in {task}"
 
 
-def _both(of: Headline, where: Where, one: Shown, *, beside: Sequence[str] = ()) -> str:
+def _both(of: Headline, where: Where, one: Shown, *beside: str) -> str:
     """Return a number at a level; in brackets the other adding rule's if it is another, and more.
 
     It is another if the intervals are apart, by what matters at least.
     """
-    twin = of.twin(where)
-    value, other, more = of.at(where, one), of.at(twin, one), list(beside)
+    value, more = of.at(where, one), list(beside)
     if value is None:
         return ""
-    if other and abs(other.value - value.value) >= _MATTERS:
-        apart = max(other.ci_low - value.ci_high, value.ci_low - other.ci_high)
-        rule = of.known[twin[0]].adding.replace("independent", "ind.")
-        more = [f"{rule} {share(other)}"] * (apart > 0) + more
+    mine = of.known[where[0]]
+    for twin in of.known.values():
+        other = of.at((twin.mechanism, where[1]), one) if twin.name == mine.name else None
+        if other and twin.adding not in ("", mine.adding):
+            apart = max(other.ci_low - value.ci_high, value.ci_low - other.ci_high)
+            if apart > 0 and abs(other.value - value.value) >= _MATTERS:
+                more.insert(0, f"{twin.adding.replace('independent', 'ind.')} {share(other)}")
     return share(value) + f" ({', '.join(more)})" * bool(more)

@@ -19,7 +19,7 @@ from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE, SUCCESS, SUCCESS_
 from evaluation.analysis.strongest import by_task, strongest, strongest_of
 from evaluation.experiment.constants import OTHER_LAW_WORLD
 from evaluation.reporting import table as make
-from evaluation.reporting.rows import HEADLINE, estimates, family_of, short_name, spoken
+from evaluation.reporting.rows import HEADLINE, estimates, short_name, spoken
 from evaluation.reporting.table import Cell, Column, Table
 from isac_track.intervals import Estimate
 from isac_track.linkability import GALLERY
@@ -81,19 +81,13 @@ class Headline:
         found = of.get(one.measure.at(*where))
         return found if found is not None and math.isfinite(found.value) else None
 
+    def cost(self, where: Where) -> Estimate | None:
+        """Return what the first robot misses at a level; None where it is not known."""
+        return self.at(where, self.robots[0]) if self.robots else None
+
     def name(self, where: Where) -> str:
         """Return a level as it is asked for, its rule short and last."""
         return short_name(self.known, where)
-
-    def twin(self, where: Where) -> Where:
-        """Return the same level under the other adding rule, which the run may not have."""
-        mine = family_of(self.known, where[0])
-        twins = (
-            name
-            for name, one in self.known.items()
-            if one.name == mine.name and one.adding not in ("", mine.adding)
-        )
-        return next(twins, ""), where[1]
 
 
 def robot_name(consumer: str) -> str:
@@ -161,8 +155,7 @@ def _own_strongest(
             others = {name for name, _ in blocks if known[name].family not in (*SWEPT, CLEAN)}
             for name in others if task in attacks else ():
                 of = {where: block for where, block in blocks.items() if where[0] == name}
-                consumer, knowledge = attacks[task]
-                headline = Source(f"{task}/{consumer}" if task else consumer, knowledge)
+                headline = _headline(task, attacks)
                 best = strongest_of(of.values()) or headline
                 mine |= {
                     headline.measure(metric).at(*where): found[key]
@@ -173,6 +166,11 @@ def _own_strongest(
     return mine
 
 
+def _headline(task: str, attacks: Mapping[str, Source]) -> Source:
+    consumer, knowledge = attacks[task]
+    return Source(f"{task}/{consumer}" if task else consumer, knowledge)
+
+
 def _linked(
     attacks: Mapping[str, Source], found: Mapping[Key, Estimate], linkability: pd.DataFrame | None
 ) -> list[Shown]:
@@ -180,8 +178,7 @@ def _linked(
     values = {key.measure: one.value for key, one in found.items() if math.isfinite(one.value)}
     columns = []
     for task in [one for one in TASKS if one in attacks] or [one for one in attacks if one][:3]:
-        source = Source(f"{task}/{attacks[task].consumer}", attacks[task].knowledge)
-        head = TASKS.get(task, (task,))[0]
+        source, head = _headline(task, attacks), TASKS.get(task, (task,))[0]
         one = Shown(_FOUND, head, source.measure(SUCCESS_OF_100), 1.0 / GALLERY, GALLERY)
         if one.measure not in values:
             chance, sizes = values.get(source.measure("chance"), math.nan), [math.nan]
@@ -206,17 +203,16 @@ def levels_of(
     rest = [where for where in of.wheres if where not in first]
     if len(of.wheres) <= most:
         return [*first, *rest], 0
-    cost = {at: one.value for at in rest for robot in of.robots[:1] if (one := of.at(at, robot))}
-    strict = [of.at(("fid", 1.0), robot) for robot in of.robots[:1]]
-    target = strict[0].value if strict and strict[0] else max(cost.values(), default=0.0)
-    shown = {name for name, _ in first}
+    cost = {at: one.value for at in rest if (one := of.cost(at))}
+    strict = of.cost(("fid", 1.0))
+    target = strict.value if strict else max(cost.values(), default=0.0)
     others = [where for where in rest if where in named]
-    shown |= {name for name, _ in others}
+    shown = {name for name, _ in [*first, *others]}
     for name in dict.fromkeys(name for name, _ in rest if name not in shown):
         usual = [(name, at) for family, at in HEADLINE if family == of.known[name].name]
         ats = [where for where in rest if where[0] == name]
-        ats.sort(key=lambda where: abs(cost.get(where, math.inf) - target))
-        others.append(next((where for where in usual if where in ats), ats[0]))
+        closest = min(ats, key=lambda where: abs(cost.get(where, math.inf) - target))
+        others.append(next((where for where in usual if where in ats), closest))
     room = max(0, most - len(first))
     return [*first, *others[:room]], len(others[room:])
 
@@ -239,9 +235,15 @@ def screen_table(of: Headline, levels: Sequence[Where]) -> Table:
         [make.word(of.name(where)), *(replace(_cell(of, one, where), low="") for one in shown)]
         for where in levels
     ]
-    sizes = [f"{one.candidates:.0f}" for one in of.columns if math.isfinite(one.candidates)]
-    below = {"chance" + f" of {', '.join(sizes)}" * bool(sizes): [one.chance for one in shown]}
-    below["+- (95 %, typical)"] = [_half_width(of, one, levels) for one in shown]
+    sizes = [f"{one.candidates:.0f}" for one in shown if math.isfinite(one.candidates)]
+    widths = [
+        pd.Series([0.5 * (x.ci_high - x.ci_low) for where in levels if (x := of.at(where, one))])
+        for one in shown
+    ]
+    below = {
+        "chance" + f" of {', '.join(sizes)}" * bool(sizes): [one.chance for one in shown],
+        "+- (95 %, typical)": [of_one.median() for of_one in widths],
+    }
     rows += [
         [make.word(name), *(make.number(value, scale=100.0) for value in values)]
         for name, values in below.items()
@@ -254,10 +256,3 @@ def screen_table(of: Headline, levels: Sequence[Where]) -> Table:
 def _cell(of: Headline, one: Shown, where: Where, *, other_law: bool = False) -> Cell:
     found = of.at(where, one, other_law=other_law)
     return make.estimated(one.measure.metric, found) if found else Cell()
-
-
-def _half_width(of: Headline, one: Shown, levels: Sequence[Where]) -> float:
-    """Return the median half-width of the intervals that are shown in a column."""
-    found = [estimate for where in levels if (estimate := of.at(where, one))]
-    widths = [0.5 * (one.ci_high - one.ci_low) for one in found]
-    return float(np.nanmedian(widths)) if np.isfinite(widths).any() else math.nan

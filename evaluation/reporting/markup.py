@@ -1,13 +1,13 @@
 """A table as LaTeX (a booktabs tabular) and Markdown; `templates` has it for the page."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from evaluation.reporting.table import Cell, Column, Table, printable
+from evaluation.reporting.table import Table, printable
 
 TEMPLATES: Final = Path(__file__).with_name("templates")
 _OPTIONS: dict[str, Any] = {
@@ -49,52 +49,20 @@ def escape(text: str) -> str:
 
 def latex(tables: Iterable[Table]) -> str:
     """Return a file of tabulars, several of a table that is too wide for a page."""
+    _LATEX.filters["tex"] = escape
     template = _LATEX.get_template("table.tex.j2")
-    return PREAMBLE + "\n".join(
-        template.render(
-            table=table,
-            columns=[table.columns[place] for place in places],
-            groups=_groups(table, places),
-            escape=escape,
-        )
-        for table in tables
-        for places in _pages(table)
-    )
-
-
-def _pages(table: Table) -> list[list[int]]:
-    """Return which columns go into each tabular."""
-    places = [place for place, column in enumerate(table.columns) if not column.is_long]
-    keys, others = places[: table.n_keys], places[table.n_keys :]
-    starts = range(0, max(1, len(others)), _MOST_COLUMNS)
-    return [[*keys, *others[start : start + _MOST_COLUMNS]] for start in starts]
-
-
-def _groups(table: Table, places: Sequence[int]) -> list[list[list[str]]]:
-    """Return the lines of a tabular's body, those of a heading together."""
-    below = sum(any(row[place].low for row in table.rows) for place in places) > _MOST_BESIDE
-    groups = []
-    for _, rows in groupby(table.rows, key=lambda row: row[: table.n_headings]):
-        lines = []
-        for row in rows:
-            lines.append([_tex(row[n], of=table.columns[n], beside=not below) for n in places])
-            if below and any(row[place].low for place in places):
-                lines.append([_small(row[place]) for place in places])
-        groups.append(lines)
-    return groups
-
-
-def _tex(cell: Cell, *, of: Column, beside: bool) -> str:
-    if not cell.text:
-        return "--" if of.align == "right" and of.name != "level" else ""
-    is_signed = cell.value is not None and cell.text[0] in "+-"
-    text = f"${cell.text}$" if is_signed else escape(cell.text)
-    text += rf"\textsuperscript{{{escape(cell.mark)}}}" if cell.mark else ""
-    return " ".join(filter(None, [text, _small(cell) if beside else "", escape(cell.unit)]))
-
-
-def _small(cell: Cell) -> str:
-    return rf"{{\scriptsize {cell.interval}}}" if cell.low else ""
+    parts = []
+    for table in tables:
+        shown = [place for place, column in enumerate(table.columns) if not column.is_long]
+        keys, others = shown[: table.n_keys], shown[table.n_keys :]
+        groups = groupby(table.rows, key=lambda row, n=table.n_headings: row[:n])  # type: ignore[misc]
+        options = {"table": table, "groups": [list(rows) for _, rows in groups]}
+        for start in range(0, max(1, len(others)), _MOST_COLUMNS):
+            places = [*keys, *others[start : start + _MOST_COLUMNS]]
+            n_intervals = sum(any(row[place].low for row in table.rows) for place in places)
+            is_below = n_intervals > _MOST_BESIDE
+            parts.append(template.render(places=places, is_below=is_below, **options))
+    return PREAMBLE + "\n".join(parts)
 
 
 def markdown(table: Table) -> str:
