@@ -168,31 +168,38 @@ def ratio_estimates(
     """
     # Rows in succession often have one denominator.
     is_new = np.append([True], (denominator[1:] != denominator[:-1]).any(axis=1))
+    place = np.cumsum(is_new) - 1
     drawn = np.concatenate([numerator, denominator[is_new]]) @ weights.T
-    over, under = drawn[: len(numerator)], drawn[len(numerator) :][np.cumsum(is_new) - 1]
-    replicates: Floats = np.full(over.shape, np.nan)
-    np.divide(over, under, out=replicates, where=under > 0)
-    found = []
-    for row, ends in enumerate(percentile_intervals(replicates).T.tolist()):
-        there = denominator[row] > 0
-        hits, trials = numerator[row][there], denominator[row][there]
-        n, effective = hits.size, effective_clusters(denominator[row])
-        value = float(numerator[row].sum()) / float(denominator[row].sum()) if n else np.nan
-        low, high = ends
-        if effective < LEAST_CLUSTERS:
-            low, high = np.nan, np.nan
-            is_count = n and (trials == trials[0]).all() and np.isin(hits, (0.0, trials[0])).all()
-            if is_share[row] and is_count:
-                low, high = exact_binomial(hits=int((hits > 0).sum()), n=n)
-        elif effective < FEW_CLUSTERS:
-            over, under = (sums.sum() - np.append(0.0, sums) for sums in (hits, trials))
-            rest = over / under
-            low, high = jackknife_interval(rest, effective=effective, is_share=is_share[row])
-            low = low if hits.min() < 0.0 else max(0.0, low)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        values = (numerator.sum(axis=1) / denominator.sum(axis=1)).tolist()
+        replicates: Floats = drawn[: len(place)] / drawn[len(place) :][place]
+    effective = [effective_clusters(one) for one in denominator[is_new]]
+    n_clusters, found = (denominator > 0).sum(axis=1).tolist(), []
+    for row, (low, high) in enumerate(percentile_intervals(replicates).T.tolist()):
+        value, n, few = values[row], n_clusters[row], effective[place[row]]
+        ends = low, high
+        if few < FEW_CLUSTERS:
+            sums = numerator[row], denominator[row]
+            ends = _interval_of_few(*sums, effective=few, is_share=is_share[row])
         elif is_share[row] and value in (0.0, 1.0):
-            low, high = wilson(hits=value * n, n=n)
-        found.append(Estimate(value, low, high, n, replicates[row], effective=effective))
+            ends = wilson(hits=value * n, n=n)
+        found.append(Estimate(value, *ends, n, replicates[row], effective=few))
     return found
+
+
+def _interval_of_few(
+    numerator: Floats, denominator: Floats, *, effective: float, is_share: bool
+) -> tuple[float, float]:
+    there = denominator > 0
+    hits, trials = numerator[there], denominator[there]
+    if effective >= LEAST_CLUSTERS:
+        rest, of = (sums.sum() - np.append(0.0, sums) for sums in (hits, trials))
+        low, high = jackknife_interval(rest / of, effective=effective, is_share=is_share)
+        return (low if hits.min() < 0.0 else max(0.0, low)), high
+    is_count = (trials == trials[:1]).all() and np.isin(hits, (0.0, *trials[:1])).all()
+    if is_share and is_count and hits.size:
+        return exact_binomial(hits=int((hits > 0).sum()), n=hits.size)
+    return np.nan, np.nan
 
 
 def percentile_interval(replicates: Floats) -> tuple[float, float]:
@@ -209,13 +216,13 @@ def percentile_intervals(replicates: Floats) -> Floats:
     """
     if not replicates.size:
         return np.full((2, len(replicates)), np.nan)
-    rows = np.arange(len(replicates))
-    last = np.maximum((~np.isnan(replicates)).sum(axis=1) - 1, 0)
-    ordered = np.sort(replicates, axis=1)
+    last = np.maximum(replicates.shape[1] - 1 - np.isnan(replicates).sum(axis=1), 0)
     tail = (1.0 - CONFIDENCE) / 2.0
     place = np.array([[tail], [1.0 - tail]]) * last
     below = place.astype(np.int64)
-    a, b = ordered[rows, below], ordered[rows, np.minimum(below + 1, last)]
+    both = np.stack([below, np.minimum(below + 1, last)])
+    ordered = np.partition(replicates, np.unique(both), axis=1)
+    a, b = ordered[np.arange(len(replicates)), both]
     part, step = place - below, b - a
     # From the nearer of the two, as numpy does it.
     ends: Floats = np.where(part < 0.5, a + step * part, b - step * (1.0 - part))  # noqa: PLR2004 - half way

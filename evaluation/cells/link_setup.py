@@ -192,7 +192,8 @@ def linkage_weights(drawn_as: Ints, *, n_groups: int, task: str, seed: int) -> F
     among themselves. `drawn_as`, (C,), is the place of each among the `n_groups` clusters of the
     run's scenes, or -1.
     """
-    weights = np.empty((N_REPLICATES, drawn_as.size))
+    # Cluster by cluster: so a product with sums in each cluster need not be laid out anew.
+    weights = np.empty((N_REPLICATES, drawn_as.size), order="F")
     again, further = np.flatnonzero(drawn_as >= 0), np.flatnonzero(drawn_as < 0)
     if again.size:
         drawn = cluster_weights(n_clusters=n_groups, n_replicates=N_REPLICATES, seed=seed)

@@ -15,7 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isac_track.linkability.ranks import Search
-from isac_track.linkability.scores import Calibration, default_bins, inner_edges, is_refused
+from isac_track.linkability.scores import (
+    Calibration,
+    default_bins,
+    inner_edges,
+    is_refused,
+    softplus,
+)
 from isac_track.linkability.significance import People, import_loops, mated_probes
 from isac_track.types import Floats, Ints
 
@@ -201,11 +207,8 @@ def _costs(
         mated = mated_probes(who)
         mates = mated.probes, mated.mate
         llr = calibration.slope * search.scores + calibration.intercept
-        own += np.logaddexp(0.0, -llr[mates]) @ first[mated.probes]
-        # log(1 + LR), in a way that does not overflow and that numpy computes several at a time.
-        costs = np.abs(llr)
-        np.log1p(np.exp(np.negative(costs, out=costs), out=costs), out=costs)
-        costs += np.maximum(llr, 0.0, out=llr)
+        own += softplus(-llr[mates]) @ first[mated.probes]
+        costs = softplus(llr)
         costs[mates] = 0.0
         # Within a cluster, a pair weighs no more than the probe.
         once = np.bincount(within[0], weights=costs[within], minlength=len(first))

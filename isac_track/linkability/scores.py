@@ -14,7 +14,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import expit
 
 from isac_track.linkability.significance import import_loops
 from isac_track.types import Floats
@@ -92,43 +91,33 @@ def fit_calibration(*, mated: Floats, non_mated: Floats) -> Calibration:
     centre, spread = float(scores.mean()), float(scores.std())
     if not spread > 0:
         return Calibration(0.0, 0.0)
-    design = np.stack([(scores - centre) / spread, np.ones(scores.size)])
     sign = np.repeat([1.0, -1.0], [mated.size, non_mated.size])
     mass = np.repeat([1.0 / mated.size, 1.0 / non_mated.size], [mated.size, non_mated.size])
+    design = sign * np.stack([(scores - centre) / spread, np.ones(scores.size)])
 
-    def against(parameters: Floats) -> Floats:
-        return np.asarray(-sign * (parameters @ design))
+    def gradient_at(parameters: Floats) -> tuple[Floats, Floats]:
+        with np.errstate(over="ignore"):
+            wrong = 1.0 / (1.0 + np.exp(parameters @ design))
+        pull = mass * wrong
+        return np.array([SLOPE_PENALTY, 0.0]) * parameters - design @ pull, pull - pull * wrong
 
-    def loss(parameters: Floats, nats: Floats) -> float:
-        cost = mass @ np.logaddexp(0.0, nats)
-        return float(cost + SLOPE_PENALTY / 2 * parameters[0] ** 2)
-
-    parameters = np.zeros(2)
-    nats = against(parameters)
-    current = loss(parameters, nats)
+    # The intercept gets a little of it too, lest rounding make the curvature singular.
+    parameters, least = np.zeros(2), np.diag([SLOPE_PENALTY, 1e-12])
+    gradient, bend = gradient_at(parameters)
     for _ in range(100):
-        wrong = expit(nats)
-        gradient = -design @ (mass * sign * wrong)
-        gradient[0] += SLOPE_PENALTY * parameters[0]
-        curvature = (design * (mass * wrong * (1 - wrong))) @ design.T
-        # The intercept gets a little of it too, lest rounding make the matrix singular.
-        curvature += np.diag([SLOPE_PENALTY, 1e-12])
-        step = np.linalg.solve(curvature, gradient)
-        length = 1.0
-        while True:
-            tried = parameters - length * step
-            nats = against(tried)
-            new = loss(tried, nats)
-            if new <= current or length <= 1e-6:  # noqa: PLR2004 - no step at all
-                break
-            length /= 2
-        if new > current:
+        (a, b), (_, c) = (design * bend) @ design.T + least
+        step = np.array([[c, -b], [-b, a]]) @ gradient / (a * c - b * b)
+        fall = float(gradient @ step)
+        if fall < 1e-18:  # noqa: PLR2004 - of which the next step's is the square
+            parameters -= step
             break
-        parameters = tried
-        converged = current - new < 1e-14  # noqa: PLR2004 - rounding
-        current = new
-        if converged:
-            break
+        gradient, bend = gradient_at(parameters - step)
+        # The loss is convex: where it rises more steeply than it fell, the step was too long.
+        while -float(gradient @ step) > fall:
+            step /= 2
+            fall /= 2
+            gradient, bend = gradient_at(parameters - step)
+        parameters -= step
     if parameters[0] <= 0:
         return Calibration(0.0, 0.0)
     slope = float(parameters[0]) / spread
@@ -141,8 +130,16 @@ def cllr(*, llr_mated: Floats, llr_non_mated: Floats) -> float:
     0 for a perfect attack, 1 for one that says nothing (every LLR 0), more for one that misleads.
     """
     _check_classes(llr_mated, llr_non_mated)
-    cost = np.logaddexp(0.0, -llr_mated).mean() + np.logaddexp(0.0, llr_non_mated).mean()
+    cost = softplus(-llr_mated).mean() + softplus(llr_non_mated).mean()
     return float(cost) / (2.0 * math.log(2.0))
+
+
+def softplus(nats: Floats) -> Floats:
+    """Return log(1 + e^x) without overflow, in steps that numpy takes for several x at once."""
+    cost = np.abs(nats)
+    np.log1p(np.exp(np.negative(cost, out=cost), out=cost), out=cost)
+    cost += np.maximum(nats, 0.0)
+    return np.asarray(cost)
 
 
 def cllr_min(*, mated: Floats, non_mated: Floats) -> float:

@@ -353,7 +353,7 @@ def _of_ranks(
         "n_probes": above.size,
         "n_mated": hits.size,
         "gallery_sizes": (min(sizes), max(sizes), sum(sizes) / len(sizes)),
-        "n_clusters": int(np.unique(clusters).size),
+        "n_clusters": np.count_nonzero(np.bincount(clusters)),
         "minimum_detectable_rank1": minimum_detectable_rank1(
             n=hits.size, chance=float(chances.mean()) if hits.size else 1.0
         ),
@@ -364,8 +364,10 @@ def _companions(search: Search) -> Ints:
     """Return `ProbeRanks.companions` of a search."""
     probe, column = companions_of(people_of(search))
     own, theirs = search.scores[probe, search.mate[probe]], search.scores[probe, column]
-    which = (np.ones(probe.size, dtype=bool), theirs > own, theirs == own)
-    return np.stack([np.bincount(probe[one], minlength=search.mate.size) for one in which], axis=1)
+    which = 3 * probe + (theirs > own) + 2 * (theirs == own)
+    found = np.bincount(which, minlength=3 * search.mate.size).reshape(-1, 3)
+    found[:, 0] += found[:, 1] + found[:, 2]
+    return found
 
 
 def _rank_estimates(probes: ProbeRanks, weights: Floats) -> dict[str, Estimate]:
@@ -378,7 +380,7 @@ def _rank_estimates(probes: ProbeRanks, weights: Floats) -> dict[str, Estimate]:
     )
     estimates = dict(zip(sums, found, strict=True))
     known = estimates["chance"]
-    if known.n > 1:  # however few they are
+    if known.n > 1 and known.effective < FEW_CLUSTERS:  # however few they are
         estimates["chance"] = estimate_of(np.append(known.value, known.replicates), n=known.n)
     estimates["residual_risk"] = _residual_risk_estimate(
         *(estimates[name] for name in ("rank1", "chance")),
@@ -389,9 +391,9 @@ def _rank_estimates(probes: ProbeRanks, weights: Floats) -> dict[str, Estimate]:
 
 def _residual_risk_estimate(success: Estimate, control: Estimate, *, is_few: bool) -> Estimate:
     value = residual_risk(success=success.value, control=control.value)
-    replicates, left = np.full(success.replicates.size, np.nan), 1.0 - control.replicates
-    gain = success.replicates - control.replicates
-    np.divide(gain, left, out=replicates, where=control.replicates < 1.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        replicates = (success.replicates - control.replicates) / (1.0 - control.replicates)
+    replicates[control.replicates == 1.0] = np.nan
     low, high = math.nan, math.nan
     if is_few or success.value in {0.0, 1.0}:
         # The share's own ends; guessing's chance is known.

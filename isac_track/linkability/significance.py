@@ -113,21 +113,21 @@ def rank1_p(*, hits: Floats, chance: Floats) -> float:
     n_hits = math.floor(float(hits.sum()) + 1e-9)
     if n_hits == 0:
         return 1.0
-    return _chance_of(n_hits, chance.astype(np.float64).tobytes())
+    return float(_tail_of(chance.astype(np.float64).tobytes())[n_hits])
 
 
-@lru_cache(maxsize=256)
-def _chance_of(n_hits: int, chance: bytes) -> float:
-    """Return the probability of so many hits or more; attacks on the same people ask it again."""
+@lru_cache(maxsize=64)
+def _tail_of(chance: bytes) -> Floats:
+    """Return the probability of 0..N hits or more; attacks on the same people ask it again."""
     values, counts = np.unique(np.frombuffer(chance), return_counts=True)
     if values.size == 1:
-        return float(bdtrc(n_hits - 1, counts[0], values[0]))
+        return np.append(1.0, bdtrc(np.arange(counts[0]), counts[0], values[0]))
     law = np.ones(1)
     for p, n in zip(values, counts, strict=True):
         k = np.arange(n + 1)
         log_choose = gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1)
         law = np.convolve(law, np.exp(log_choose + xlogy(k, p) + xlog1py(n - k, -p)))
-    return min(1.0, float(law[n_hits:].sum()))
+    return np.minimum(1.0, np.cumsum(law[::-1])[::-1])
 
 
 @lru_cache(maxsize=64)
