@@ -31,13 +31,14 @@ _BIG = 1e100
 _THIRD, _SIXTH, _TWELFTH = 1 / 3, 1 / 6, 1 / 12  # to multiply by takes a tenth of the time
 
 LANES = 8
+_FAR = 2.0**600  # m^2, so far off are they that their weight is that of their variance alone.
 _NOTHING = 2.0**200  # m^2, variance of the samples beyond the end of a track.
 
-# Where the fields of a row begin: sigma^2 of the error's length, its variance per axis in this
-# pass, and the state with its covariance [[a, b], [b, c]].
-_T, _X, _Y, _SQUARE, _VARIANCE, *_STATE = range(0, 13 * LANES, LANES)
+# Where the fields of a row begin: sigma^2 of the error's length, and the state with its covariance
+# [[a, b], [b, c]].
+_T, _X, _Y, _SQUARE, *_STATE = range(0, 12 * LANES, LANES)
 _PX, _VX, _PY, _VY, _A, _B, _C, _DET = _STATE
-_ROW = 13 * LANES
+_ROW = 12 * LANES
 
 
 @compiled(*_LAST)
@@ -222,8 +223,12 @@ def ca_last(batch: _Batch, q: float, gate: float, patience: int, out: _Last) -> 
 
 
 @part_of_loop
-def _forward(buffer: Floats, n: int, q: float) -> None:
-    """Filter as `cv_last`; row 0 is the prior at the first sample, which is row 1."""
+def _forward(buffer: Floats, n: int, q: float, blur: float) -> None:
+    """Filter as `cv_last`; row 0 is the prior at the first sample, which is row 1.
+
+    The weight of a sample is 1 / (r^2 + delta^2) + 1 / sigma^2, by what the pass before left in its
+    row: half of sigma^2 is the variance where that is the sample itself, known exactly.
+    """
     for k in range(n):
         rows = buffer[k * _ROW : (k + 2) * _ROW]
         for lane in range(LANES):
@@ -239,9 +244,14 @@ def _forward(buffer: Floats, n: int, q: float) -> None:
             vx, vy = rows[lane + _VX], rows[lane + _VY]
             px = rows[lane + _PX] + dt * vx
             py = rows[lane + _PY] + dt * vy
-            r = rows[at + _VARIANCE]
+            x, y, square = rows[at + _X], rows[at + _Y], rows[at + _SQUARE]
+            rx, ry = x - rows[at + _PX], y - rows[at + _PY]
+            # Added, not chosen: a choice would be a branch around the division, lane by lane.
+            far = _FAR if square == _NOTHING else 0.0
+            near = rx * rx + ry * ry + 2 * rows[at + _A] + blur * square + far
+            r = near * (square / (near + square))
             inverse = 1 / (a + r)
-            ex, ey = rows[at + _X] - px, rows[at + _Y] - py
+            ex, ey = x - px, y - py
             gain_p, gain_v, shrink = a * inverse, b * inverse, r * inverse
             rows[at + _PX] = px + gain_p * ex
             rows[at + _VX] = vx + gain_v * ex
@@ -278,7 +288,7 @@ def _backward(buffer: Floats, n: int, q: float) -> None:
             share = grown * inverse
             spread = det_share * grown
             # det / det is not 1 to the last bit, and what changes nothing must.
-            nothing = rows[after + _VARIANCE] == _NOTHING
+            nothing = rows[after + _SQUARE] == _NOTHING
             g00 = det_share + share * (pa + dt * pb / 2)
             g11 = det_share - share * dt * (pb / 2 + dt * pc * _SIXTH)
             g00 = 1.0 if nothing else g00
@@ -302,20 +312,6 @@ def _backward(buffer: Floats, n: int, q: float) -> None:
             rows[lane + _A] = c00 + h00 * g00 + h01 * g01
             rows[lane + _B] = c01 + h00 * g10 + h01 * g11
             rows[lane + _C] = c11 + h10 * g10 + h11 * g11
-
-
-@part_of_loop
-def _reweigh(buffer: Floats, n: int, blur: float) -> None:
-    """Set the variances of the next pass: 1 / (r^2 + delta^2) + 1 / sigma^2 is the weight."""
-    for k in range(1, n + 1):
-        row = buffer[k * _ROW : (k + 1) * _ROW]
-        for lane in range(LANES):
-            rx = row[lane + _X] - row[lane + _PX]
-            ry = row[lane + _Y] - row[lane + _PY]
-            square = row[lane + _SQUARE]
-            near = rx * rx + ry * ry + 2 * row[lane + _A] + blur * square
-            weighed = near * (square / (near + square))
-            row[lane + _VARIANCE] = _NOTHING if square == _NOTHING else weighed
 
 
 @compiled(_BATCH, read(1, "int64"), FLOAT, INT, FLOAT, written(2), written(1))
@@ -351,17 +347,15 @@ def smooth_positions(
             for lane in range(LANES):
                 own = first[lane] + min(k, size[lane] - 1)
                 square = 2.0 * variance[own] if k < size[lane] else _NOTHING
-                row[lane + _T] = t[own]
+                row[lane + _T], row[lane + _SQUARE] = t[own], square
                 row[lane + _X], row[lane + _Y] = xy[own, 0], xy[own, 1]
-                row[lane + _SQUARE] = square
-                row[lane + _VARIANCE] = _NOTHING if square == _NOTHING else square / 2
+                row[lane + _PX], row[lane + _PY], row[lane + _A] = xy[own, 0], xy[own, 1], 0.0
         blur = 1.0
         for turn in range(passes):
-            if turn > 0:
-                _reweigh(buffer, n, blur)
-                blur *= anneal
-            _forward(buffer, n, q)
+            _forward(buffer, n, q, blur)
             _backward(buffer, n, q)
+            if turn > 0:
+                blur *= anneal
         for k in range(n):
             row = buffer[(k + 1) * _ROW : (k + 2) * _ROW]
             for lane in range(used):
