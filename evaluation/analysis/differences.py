@@ -259,7 +259,7 @@ def _rows(
         if not (same and paired):
             found = difference(a, b, paired=paired, metric=metric.name)
         if metric.name == SUCCESS and key_a not in of_one_size:
-            found = Difference(b.value - a.value)
+            found = Difference(math.nan)  # galleries of two sizes do not compare
         where = (math.nan if one is None else one for one in (*key_a.where, *key_b.where))
         rows.append(
             {
@@ -294,7 +294,8 @@ def _lead(
 ) -> pd.DataFrame:
     """Return the rows that tell most, at the levels of the smoke preset, else at the first ones.
 
-    Attacks are the strongest of A; rank 1 is of the first task, of 100 people if both have it.
+    Attacks are the strongest of A; rank 1 is of the first task, of 100 people if both have it, and
+    left out where galleries differ.
     """
     best = strongest(found, families_in(cells))
     known = dict.fromkeys(key.measure for key, one in found.items() if np.isfinite(one.value))
@@ -311,7 +312,8 @@ def _lead(
     of_a = rows.rename(columns={"mechanism_a": "mechanism", "level_a": "level"})
     place = dict(zip(keys_of(of_a), rows.index, strict=True))
     asked = (measure.at(*where) for measure in wanted for where in levels)
-    return rows.loc[[place[key] for key in asked if key in place]]
+    lead = rows.loc[[place[key] for key in asked if key in place]]
+    return lead[(lead["metric"] != SUCCESS) | lead["difference"].notna()]
 
 
 def short_list(names: Sequence[str]) -> str:

@@ -18,8 +18,15 @@ from evaluation.analysis.families import RAW
 from evaluation.analysis.keys import AS_SHARED, Key, Source
 from evaluation.analysis.linkability import dataset_of
 from evaluation.analysis.matching import CRITERIA, Sweeps, interpolated, places, with_ends
-from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, ROBOTS_OWN, SUCCESS, SUCCESS_OF_100
-from evaluation.analysis.strongest import GROUPS, by_mechanism, by_task, cross_fitted, strongest_of
+from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, ROBOTS_OWN, SUCCESS
+from evaluation.analysis.strongest import (
+    GROUPS,
+    by_mechanism,
+    by_task,
+    cross_fitted,
+    strongest_of,
+    success_of,
+)
 from evaluation.runs.cell_files import Summed
 from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, Estimate
 from isac_track.types import Bools, Floats, Ints
@@ -92,9 +99,7 @@ def told(
                 crossed |= cross_fitted(own, sweeps.known, source, seed=seed, by=by)[0]
             names = DESCRIPTORS
             if task:
-                at_raw = sweeps.found.get(whose[RAW].measure(SUCCESS_OF_100).at(RAW, None))
-                has_100 = at_raw is not None and np.isfinite(at_raw.value)
-                names = (SUCCESS_OF_100 if has_100 else SUCCESS,)
+                names = (success_of(sweeps.found, whose[RAW]),)
             found += [Told(name, whose, name in (names[0], EXPOSURE)) for name in names]
     return found, crossed
 

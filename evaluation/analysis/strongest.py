@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 
-from evaluation.analysis.families import CLEAN, FID, FIXED, SWEPT, Family
+from evaluation.analysis.families import CLEAN, FID, FIXED, RAW, SWEPT, Family
 from evaluation.analysis.keys import AS_SHARED, INFORMED, Key, Source, Where
-from evaluation.analysis.metrics import EXPOSURE, METRICS, SUCCESS
+from evaluation.analysis.metrics import EXPOSURE, METRICS, SUCCESS, SUCCESS_OF_100
 from evaluation.experiment.presets import IDENTITY
 from isac_track.rng import stream
 
@@ -71,6 +71,12 @@ def strongest(found: Mapping[Key, Estimate], known: Mapping[str, Family]) -> dic
             if one is not None:
                 best[task] = one
     return best
+
+
+def success_of(found: Mapping[Key, Estimate], linker: Source) -> str:
+    """Return the metric of who is found by a linker: rank 1 of 100 where so many are candidates."""
+    at_raw = found.get(linker.measure(SUCCESS_OF_100).at(RAW, None))
+    return SUCCESS_OF_100 if at_raw is not None and np.isfinite(at_raw.value) else SUCCESS
 
 
 def _choosing(

@@ -201,7 +201,9 @@ def notices(manifest: Mapping[str, Any]) -> Iterator[str]:
     for key, words in _NOTICES.items():
         found = manifest.get(key) or []
         yield from map(words.format, found if isinstance(found, list) else [found])
-    for task in (manifest.get("linkage") or {}).get("tasks", {}):
+    for task, one in (manifest.get("linkage") or {}).get("tasks", {}).items():
+        if 2 * one.get("frozen", 0) > one["people"]:
+            yield f"{task}: {one['frozen']} of {one['people']} tracks are nearly frozen"
         if told := approximation(manifest, task):
             yield f"{task}: {told}"
 

@@ -12,12 +12,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import pandas as pd
 
 from evaluation.analysis import linkability
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW, Family, families_in
-from evaluation.analysis.keys import AS_SHARED, Source, Where, keys_of
-from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE, SUCCESS
+from evaluation.analysis.keys import AS_SHARED, Key, Source, Where, keys_of
+from evaluation.analysis.metrics import (
+    DESCRIPTORS,
+    EXPOSURE,
+    METRICS,
+    MISSED_RATE,
+    SUCCESS,
+    SUCCESS_OF_100,
+)
 from evaluation.analysis.strongest import GROUPS, by_task, strongest_of
 from evaluation.analysis.summary import COLUMNS
 from evaluation.experiment.constants import SHARED
@@ -26,6 +34,7 @@ from evaluation.runs.files import content_of, from_csv
 from evaluation.runs.manifest import read_manifest
 from isac_track.errors import DataError, SettingsError, did_you_mean
 from isac_track.intervals import LEAST_CLUSTERS, Estimate
+from isac_track.linkability import GALLERY
 
 TARGETS: Final = ("missed", "false_alarm")  # What chooses a level.
 METRIC_OF: Final = {
@@ -304,7 +313,8 @@ def _levels(
     """
     robot = Source(robots[0])
     dataset, identity = manifest["dataset"]["name"], manifest["identity"]
-    n_files = {one["consumer"]: len(one["files"]) for one in manifest["cells"]}
+    own = (one for one in manifest["cells"] if not one.get("world"))
+    n_files = {one["consumer"]: len(one["files"]) for one in own}
     is_in_all = n_files.get(robot.consumer, 0) != n_files.get(SHARED)
     attacked = identity["scenes"]
     scenes = attacked, identity.get("scenes_utility", attacked) if is_in_all else attacked
@@ -324,15 +334,20 @@ def _levels(
             known = numbers(where, robot, TARGETS) | numbers(where, AS_SHARED, DESCRIPTORS)
             every = (strongest_of([exposed], among=group) for group in GROUPS)
             of = [one and Attacked(*one, numbers(where, one, DESCRIPTORS)) for one in every]
-            linked = tuple(_strongest(task, where, dataset) for task in tasks)
+            linked = tuple(_strongest(task, where, dataset, found) for task in tasks)
             costs = {name: numbers(where, Source(name), TARGETS)["missed"] for name in robots}
             beyond = tuple(one for one in of[1:] if one)
             levels.append(Level(*where, *scenes, known, of[0], linked, costs, beyond))
     return levels
 
 
-def _strongest(task: linkability.LinkedTask, where: Where, dataset: str) -> Linked:
-    """Return the strongest linker at a level, of the valid ones if there are any."""
+def _strongest(
+    task: linkability.LinkedTask, where: Where, dataset: str, found: Mapping[Key, Estimate]
+) -> Linked:
+    """Return the strongest linker at a level, of the valid ones if there are any.
+
+    Told is rank 1 of 100 where so many are candidates: a limit holds for any recording.
+    """
     own, rows = linkability.dataset_of(task.name, dataset=dataset), task.cells.get(where, {})
     rank1 = {source: row[SUCCESS] for source, row in rows.items()}
     poor = {source for source, row in rows.items() if row["outcome"] == WEAK or row["invalid"]}
@@ -341,8 +356,12 @@ def _strongest(task: linkability.LinkedTask, where: Where, dataset: str) -> Link
     if best is None:
         return Linked(task.name, own, own == dataset)
     achieved = Estimate(*(rows[best][name] for name in (SUCCESS, *_ENDS)))
-    judged = (rows[best][name] for name in ("chance", "outcome", "invalid"))
-    return Linked(task.name, own, own == dataset, *best, achieved, *judged)
+    chance, *judged = (rows[best][name] for name in ("chance", "outcome", "invalid"))
+    linker = Source(f"{task.name}/{best.consumer}", best.knowledge)
+    of_100 = found.get(linker.measure(SUCCESS_OF_100).at(*where), UNKNOWN)
+    if np.isfinite(of_100.value):
+        achieved, chance = of_100, 1.0 / GALLERY
+    return Linked(task.name, own, own == dataset, *best, achieved, chance, *judged)
 
 
 def _refuse_missing(choice: Choice, have: Mapping[str, str], *, is_attacked: bool) -> None:

@@ -14,7 +14,8 @@ from evaluation.analysis.families import ADDING_RULES, FID, FIXED
 from evaluation.analysis.frontier import TARGETS
 from evaluation.analysis.keys import AS_SHARED, Measure, Source
 from evaluation.analysis.matching import CRITERIA, MIN_DEFINED, Sweeps, at_changes
-from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
+from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS_OF_100
+from evaluation.analysis.strongest import success_of
 from evaluation.verdict import rules
 from evaluation.verdict.items import Draft
 from evaluation.verdict.rules import NAME, known
@@ -34,7 +35,8 @@ def claims(sweeps: Sweeps, strongest: Mapping[str, Source], *, predictor: str) -
     """
     wanted = {AS_SHARED.measure(descriptor): AS_IS for descriptor in DESCRIPTORS}
     for task, source in strongest.items():
-        metrics, of = ((SUCCESS,), LINKED) if task else (DESCRIPTORS, AFTER)
+        by_rank = (success_of(sweeps.found, source),)
+        metrics, of = (by_rank, LINKED) if task else (DESCRIPTORS, AFTER)
         wanted |= dict.fromkeys(map(source.measure, metrics), of)
     for adding in ADDING_RULES:
         fixed = sweeps.named(FIXED, adding=adding)
@@ -77,12 +79,13 @@ def _claim(
     ]
     source = measure.source
     descriptor = "" if of == LINKED else measure.metric
+    gallery = "100" if measure.metric == SUCCESS_OF_100 else "the candidates of this run"
     where = f"{_WHERE[criterion]} ({adding} adding)"
     who = mechanism or "FID"
     what = {
         AS_IS: f"{NAME.get(descriptor, '')} as shared",
         AFTER: f"{NAME.get(descriptor, '')} after {source.consumer}",
-        LINKED: f"the share of people linked in {source.task}",
+        LINKED: f"the share of people found among {gallery} in {source.task}",
     }[of]
     share = f", {100 * relative:+.0f} % of fixed noise's" if np.isfinite(relative) else ""
     than = f"under {who} than under fixed noise: {{}}{share}."
@@ -107,6 +110,7 @@ def _claim(
         untestable="" if reached.any() else f"not both surely miss {least} more than raw",
         details={
             "of": of,
+            **({"metric": measure.metric} if of == LINKED else {}),
             "relative": known(relative),
             "range": [float(targets[reached][place]) for place in (0, -1)] if points else None,
             "unreached": targets[~reached].tolist(),

@@ -183,6 +183,17 @@ def widths(one: Contrasts, section: Floats) -> Widths:
     return Widths(down, up, of_fall * one.fall_error, of_fall * one.span_error)
 
 
+def intervals(one: Contrasts) -> tuple[Floats, Floats]:
+    """Return the ends of each contrast's own interval, (K,): of counts where few people differ."""
+    half = stdtrit(np.maximum(one.degrees, 1.0), _TAIL) * one.errors
+    low, high = one.gaps[0] - half, one.gaps[0] + half
+    least, most = exact_ends(*one.discordant[:2], one.degrees + 1.0, 1.0 - _TAIL)
+    return (
+        np.where(one.is_exact, np.minimum(low, least), low),
+        np.where(one.is_exact, np.maximum(high, most), high),
+    )
+
+
 def ends(one: Contrasts, wide: Widths, gaps: Floats) -> tuple[Floats, Floats]:
     """Return lower ends of |D_k|, at least 0, and upper ends, (R, K) each."""
     # Of a contrast that is one-sided only its own direction counts.

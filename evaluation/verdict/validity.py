@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any, Final, TypeAlias
 
 import numpy as np
-from scipy.special import stdtrit
 
 from evaluation.analysis.families import ADDING_RULES, Family
 from evaluation.analysis.keys import where_text
@@ -22,7 +21,7 @@ from evaluation.verdict.panel import Panel, Sums, contrasts, drawn_weights, pane
 from evaluation.verdict.prediction_error import Squared, kind_of, prediction_errors
 from evaluation.verdict.rules import BETWEEN, NAME, known, with_interval
 from evaluation.verdict.spread import BOTH, NEITHER, ONLY_FEWER, ONLY_MORE, Contrasts, Widths
-from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE, Estimate
+from isac_track.intervals import FEWEST_EFFECTIVE, Estimate
 from isac_track.rng import stream
 from isac_track.types import Floats
 
@@ -214,7 +213,7 @@ def _contrasts(
 ) -> list[dict[str, Any]]:
     """Return contrasts as in `verdict.json`, each with its own interval, not adjusted."""
     low, high = (one[0] for one in spread.ends(found, wide, found.gaps[:1]))
-    half = stdtrit(np.maximum(found.degrees, 1.0), 0.5 + CONFIDENCE / 2) * found.errors
+    own = spread.intervals(found)
     rows = []
     for k, (place, gap) in enumerate(zip(places, found.gaps[0].tolist(), strict=True)):
         level = of.task.levels[place]
@@ -230,9 +229,9 @@ def _contrasts(
                 "level": None if place in of.fid else level.level,
                 "quartile": spread.QUARTILES[k] if place in of.fid else None,
                 "subject": level.linker.attack.label,
-                "effect": gap if np.isfinite(half[k]) else None,
-                "ci_low": known(gap - half[k]),
-                "ci_high": known(gap + half[k]),
+                "effect": gap if np.isfinite(found.errors[k]) else None,
+                "ci_low": known(own[0][k]),
+                "ci_high": known(own[1][k]),
                 "unit": "fraction",
                 "n": int(found.people[k]),
                 "reading": next((name for name, is_so in readings.items() if is_so), BETWEEN),

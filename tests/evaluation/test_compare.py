@@ -226,6 +226,9 @@ class TestOtherPeople:
     def test_nothing_is_paired_and_intervals_combine_those_of_either_run(self, run, both):
         found = both("base", "others")
         assert set(found.rows["pairing"]) == {"none"}
+        # Galleries of two sizes do not compare.
+        assert found.rows.loc[found.rows["metric"] == "rank1", "difference"].isna().all()
+        assert set(found.lead["metric"]) == {"missed_conflict_rate", "plr"}
         assert {"sha256", "tracks", "tracks_used"} <= found.changed["data"].keys()
         assert re.search(r"tracks_used +30 -> 24", shown(found))
         one, two = (numbers(run(name)).loc[PLR] for name in ("base", "others"))

@@ -13,7 +13,7 @@ from helpers.finished_runs import (
 )
 
 from evaluation.analysis.keys import Source
-from evaluation.reporting.announcements import condensed
+from evaluation.reporting.announcements import condensed, notices
 from evaluation.reporting.answers import chosen_levels, headline_of
 from evaluation.reporting.first_screen import first_screen
 from evaluation.reporting.progress import Clock
@@ -68,7 +68,8 @@ def test_what_simulates_says_so_first_and_doubts_are_counted():
     assert text.startswith("SIMULATED crowd ")
     assert "Doubts: 1 cell FAILED, 1 flag of weak attacks, 6 of " in text
     assert "linkage cells invalid (duration gives away)" in text
-    assert "7 tracks frozen, split left out." in text
+    assert "7 tracks frozen, split left out, 1 notice." in text
+    assert [*notices(run.manifest)] == ["rerelease: 7 of 9 tracks are nearly frozen"]
 
 
 @pytest.mark.parametrize("name", ["students03-paper-0", "a-recording-with-a-long-name-paper-0"])

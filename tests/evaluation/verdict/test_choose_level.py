@@ -5,7 +5,18 @@ from functools import partial
 import numpy as np
 import pandas as pd
 import pytest
-from helpers.summaries import FID, FIXED, HALF, USUAL, asked, edited, scheme, statuses, write_run
+from helpers.summaries import (
+    FID,
+    FIXED,
+    HALF,
+    USUAL,
+    asked,
+    edit_manifest,
+    edited,
+    scheme,
+    statuses,
+    write_run,
+)
 
 from evaluation.reporting.design_words import closer, notes, reasons, sentence, to_json
 from evaluation.verdict.choose_level import WEAK, Limits
@@ -173,6 +184,14 @@ class TestLimits:
     )
     def test_missed_within_the_interval_asks_for_more_scenes(self, made, limit, half, told):
         out = made({"fid": {100.0: 0.20}}, half=half)
+        # The robot is read in all scenes; in those of another world as in the attacked ones.
+        kinds = ("predictor", "least_squares"), ("shared", "shared"), ("predictor", "least_squares")
+        files = [f"fid-100-sharing_{n:05}_{n:016}.parquet" for n in range(8)]
+        at = {"mechanism": "fid", "family": "fid", "adding": "linear", "level": 100.0}
+        at |= {"spec": "fid:100", "files": files[:2], "knowledge": "", "slow": False, "world": ""}
+        cells = [at | {"kind": kind, "consumer": name} for kind, name in kinds]
+        cells[0]["files"], cells[2]["world"] = files, "law=isotropic"
+        edit_manifest(out, lambda manifest: manifest.update(cells=cells))
         (line, *_) = reasons(scheme(linear(out, missed=limit)))
         assert told in line
         assert ("would tell" in line) == ("would tell" in told)

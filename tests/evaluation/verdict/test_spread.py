@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import stdtrit
 from scipy.stats import binomtest, norm, t
 
 from evaluation.verdict import power, rules, spread
@@ -105,6 +106,9 @@ class TestEnds:
         one = contrasts([0.0, 0.0], [0.01, 1e-12], degrees=[99.0, 99.0], discordant=few)
         assert one.furthest == pytest.approx(np.abs(one.gaps[1:, 0]) / 0.01)
         assert spread.widths(one, one.furthest).up[1] == pytest.approx(1 - 0.0125 ** (1 / 100))
+        expected = [stdtrit(99.0, 0.975) * 0.01, 1 - 0.0125 ** (1 / 100)]
+        for ends, sign in zip(spread.intervals(one), (-1.0, 1.0), strict=True):
+            assert sign * ends == pytest.approx(np.array(expected))
 
     def test_where_only_counts_are_left_the_error_of_the_descriptor_still_widens_them(self):
         """The counts speak of who is linked, the standard error of where the curve is read, too."""
