@@ -4,7 +4,6 @@ Every result is held against that of a run that nothing happened to, byte by byt
 """
 
 import os
-import random
 import shutil
 import signal
 import subprocess
@@ -118,32 +117,23 @@ def here(place, out, **axes):
 
 @pytest.fixture(scope="module")
 def many_scenes(place):
-    """What a run by two workers holds that nothing happened to, and how long it took."""
-    out, started = place / "many-scenes", time.monotonic()
-    here(place, out)
-    return content(out), time.monotonic() - started
+    """What a run by two workers holds that nothing happened to."""
+    here(place, out := place / "many-scenes")
+    return content(out)
 
 
-def test_killed_at_any_moment_it_continues_to_the_same_result(place, many_scenes, capsys):
-    expected, took_s = many_scenes
-    out, moments, number = place / "killed", random.Random(5), 0
-    while number < 2:
-        process = begin(place, out, scenes=SCENES)
-        process.stderr.readline()  # it has begun
-        time.sleep(moments.uniform(0, 0.5 * took_s))
-        (os.kill if number % 2 else os.killpg)(process.pid, signal.SIGKILL)
-        if process.wait() == 0:  # it was over: once more from the beginning
-            process.communicate()
-            shutil.rmtree(out)
-            continue
-        assert process.returncode == -signal.SIGKILL
-        number += 1
-        wait_for(lambda: not in_session(process.pid), most_s=END_S)  # noqa: B023 - called before the next turn
-        process.communicate()
+def test_killed_at_work_it_continues_to_the_same_result(place, many_scenes, capsys):
+    out = place / "killed"
+    process = begin(place, out, scenes=SCENES)
+    wait_for(lambda: any(out.glob("cells/*.parquet")), most_s=60)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+    assert process.returncode == -signal.SIGKILL
+    wait_for(lambda: not in_session(process.pid), most_s=END_S)
     capsys.readouterr()
     here(place, out, jobs=1)
     assert "not as they had been written" not in capsys.readouterr().err
-    assert_same(out, expected)
+    assert_same(out, many_scenes)
     # Nothing with a name is put there, so that a kill leaves nothing there.
     assert list((place / "temporary").iterdir()) == []
 
@@ -191,7 +181,6 @@ class TestInterrupted:
 
 
 def test_every_kind_of_damage_is_found_and_computed_again(place, many_scenes, ran, capsys):
-    expected, _ = many_scenes
     out = place / "damaged"
     shutil.copytree(place / "many-scenes", out)
     cells = sorted((out / "cells").iterdir())
@@ -213,12 +202,12 @@ def test_every_kind_of_damage_is_found_and_computed_again(place, many_scenes, ra
     assert "6 cells were not as they had been written and are computed anew" in errors
     named = by_damage | {line.partition("/")[2] for line in others[:2]}
     assert any(name in errors for name in named)
-    assert_same(out, expected)
+    assert_same(out, many_scenes)
     for name in ("summary.csv", "decisions.csv", "verdict.json"):
         (out / name).unlink()
     rebuild(out)  # it is drawn from the cells alone
     shutil.rmtree(out / "figures")  # which the others were made without
-    assert_same(out, expected)
+    assert_same(out, many_scenes)
     check = ["sha256sum", "--check", "--quiet", "SHA256SUMS"]
     checked = subprocess.run(check, cwd=out, capture_output=True, text=True, check=False)
     assert checked.returncode == 0, checked.stdout  # the next line stands by itself
