@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers.walks import context, hits, odd_release, two_releases
+from helpers.walks import context, hits, two_releases
 from scipy.optimize import minimize
 from scipy.special import log_softmax
 
@@ -54,18 +54,6 @@ def test_few_mates_leave_the_likelihood_ratio_as_it_is():
     probe, gallery, _ = two_releases(5, seed=3)
     found, alone = (one.fit(context(few))(probe, gallery) for one in (Fusion(), LikelihoodRatio()))
     np.testing.assert_array_equal(found, alone)
-
-
-def test_odd_tracks_are_scored_each_for_itself():
-    train = LinkageTrainingSet(odd_release(2, n=24), odd_release(3, n=24), np.arange(24))
-    probe, gallery = odd_release(0), odd_release(1, n=9)
-    score = Fusion().fit(context(train))
-    scores = score(probe, gallery)
-    assert scores.shape == (14, 9)
-    assert np.isfinite(scores).all()
-    for row, column in ((0, 0), (5, 8)):
-        alone = score(probe.tracks([row]), gallery.tracks([column]))
-        np.testing.assert_allclose(alone, scores[[row], [column]][None], rtol=1e-6, atol=1e-6)
 
 
 def test_a_ridge_must_be_positive():

@@ -7,6 +7,7 @@ from helpers.walks import context, hits, moved, odd_release, release_of, two_rel
 from attacks.linkage.alignment import Profile, Shape
 from attacks.linkage.behaviour import Behaviour
 from attacks.linkage.dtw import DTW
+from attacks.linkage.fusion import Fusion
 from attacks.linkage.histogram import Histogram
 from attacks.linkage.kinematic import Kinematic
 from attacks.linkage.learning import LEAST_MATES, log_rank
@@ -48,20 +49,13 @@ def test_a_mirror_image_is_somebody_else(attack, easy):
     assert (same > mirrored + 0.5).all()
 
 
-@pytest.mark.parametrize("attack", ALL, ids=name)
-def test_odd_tracks_that_stand_still_can_be_learnt_from_and_scored(attack):
-    train = LinkageTrainingSet(odd_release(2, n=24), odd_release(3, n=24), np.arange(24))
-    for known in (None, train):
-        scores = fitted(attack, known)(odd_release(0), odd_release(1, n=9))
-        assert scores.shape == (14, 9)
-        assert np.isfinite(scores).all()
-
-
-@pytest.mark.parametrize("attack", ALL, ids=name)
-def test_a_pair_is_scored_for_itself(attack):
+@pytest.mark.parametrize("attack", [*ALL, Fusion()], ids=name)
+def test_a_pair_of_odd_tracks_is_scored_for_itself_also_by_who_learnt_from_such(attack):
     probe, gallery = odd_release(0), odd_release(1, n=9)
-    score = fitted(attack)
+    train = LinkageTrainingSet(odd_release(2, n=24), odd_release(3, n=24), np.arange(24))
+    score = fitted(attack, train)
     scores = score(probe, gallery)
+    assert np.isfinite(scores).all()
     for row, column in ((0, 0), (1, 2), (5, 8), (13, 8)):
         alone = score(probe.tracks([row]), gallery), score(probe, gallery.tracks([column]))
         for found, whole in zip(alone, (scores[[row]], scores[:, [column]]), strict=True):

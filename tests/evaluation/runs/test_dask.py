@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.commands import MATRIX, start
 from helpers.processes import ROOT, TESTS, wait_for
 from helpers.small_runs import smoke, write_walks
 
@@ -208,12 +209,10 @@ class TestWhatIsKilled:
     @pytest.mark.slow
     def test_the_driver_leaves_the_cluster_running(self, slow, folder, cluster, tmp_path):
         there = replace(slow, jobs=None, out=tmp_path / "there")
-        words = [sys.executable, "-m", "evaluation.matrix", "--preset", "smoke"]
-        words += ["--dataset", slow.dataset, "--scenes", "300", "--mechanism", SLOW]
-        words += ["--predictor=none", "--attack=none", "--task=none", "--out", str(there.out)]
-        words += ["--executor", "dask", "--scheduler", cluster.address]
-        environment = dict(os.environ, PYTHONPATH=path_of(folder))
-        with subprocess.Popen(words, env=environment, stderr=subprocess.PIPE, text=True) as run:
+        words = [*MATRIX, "--preset=smoke", "--dataset", slow.dataset, "--scenes=300"]
+        words += ["--mechanism", SLOW, "--predictor=none", "--attack=none", "--task=none"]
+        words += ["--executor=dask", "--scheduler", cluster.address, "--out", there.out]
+        with start(tmp_path, *words, changed={"PYTHONPATH": path_of(folder)}) as run:
             wait_for(lambda: len(cells(there)) > 2, most_s=40)
             run.send_signal(signal.SIGINT)
             _, said = run.communicate(timeout=30)
