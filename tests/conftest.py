@@ -21,9 +21,9 @@ from isac_track.rng import stream
 
 pytest_plugins = ["pytester"]  # for tests that strangers run, in this process
 
-_LONGEST = ("plaza_smoke", "faults", "execute", "dask", "untrusted_names", "plugin_values")
-LONG = {f"test_{name}" for name in (*_LONGEST, "tutorial")}
-"""Files of tests that take a minute or nearly."""
+_LONGEST = ("plugin_values", "dask", "compare", "faults", "sensitivity", "execute", "tutorial")
+LONG = {f"test_{name}" for name in (*_LONGEST, "testing")}
+"""Files of tests that take ten seconds and more."""
 
 
 @pytest.hookimpl(tryfirst=True)

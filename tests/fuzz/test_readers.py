@@ -108,9 +108,6 @@ def test_the_name_of_a_column_does_not_steer_the_terminal_and_lines_may_be_long(
     assert note.detail.isprintable()
 
 
-ONE_OF_EACH_READER = ["csv", "social-gan", "trajnet"]
-
-
 class TestMemory:
     """A recording needs about ten times its size, not more."""
 
@@ -158,17 +155,6 @@ class TestMemory:
         with arrow_pool() as pool:
             assert message in refusal(data, "parquet")
         assert pool.max_memory() < 50_000_000
-
-    @pytest.mark.parametrize(
-        ("format_name", "data"),
-        [
-            *((name, b"\n" * 300_000) for name in ONE_OF_EACH_READER),
-            ("trajnet", b"{" * 300_000),
-            ("csv", b"t,id,x,y\n" + b"\n" * 300_000),
-        ],
-    )
-    def test_lines_of_nothing_need_no_more(self, format_name, data):
-        assert peak_bytes(data, format_name) < 3_000_000
 
 
 def recording(format_name):

@@ -1,15 +1,14 @@
 """The trackers: kernels against filterpy itself, noise, window, prior, gate and covariance."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
+from helpers.kalman_cases import prefixes
 from helpers.walks import cv_walks, flat_release
 from scipy.stats import chi2
 
 from isac_track import plugins
-from isac_track.kalman import Batch
 from isac_track.rng import stream
 from isac_track.sharing_controls import Correlated, Offset, correlated_errors
 from isac_track.types import Knowledge
@@ -53,27 +52,16 @@ def test_what_it_tracks_is_filterpy_after_each_sample(tracker, noise):
     release, _, _ = walks(30, 1, 2, 3)
     xy = release.xy.copy()
     xy[[12, 20, 21, 22, 23]] += 9.0
-    release = replace(release, xy=xy)
-    tracker = replace(tracker, noise=noise)
+    release, tracker = replace(release, xy=xy), replace(tracker, noise=noise)
     batch = tracker.batch(release, is_causal=True)
-    found = tracker.track(release)
-    for lo, hi in pairwise(release.offsets):
-        for end in range(lo + 1, hi + 1):
-            one = slice(lo, end)
-            seen = Batch(
-                *(batch.t[one], batch.xy[one], batch.variance[one], np.array([0, end - lo])),
-                batch.prior_std,
-            )
-            alone = flat_release(
-                release.t[one], xy[one], np.array([0, end - lo]), sigma=release.sigma[one]
-            )
-            if noise == "estimated":  # what it knows of the noise is from these samples, too
-                known = tracker.batch(alone).variance[-1]
-                assert batch.variance[end - 1] == pytest.approx(known, rel=1e-9)
-            mean, _ = filterpy_engine.last_states(
-                seen, q=tracker.q, gate=tracker.gate, error=tracker._slow_error
-            )
-            assert np.allclose(found[end - 1], mean[0, :, 0], atol=1e-9, rtol=1e-9)
+    how = {"q": tracker.q, "gate": tracker.gate, "error": tracker._slow_error}
+    mean, _ = filterpy_engine.last_states(prefixes(batch), **how)
+    assert np.allclose(tracker.track(release), mean[:, :, 0], atol=1e-9, rtol=1e-9)
+    for k in range(30):  # what it knows of the noise is from these samples, too
+        alone = flat_release(
+            release.t[: k + 1], xy[: k + 1], np.array([0, k + 1]), sigma=release.sigma[: k + 1]
+        )
+        assert batch.variance[k] == pytest.approx(tracker.batch(alone).variance[-1], rel=1e-9)
 
 
 @by_name
