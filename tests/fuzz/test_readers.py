@@ -82,7 +82,7 @@ def rewritten(draw, valid):
 
 
 @pytest.mark.parametrize("format_name", FORMATS)
-@settings(steady, max_examples=300)
+@settings(steady, max_examples=150)
 @given(data=st.data(), fps=FPS)
 def test_edited_bytes_or_lines(format_name, data, fps):
     ways = [edited, rewritten] if format_name in TEXT else [edited]
