@@ -4,6 +4,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from helpers.recordings import tracks_of, write_csv
 
 from evaluation.experiment.settings import Settings
 from evaluation.runs.workers import spread
@@ -33,13 +34,11 @@ def one_process():
 
 def write_walks(path, *, n_people=30, seed=0):
     """Write smooth walks, everybody at a pace of their own; a third lasts but 26 s."""
-    lines = ["t,id,x,y"]
+    walks = []
     for person in range(n_people):
         t = np.arange(0.0, 26.0 if person % 3 == 0 else 32.0, 0.4)
         rng = stream(seed, "test", "walk", person)
         turn = 0.08 * rng.standard_normal(t.size).cumsum() + rng.uniform(0, 2 * np.pi)
         steps = 0.4 * rng.uniform(0.4, 1.4) * np.column_stack([np.cos(turn), np.sin(turn)])
-        xy = rng.uniform(-3, 3, 2) + steps.cumsum(axis=0)
-        lines += [f"{at:.2f},w{person},{x:.4f},{y:.4f}" for at, (x, y) in zip(t, xy, strict=True)]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return path
+        walks.append(rng.uniform(-3, 3, 2) + steps.cumsum(axis=0))
+    return write_csv(path, tracks_of(*walks))
