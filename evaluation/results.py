@@ -3,12 +3,13 @@
 import contextlib
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+import numpy as np
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
@@ -18,14 +19,15 @@ from evaluation.analysis.bounds import gaps, linked_gaps
 from evaluation.analysis.decisions import decisions
 from evaluation.analysis.families import families_in
 from evaluation.analysis.frontier import frontier
-from evaluation.analysis.galleries import galleries
-from evaluation.analysis.keys import AS_SHARED
+from evaluation.analysis.galleries import TPR, galleries
+from evaluation.analysis.keys import AS_SHARED, Source
 from evaluation.analysis.linked_people import read_probes
 from evaluation.analysis.matching import Sweeps, matched
-from evaluation.analysis.metrics import ACHIEVED, SUCCESS_OF_100
+from evaluation.analysis.metrics import ACHIEVED, EXPOSURE, SUCCESS, SUCCESS_OF_100
 from evaluation.analysis.pooled import Answered, answered, answers_of, to_frame
 from evaluation.analysis.strongest import cross_fitted, strongest
 from evaluation.experiment.constants import BLOCK_SCENES, MOST_SCENES, WORLDS
+from evaluation.experiment.fingerprint import has_strangers
 from evaluation.experiment.plan import Plan, plan
 from evaluation.experiment.settings import Settings, check_drawing
 from evaluation.reporting import page
@@ -43,13 +45,15 @@ from evaluation.runs.cell_files import read_gallery
 from evaluation.runs.execute import execute
 from evaluation.runs.files import FRAMES, check_sound, locked, to_csv, write_whole
 from evaluation.runs.manifest import FAILED_COLUMNS, read_manifest
-from evaluation.runs.workers import ahead, given_back
+from evaluation.runs.workers import ahead, aside, dismiss, given_back
 from evaluation.verdict import sections as verdict
 from isac_track.errors import DataError, SettingsError
 
 __all__ = ["Results", "build", "load", "rebuild", "run", "sized", "study"]
 _one_thread = partial(threadpool_limits, limits=1, user_api="blas")
 """Keep linear algebra to this thread: its matrices are small, and others would only spin."""
+_DRAWN: Final = (*ACHIEVED, SUCCESS_OF_100)
+"""What is compared of linkers, and has replicates."""
 
 
 def run(
@@ -80,9 +84,10 @@ def run(
             sys.stderr.write(f"{line}\n")
     folder.check_folder(ready.out)
     shown = progress_bar([]) if progress is True else contextlib.nullcontext(progress or _silent)
-    with given_back(), locked(ready.out), _one_thread(), shown as update:
-        with ahead():
-            execute(ready, update)
+    with given_back(), locked(ready.out), _one_thread(), shown as update, ahead():
+        execute(ready, update)
+        # One helps: no one that may not be as it was, since strangers' plug-ins ran in it.
+        dismiss(but=0 if has_strangers(ready.axes) else 1)
         return build(ready.out, pictures=pictures)
 
 
@@ -146,56 +151,10 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
 
     Otherwise as `rebuild`, which locks the folder and checks its cells first.
     """
-    manifest = read_manifest(out)
-    dataset = manifest["dataset"]["name"]
-    found, scored, attacked = summary.estimates(out, manifest)
-    worlds = {}
-    for world in WORLDS:
-        card = linkability.cards(out, manifest, drawn=(*ACHIEVED, SUCCESS_OF_100), world=world)
-        worlds[world] = summary.estimates(out, manifest, world=world)[0]
-        worlds[world] |= linked_gaps(summary.linkage_estimates(card))
-    predictors = manifest["settings"]["predictors"]
-    curves, decided, at_raw_alarms = decisions(scored, manifest, found)
-    once = flags.on_first_releases(out, manifest)
-    flagged, looked = flags.flags(found, slow=flags.slow_attacks(manifest), once=once)
-    read = linkability.cards(out, manifest, drawn=(*ACHIEVED, SUCCESS_OF_100))
-    linked = summary.linkage_estimates(read)
-    known = families_in(manifest["cells"])
-    sweeps = Sweeps({**found, **at_raw_alarms, **linked}, known)
-    at_equal = matched(sweeps, predictors=predictors, dataset=dataset)
-    best = strongest(sweeps.found, known)
-    probes = read_probes(out, manifest, sweeps, strongest=best)
-    seed = manifest["identity"]["seed"]
-    crossed, halves = cross_fitted(attacked, known, best.get("", AS_SHARED), seed=seed)
-    sums = summary.linkage_sums(read) | attacked
-    judged = Sweeps({**sweeps.found, **crossed}, known) if crossed else sweeps
-    said = verdict.verdict(judged, probes, strongest=best, scored=halves, manifest=manifest)
-    tidy = summary.to_frame({**found, **linked}, worlds=worlds, known=known, dataset=dataset)
-    far = flags.far_from_optimum(gaps(tidy))
-    flagged = pd.concat([flagged, far], ignore_index=True) if len(far) else flagged
-    results = Results(
-        out=out,
-        manifest=manifest,
-        summary=tidy,
-        paper_table=paper.paper_table(sweeps, dataset=dataset),
-        claims=paper.claims(sweeps, at_equal, dataset=dataset, history=manifest["history"]),
-        matched=at_equal,
-        frontier=frontier(sweeps, predictors=predictors, dataset=dataset, sums=sums, seed=seed),
-        decisions=decided,
-        curves=curves,
-        flags=flagged,
-        linkability=linkability.linkability(read, dataset=dataset),
-        galleries=galleries(probes, linked, dataset=dataset, seed=seed),
-        verdict=said,
-        failed=pd.DataFrame(manifest.get("failed", []), columns=list(FAILED_COLUMNS)),
-        strongest={task: source.attack for task, source in best.items()},
-        gallery=read_gallery(out),
-    )
-    told = [one.sentence for one in answers(results)]
-    results = replace(results, verdict={"answer": told, **said})
+    results, looked = _results(out)
     for of, name in FRAMES.items():
         write_whole(out / name, to_csv(getattr(results, of)))
-    write_whole(out / "flags.json", flags.to_json(flagged, looked))
+    write_whole(out / "flags.json", flags.to_json(results.flags, looked))
     write_whole(out / "verdict.json", verdict.to_bytes(results.verdict))
     write_tex(results, folder=out / "tables")
     write_text(results)
@@ -203,6 +162,78 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
     if pictures:
         _draw(results, pdf=pdf)
     return results
+
+
+def _results(out: Path) -> tuple[Results, dict[str, Any]]:
+    """Return all that the cells of a run tell, and how much was looked at for flags."""
+    manifest = read_manifest(out)
+    dataset, seed = manifest["dataset"]["name"], manifest["identity"]["seed"]
+    predictors, known = manifest["settings"]["predictors"], families_in(manifest["cells"])
+    with aside(partial(_of_scenes, out, manifest)) as of_scenes:
+        read = linkability.cards(out, manifest, drawn=_DRAWN)
+        linked = summary.linkage_estimates(read)
+        table = linkability.linkability(read, dataset=dataset)
+        found, attacked, (curves, decided, at_raw_alarms), worlds = of_scenes()
+    once = flags.on_first_releases(out, manifest)
+    flagged, looked = flags.flags(found, slow=flags.slow_attacks(manifest), once=once)
+    sweeps = Sweeps({**found, **at_raw_alarms, **linked}, known)
+    best = strongest(sweeps.found, known)
+    asked = {
+        key: one for key, one in sweeps.found.items() if key.metric in (EXPOSURE, SUCCESS, TPR)
+    }
+    with aside(partial(_of_people, out, manifest, Sweeps(asked, known), best)) as of_people:
+        at_equal = matched(sweeps, predictors=predictors, dataset=dataset)
+        crossed, halves = cross_fitted(attacked, known, best.get("", AS_SHARED), seed=seed)
+        sums = summary.linkage_sums(read) | attacked
+        frontiers = frontier(sweeps, predictors=predictors, dataset=dataset, sums=sums, seed=seed)
+        tidy = summary.to_frame({**found, **linked}, worlds=worlds, known=known, dataset=dataset)
+        far = flags.far_from_optimum(gaps(tidy))
+        in_galleries, across = of_people()
+    judged = Sweeps({**sweeps.found, **crossed}, known) if crossed else sweeps
+    said = verdict.verdict(judged, across, strongest=best, scored=halves, manifest=manifest)
+    results = Results(
+        out=out,
+        manifest=manifest,
+        summary=tidy,
+        paper_table=paper.paper_table(sweeps, dataset=dataset),
+        claims=paper.claims(sweeps, at_equal, dataset=dataset, history=manifest["history"]),
+        matched=at_equal,
+        frontier=frontiers,
+        decisions=decided,
+        curves=curves,
+        flags=pd.concat([flagged, far], ignore_index=True) if len(far) else flagged,
+        linkability=table,
+        galleries=in_galleries,
+        verdict=said,
+        failed=pd.DataFrame(manifest.get("failed", []), columns=list(FAILED_COLUMNS)),
+        strongest={task: source.attack for task, source in best.items()},
+        gallery=read_gallery(out),
+    )
+    told = [one.sentence for one in answers(results)]
+    return replace(results, verdict={"answer": told, **said}), looked
+
+
+def _of_scenes(out: Path, manifest: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Return what the cells of scenes tell: estimates and sums, decisions; and other worlds."""
+    found, scored, attacked = summary.estimates(out, manifest)
+    worlds = {}
+    for world in WORLDS:
+        card = linkability.cards(out, manifest, drawn=_DRAWN, world=world)
+        of = summary.estimates(out, manifest, world=world)[0]
+        of |= linked_gaps(summary.linkage_estimates(card))
+        # Nothing is paired with them: their replicates are as large as a run's own.
+        worlds[world] = {key: replace(one, replicates=np.zeros(0)) for key, one in of.items()}
+    return found, attacked, decisions(scored, manifest, found), worlds
+
+
+def _of_people(
+    out: Path, manifest: Mapping[str, Any], sweeps: Sweeps, best: Mapping[str, Source]
+) -> tuple[pd.DataFrame, dict[str, list[dict[str, Any]]]]:
+    """Return what rests on who is linked: over the gallery's size, and the verdict's parts."""
+    probes = read_probes(out, manifest, sweeps, strongest=best)
+    dataset, seed = manifest["dataset"]["name"], manifest["identity"]["seed"]
+    in_galleries = galleries(probes, sweeps.found, dataset=dataset, seed=seed)
+    return in_galleries, verdict.of_people(probes, sweeps, strongest=best, manifest=manifest)
 
 
 def _draw(results: Results, *, pdf: bool) -> None:

@@ -32,7 +32,7 @@ COLUMNS = [
     *("value", "ci_low", "ci_high", "predicted"),
 ]
 _REPLICATES = 400
-_TPR = "tpr_at_fpr_1pct"
+TPR: Final = "tpr_at_fpr_1pct"
 
 
 def galleries(
@@ -55,7 +55,7 @@ def galleries(
         for one in levels:
             own = dataset_of(one.linker.consumer, dataset=dataset)
             about = own, one.mechanism, np.nan if one.level is None else one.level, *one.linker
-            tpr = found.get(one.linker.measure(_TPR).at(one.mechanism, one.level))
+            tpr = found.get(one.linker.measure(TPR).at(one.mechanism, one.level))
             rows += [
                 (*about, size, metric, of.value, of.ci_low, of.ci_high, size > measured)
                 for measured, size, metric, of in _of_level(one, weights, tpr)
@@ -86,7 +86,7 @@ def _of_level(
         value, low, high = (1.0 + (size - 1) * end for end in ends)
         yield measured, size, "expected_rank", Estimate(value, low, high)
         if tpr is not None:
-            yield measured, size, _TPR, tpr
+            yield measured, size, TPR, tpr
 
 
 def _predicted(first: Mapping[int, Estimate], measured: int, size: int) -> Estimate:

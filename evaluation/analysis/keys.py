@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 from evaluation.experiment.constants import SHARED, WORLDS
@@ -116,8 +115,10 @@ def keys_of(rows: pd.DataFrame) -> list[Key]:
 
 def worlds_of(frame: pd.DataFrame) -> pd.Series[str]:
     """Return of which of `WORLDS` the rows of a summary are; empty: that of the run."""
-    known = "|".join(map(re.escape, sorted(WORLDS, key=len, reverse=True)))
-    return frame["dataset"].str.extract(f":({known})$", expand=False).fillna("")
+    names = frame["dataset"]
+    parts = {name: name.rpartition(":") for name in names.unique()}
+    of = {name: end if start and end in WORLDS else "" for name, (start, _, end) in parts.items()}
+    return names.map(of).astype(names.dtype)
 
 
 def is_attack(frame: pd.DataFrame) -> pd.Series[bool]:

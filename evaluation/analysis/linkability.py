@@ -8,6 +8,7 @@ is no privacy). A cell whose shortcut audit beats chance is invalid, and says wh
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -49,6 +50,7 @@ TWO_SESSIONS = "plaza-two-sessions"
 """Data set of a task that only the simulated two-session crowd has."""
 
 
+@lru_cache(maxsize=1024)
 def dataset_of(consumer: str, *, dataset: str) -> str:
     """Return the data set that a row is about: a simulated task has its own."""
     task = TASKS.get(consumer.partition("/")[0])

@@ -144,7 +144,7 @@ def by_task(found: Mapping[Key, Estimate], *, metric: str) -> dict[str, Levels]:
     values: dict[str, Levels] = {}
     for key, one in found.items():
         if key.metric == metric:
-            source = key.measure.source
+            source = Source(key.consumer, key.knowledge)
             values.setdefault(source.task, {}).setdefault(key.where, {})[source] = one.value
     return values
 

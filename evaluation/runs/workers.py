@@ -98,7 +98,7 @@ def spread(
         for lane in lanes:  # to begin takes a worker 1 to 2 s: all at once
             ends.callback(lane.stop, keeps=not alone)
             lane.begin()
-        _dismiss(len(_waiting) if alone else 0)  # there is no work for more
+        dismiss(len(_waiting) if alone else 0)  # there is no work for more
         if loops:
             lanes[0].load(loops)
         while works or any(lane.is_busy for lane in lanes):
@@ -124,10 +124,42 @@ def ahead(n_workers: int = 0) -> Iterator[None]:
             _waiting[-1].tell("import", _IMPORTED)
         yield
     finally:
-        _dismiss()
+        dismiss()
 
 
-def _dismiss(but: int = 0) -> None:
+@contextlib.contextmanager
+def aside(call: Callable[[], R]) -> Iterator[Callable[[], R]]:
+    """Let a worker that waits call something meanwhile; entered is what waits for the result.
+
+    Without a worker, or if it dies over it, the call is made here, once the result is asked for.
+    That raises what the call does.
+    """
+    if not _waiting:
+        yield call
+        return
+    lane = _Lane[Callable[[], R], R](_result_of, None)
+    lane.start(call)
+
+    def result() -> R:
+        found: list[R | Failed] = []
+        while lane.is_busy:
+            check_interrupt()
+            connection.wait([lane.pipe], timeout=_LOOK_S)
+            found += lane.items()
+        return call() if isinstance(found[0], Failed) else found[0]
+
+    try:
+        yield result
+    finally:
+        lane.stop(keeps=True)
+
+
+def _result_of(call: Callable[[], R]) -> Iterator[R]:
+    yield call()
+
+
+def dismiss(but: int = 0) -> None:
+    """End the workers that wait, all but some."""
     while len(_waiting) > but:
         _waiting.pop().end()
 

@@ -21,9 +21,34 @@ from evaluation.verdict.within_level import within
 from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE
 
 
+def of_people(
+    levels: Mapping[str, Sequence[LinkedProbes]],
+    sweeps: Sweeps,
+    *,
+    strongest: Mapping[str, Source],
+    manifest: Mapping[str, Any],
+) -> dict[str, list[dict[str, Any]]]:
+    """Return the parts of a verdict that rest on who is linked: both of validity.
+
+    `levels` are by task who is linked at each level by its strongest linker, which `strongest`
+    names. Of `sweeps` the levels are asked for, no estimate.
+    """
+    success = {task: linker for task, linker in strongest.items() if task}
+    seed = manifest["identity"]["seed"]
+    found = validity(
+        by_cluster(levels),
+        families=sweeps.known,
+        preset=manifest["settings"]["preset"],
+        dataset=manifest["dataset"]["name"],
+        seed=seed,
+    )
+    found["items"] += decided(rules.WITHIN, within(levels, sweeps, success=success, seed=seed))
+    return found
+
+
 def verdict(
     sweeps: Sweeps,
-    levels: Mapping[str, Sequence[LinkedProbes]],
+    across: Mapping[str, Sequence[dict[str, Any]]],
     *,
     strongest: Mapping[str, Source],
     scored: Sequence[Source] = (),
@@ -31,29 +56,20 @@ def verdict(
 ) -> dict[str, Any]:
     """Return the verdict of a run as in `verdict.json`.
 
-    The claim is read with the first predictor of the run. `levels` are by task who is linked at
-    each level by its strongest linker, which `strongest` names; under "" that is the strongest
-    reconstruction. `scored` are those that its descriptors in `sweeps` come from, if they are
-    others: what either half of the people chose.
+    The claim is read with the first predictor of the run. `across` is what `of_people` returns;
+    `strongest` is by task its strongest linker, under "" the strongest reconstruction. `scored` are
+    those that its descriptors in `sweeps` come from, if they are others: what either half of the
+    people chose.
     """
-    success = {task: linker for task, linker in strongest.items() if task}
     attacks = [attack for task, attack in strongest.items() if not task]
-    seed, dataset = manifest["identity"]["seed"], manifest["dataset"]
+    dataset = manifest["dataset"]
     claims = (
         draft
         for predictor in manifest["settings"]["predictors"][:1]
         for draft in claim.claims(sweeps, strongest, predictor=predictor)
     )
-    across = validity(
-        by_cluster(levels),
-        families=sweeps.known,
-        preset=manifest["settings"]["preset"],
-        dataset=dataset["name"],
-        seed=seed,
-    )
     items = [
         *across["items"],
-        *decided(rules.WITHIN, within(levels, sweeps, success=success, seed=seed)),
         *decided(rules.CLAIM, claims),
         *decided(rules.INFLATION, inflation.inflation(sweeps, attacks)),
     ]
@@ -63,7 +79,7 @@ def verdict(
     return {
         "dataset": dataset["name"],
         "simulated": bool(dataset.get("simulated", False)),
-        "seed": seed,
+        "seed": manifest["identity"]["seed"],
         "preset": manifest["settings"]["preset"],
         "scenes": manifest["settings"]["scenes"],
         "rules": {

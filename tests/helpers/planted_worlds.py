@@ -18,7 +18,7 @@ from evaluation.analysis.linked_people import LinkedProbes
 from evaluation.analysis.metrics import EQUAL_ALARMS
 from evaluation.analysis.strongest import strongest
 from evaluation.experiment.presets import SHARED
-from evaluation.verdict.sections import verdict
+from evaluation.verdict.sections import of_people, verdict
 
 KINDS = ("valid", "fooled", "flat", "empty")
 RULES = ("", RULE)
@@ -91,7 +91,8 @@ def said_of(found, levels):
     }
     sweeps = sweeps_of(found)
     best = strongest(found, sweeps.known)
-    return verdict(sweeps, levels, strongest=best, manifest=manifest)
+    about = {"strongest": best, "manifest": manifest}
+    return verdict(sweeps, of_people(levels, sweeps, **about), **about)
 
 
 def simulated(world, *, rng):

@@ -1,9 +1,12 @@
-"""What is freed goes back to the system, and a user's own pool is left alone."""
+"""What workers do aside; what is freed goes back, and a user's own pool is left alone."""
+
+import os
+from functools import partial
 
 import pyarrow as pa
 import pytest
 
-from evaluation.runs.workers import given_back
+from evaluation.runs.workers import ahead, aside, given_back
 
 
 def test_the_pool_is_the_users_again_even_after_an_error():
@@ -11,3 +14,23 @@ def test_the_pool_is_the_users_again_even_after_an_error():
     with pytest.raises(LookupError, match="system"), given_back():
         raise LookupError(pa.default_memory_pool().backend_name)
     assert pa.default_memory_pool().backend_name == before
+
+
+def process_unless(dies_in, *, raises=False):
+    if raises:
+        raise LookupError(os.getpid())
+    if dies_in != os.getpid() and dies_in:
+        os._exit(1)
+    return os.getpid()
+
+
+@pytest.mark.parametrize("n_workers", [0, 1])
+def test_a_call_is_made_by_a_worker_if_one_waits_and_here_if_it_dies(n_workers):
+    with ahead(n_workers):
+        for _ in range(2):  # the worker goes on waiting
+            with aside(partial(process_unless, 0)) as answer:
+                assert (answer() != os.getpid()) == bool(n_workers)
+        with pytest.raises(LookupError), aside(partial(process_unless, 0, raises=True)) as answer:
+            answer()
+        with aside(partial(process_unless, os.getpid())) as answer:
+            assert answer() == os.getpid()
