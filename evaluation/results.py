@@ -152,12 +152,13 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
     Otherwise as `rebuild`, which locks the folder and checks its cells first.
     """
     results, looked = _results(out)
-    for of, name in FRAMES.items():
-        write_whole(out / name, to_csv(getattr(results, of)))
-    write_whole(out / "flags.json", flags.to_json(results.flags, looked))
-    write_whole(out / "verdict.json", verdict.to_bytes(results.verdict))
-    write_tex(results, folder=out / "tables")
-    write_text(results)
+    with aside(partial(_as_csv, [getattr(results, of) for of in FRAMES])) as tables:
+        write_whole(out / "flags.json", flags.to_json(results.flags, looked))
+        write_whole(out / "verdict.json", verdict.to_bytes(results.verdict))
+        write_tex(results, folder=out / "tables")
+        write_text(results)
+        for name, content in zip(FRAMES.values(), tables(), strict=True):
+            write_whole(out / name, content)
     folder.remove_figures(out)  # those of an earlier report tell of other results
     if pictures:
         _draw(results, pdf=pdf)
@@ -234,6 +235,10 @@ def _of_people(
     dataset, seed = manifest["dataset"]["name"], manifest["identity"]["seed"]
     in_galleries = galleries(probes, sweeps.found, dataset=dataset, seed=seed)
     return in_galleries, verdict.of_people(probes, sweeps, strongest=best, manifest=manifest)
+
+
+def _as_csv(frames: Sequence[pd.DataFrame]) -> list[bytes]:
+    return [to_csv(one) for one in frames]
 
 
 def _draw(results: Results, *, pdf: bool) -> None:

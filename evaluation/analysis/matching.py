@@ -8,7 +8,7 @@ descriptors as shared, the same after each reconstruction attack, and what each 
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -49,15 +49,17 @@ COLUMNS = [
 ]
 
 
+Curves: TypeAlias = "dict[Measure, tuple[Floats, Floats]]"
+"""Two mechanisms over their levels, (1 + B, L) each, by what they are measured by."""
+
+
 class Sweeps:
-    """Every estimate of a run, and its mechanisms; curves are made monotone once each."""
+    """Every estimate of a run, and its mechanisms."""
 
     def __init__(self, found: Mapping[Key, Estimate], known: Mapping[str, Family]) -> None:
         self.found = found
         self.known = known
         self._levels: dict[str, list[float | None]] = {}
-        self._joined: dict[Measure, list[Floats] | None] = {}
-        self._arms = ("", "")
         for key in found:
             if key.metric == EXPOSURE and key.measure == _SHOWN and known[key.mechanism].is_added:
                 self._levels.setdefault(key.mechanism, []).append(key.level)
@@ -93,14 +95,10 @@ class Sweeps:
         ]
         return [name for name in plain if name] + more
 
-    def curves(self, a: str, b: str, measure: Measure) -> list[Floats] | None:
-        """Return the curves of two mechanisms that end in one raw; None if one has none."""
-        if self._arms != (a, b):  # those of all would be a third of a run's memory
-            self._arms, self._joined = (a, b), {}
-        if measure not in self._joined:
-            found = self.together(dict.fromkeys((a, b, RAW), measure))
-            self._joined[measure] = [found[a], found[b]] if {a, b} <= found.keys() else None
-        return self._joined[measure]
+    def curves(self, a: str, b: str, measures: Iterable[Measure]) -> Curves:
+        """Return the curves of two mechanisms that end in one raw, by what both are measured by."""
+        found = {one: self.together(dict.fromkeys((a, b, RAW), one)) for one in measures}
+        return {one: (of[a], of[b]) for one, of in found.items() if {a, b} <= of.keys()}
 
     def together(self, by: Mapping[str, Measure]) -> dict[str, Floats]:
         """Return the curves of mechanisms that end in one raw, pooled over all, (1 + B, L) each.
@@ -185,24 +183,26 @@ def matched(sweeps: Sweeps, *, predictors: Sequence[str], dataset: str) -> pd.Da
         for adding in ADDING_RULES
         for fixed in [sweeps.named(FIXED, adding=adding)]
         for mechanism in sweeps.swept(adding)
-        for criterion, by, predictor, wanted in (criteria if mechanism != fixed else ())
-        for measure, points in _compared(sweeps, (mechanism, fixed), by, wanted)
+        if mechanism != fixed
+        for curves in [sweeps.curves(mechanism, fixed, {*measures, *(of[1] for of in criteria)})]
+        for criterion, by, predictor, wanted in criteria
+        for measure, points in _compared(curves, by, wanted)
     ]
     table = pd.DataFrame(parts, columns=COLUMNS)
     return table.explode([*_POINTS], ignore_index=True).infer_objects()
 
 
 def _compared(
-    sweeps: Sweeps, arms: tuple[str, str], by: Measure, measures: Sequence[Measure]
+    curves: Curves, by: Measure, measures: Sequence[Measure]
 ) -> Iterator[tuple[Measure, dict[str, Floats]]]:
     """Yield measures of two mechanisms where `by` has changed from raw by as much in both.
 
-    `arms` are the names of the mechanism that is compared and of fixed noise. With each come the
-    columns of `matched.csv`, (P,), from `at` to `defined`.
+    `curves` are of the mechanism that is compared, and of fixed noise. With each come the columns
+    of `matched.csv`, (P,), from `at` to `defined`.
     """
-    scales = sweeps.curves(*arms, by)
-    reach = min(np.abs(one[0] - one[0, -1]).max() for one in scales) if scales else 0.0
-    if scales is None or not reach > 0:
+    scales: Sequence[Floats] = curves.get(by, ())
+    reach = min((np.abs(one[0] - one[0, -1]).max() for one in scales), default=0.0)
+    if not reach > 0:
         return
     raw, is_plr = float(scales[0][0, -1]), by.source == AS_SHARED
     for n_points, are_shared in ((N_POINTS, True), (N_ATTACK_POINTS, False)):
@@ -210,7 +210,7 @@ def _compared(
         at = np.linspace(0.0, reach, n_points + 1)[1:]
         at = at[::-1] if is_plr else at  # at ascends, in PLR as well
         of = [one for one in measures if (one.consumer == SHARED) == are_shared]
-        for measure, compared, fixed in at_changes(sweeps, arms, by, of, at=at):
+        for measure, compared, fixed in at_changes(curves, by, of, at=at):
             gap = compared - fixed
             defined = np.isfinite(gap[1:]).mean(axis=0)
             points = {
@@ -237,22 +237,18 @@ def with_ends(names: tuple[str, str, str], values: Floats, can_say: Bools) -> di
 
 
 def at_changes(
-    sweeps: Sweeps, arms: tuple[str, str], by: Measure, measures: Sequence[Measure], *, at: Floats
+    curves: Curves, by: Measure, measures: Iterable[Measure], *, at: Floats
 ) -> Iterator[tuple[Measure, Floats, Floats]]:
     """Yield measures of both mechanisms where `by` has changed from raw by `at`, (1 + B, P) each.
 
     Raw is one for both; what is out of reach is NaN. Measures that a level lacks are left out.
     """
-    scales = sweeps.curves(*arms, by)
-    if scales is None:
-        return
-    where = [places(at, np.abs(scale - scale[:, -1:])) for scale in scales]
-    for measure in measures:
-        curves = sweeps.curves(*arms, measure)
-        if curves is not None:
+    where = [places(at, np.abs(scale - scale[:, -1:])) for scale in curves.get(by, ())]
+    for measure in measures if where else ():
+        if measure in curves:
             first, second = (
                 interpolated(place, curve, log=measure.metric in DESCRIPTORS)
-                for place, curve in zip(where, curves, strict=True)
+                for place, curve in zip(where, curves[measure], strict=True)
             )
             n_rows = min(len(first), len(second))
             yield measure, first[:n_rows], second[:n_rows]

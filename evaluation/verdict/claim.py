@@ -4,8 +4,7 @@ At equal missed rate: descriptors as shared, the same after attack, and who is l
 of any other mechanism of the run that has levels.
 """
 
-from collections.abc import Iterator, Mapping
-from itertools import product
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -38,22 +37,25 @@ def claims(sweeps: Sweeps, strongest: Mapping[str, Source], *, predictor: str) -
         by_rank = (success_of(sweeps.found, source),)
         metrics, of = (by_rank, LINKED) if task else (DESCRIPTORS, AFTER)
         wanted |= dict.fromkeys(map(source.measure, metrics), of)
+    costs = {Measure(predictor, metric): criterion for criterion, metric in CRITERIA.items()}
     for adding in ADDING_RULES:
         fixed = sweeps.named(FIXED, adding=adding)
-        others = [one for one in sweeps.swept(adding) if one != fixed]
-        for mechanism, (criterion, metric) in product(others, CRITERIA.items()):
-            arms, by = (mechanism, fixed), Measure(predictor, metric)
-            found = at_changes(sweeps, arms, by, list(wanted), at=np.array(TARGETS))
-            for measure, ours, theirs in found:
-                name = sweeps.known[mechanism].name
-                about = adding, criterion, wanted[measure], "" if name == FID else name
-                people = sweeps.rests_on(arms, by, measure)
-                yield _claim(measure, (ours, theirs), about, people)
+        for mechanism in sweeps.swept(adding):
+            if mechanism == fixed:
+                continue
+            name = sweeps.known[mechanism].name
+            curves = sweeps.curves(mechanism, fixed, [*costs, *wanted])
+            for by, criterion in costs.items():
+                found = at_changes(curves, by, wanted, at=np.array(TARGETS))
+                for measure, *reached in found:
+                    about = adding, criterion, wanted[measure], "" if name == FID else name
+                    people = sweeps.rests_on((mechanism, fixed), by, measure)
+                    yield _claim(measure, reached, about, people)
 
 
 def _claim(
     measure: Measure,
-    found: tuple[Floats, Floats],
+    found: Sequence[Floats],
     about: tuple[str, str, str, str],
     people: tuple[int, float],
 ) -> Draft:

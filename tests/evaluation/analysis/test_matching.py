@@ -199,9 +199,9 @@ LINKED = Measure("rerelease/shape", "rank1", "blind")
 
 
 def test_unequal_numbers_of_replicates_are_paired_with_the_first():
-    sweeps = sweeps_of(run(advantage=0.1))
     by, rank1 = Measure(PREDICTORS[0], "missed_conflict_rate"), LINKED
-    ((_, ours, theirs),) = at_changes(sweeps, ("fid", "fixed"), by, [rank1], at=np.array([0.05]))
+    curves = sweeps_of(run(advantage=0.1)).curves("fid", "fixed", [by, rank1])
+    ((_, ours, theirs),) = at_changes(curves, by, [rank1], at=np.array([0.05]))
     # Replicates of rank 1 are 100 of 200: paired with the others there would be a spread.
     assert ours.shape == theirs.shape == (101, 1)
     assert (ours - theirs)[1:].std() < 1e-3
