@@ -3,7 +3,6 @@
 Nothing is computed anew: the estimates and their replicates come from the finished cells.
 """
 
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -22,6 +21,7 @@ from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS,
 from evaluation.analysis.strongest import strongest
 from evaluation.analysis.summary import estimates, linkage_estimates
 from evaluation.experiment.presets import PRESETS
+from evaluation.runs.files import made_of
 from evaluation.runs.manifest import read_manifest
 from isac_track.errors import DataError, SettingsError
 from isac_track.intervals import CONFIDENCE, Estimate, percentile_interval
@@ -422,12 +422,9 @@ def verdict_of(out: Path) -> dict[str, Any]:
 
     Raises DataError if there is none or it cannot be read.
     """
-    path, again = out / _VERDICT, f"run python -m evaluation.report {out}"
+    said: dict[str, Any] = made_of(out, _VERDICT)
     try:
-        said: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        list(map(itemgetter("id", "decision"), said["items"]))  # or it is no verdict
-    except FileNotFoundError:
-        raise DataError(f"{out} has no {_VERDICT}; {again} first") from None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DataError(f"{path} cannot be read: {error!r}; {again} again") from None
+        list(map(itemgetter("id", "decision"), said["items"]))
+    except (KeyError, TypeError):
+        raise DataError(f"{out / _VERDICT} cannot be read: it is no verdict of a run") from None
     return said

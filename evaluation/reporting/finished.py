@@ -1,6 +1,5 @@
 """A finished run, read from its tables: `evaluation.load`."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,9 +10,8 @@ from evaluation.analysis.keys import keys_of
 from evaluation.analysis.metrics import EXPOSURE, SUCCESS
 from evaluation.analysis.strongest import strongest
 from evaluation.reporting.rows import Results
-from evaluation.runs.files import FRAMES, content_of, from_csv
+from evaluation.runs.files import FRAMES, made_of
 from evaluation.runs.manifest import read_manifest
-from isac_track.errors import DataError
 
 
 class _Known(NamedTuple):
@@ -32,14 +30,7 @@ def load(out: Path | str) -> Results:
     manifest = read_manifest(out)
     found: dict[str, Any] = {}
     for of, name in {**FRAMES, "flags": "flags.json", "verdict": "verdict.json"}.items():
-        again = f"python -m evaluation.report {out} writes it anew"
-        try:
-            content = content_of(out / name)
-            found[of] = from_csv(content) if of in FRAMES else json.loads(content)
-        except FileNotFoundError:
-            raise DataError(f"{out / name} is missing; {again} if the run has finished") from None
-        except (OSError, ValueError) as error:
-            raise DataError(f"{out / name} cannot be read ({error}); {again}") from None
+        found[of] = made_of(out, name)
     found["flags"] = pd.DataFrame(found["flags"]["flags"], columns=found["flags"].get("columns"))
     results = Results(out=out, manifest=manifest, **found)
     rows = results.measured

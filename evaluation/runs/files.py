@@ -11,9 +11,11 @@ import contextlib
 import errno
 import hashlib
 import io
+import json
 import os
 import re
 import secrets
+import shlex
 import stat
 from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
@@ -116,6 +118,25 @@ def from_csv(content: bytes) -> pd.DataFrame:
         known = frame[name].fillna("").unique()
         frame[name] = frame[name].fillna("").map({one: _typed(one) for one in known})
     return frame
+
+
+def made_of(out: Path, name: str, *, columns: Iterable[str] = ()) -> Any:  # noqa: ANN401 - as said
+    """Return what a report wrote of a run: of a CSV the table, some `columns` of it; else JSON.
+
+    Raises DataError, with the way out, if it is missing or cannot be read.
+    """
+    again = f"python -m evaluation.report {shlex.quote(str(out))} writes it anew"
+    try:
+        content = content_of(out / name)
+        if not name.endswith(".csv"):
+            return json.loads(content)
+        frame = from_csv(content)
+        return frame[list(columns or frame.columns)]
+    except FileNotFoundError:
+        raise DataError(f"{out / name} is missing; {again} if the run has finished") from None
+    except (OSError, ValueError, KeyError) as error:
+        reason = str(error).partition("\n")[0]
+        raise DataError(f"{out / name} cannot be read ({reason}); {again}") from None
 
 
 def _typed(text: str) -> str:

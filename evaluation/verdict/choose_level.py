@@ -5,7 +5,6 @@ it is not met. Nothing is interpolated, and everything is read from the files of
 """
 
 import math
-import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -30,9 +29,9 @@ from evaluation.analysis.strongest import GROUPS, by_task, strongest_of
 from evaluation.analysis.summary import COLUMNS
 from evaluation.experiment.constants import SHARED
 from evaluation.experiment.fingerprint import code_hash
-from evaluation.runs.files import content_of, from_csv
+from evaluation.runs.files import made_of
 from evaluation.runs.manifest import read_manifest
-from isac_track.errors import DataError, SettingsError, did_you_mean
+from isac_track.errors import SettingsError, did_you_mean
 from isac_track.intervals import LEAST_CLUSTERS, Estimate
 from isac_track.linkability import GALLERY
 
@@ -252,9 +251,10 @@ def choose(
             f"--predictor {robot}: {out} has {', '.join(robots)}; name one of these or add it "
             "with the command of the run"
         )
-    summary, linked = _table(out, "summary.csv", COLUMNS), []
+    summary, linked = made_of(out, "summary.csv", columns=COLUMNS), []
     if (out / "linkability.csv").exists():
-        linked = linkability.linked_tasks(_table(out, "linkability.csv", linkability.COLUMNS))
+        table = made_of(out, "linkability.csv", columns=linkability.COLUMNS)
+        linked = linkability.linked_tasks(table)
     levels = _levels(summary, linked, [robot, *(one for one in robots if one != robot)], manifest)
     raw = next((one for one in levels if one.mechanism == RAW), None)
     added = [one for one in families_in(summary).values() if one.is_added]
@@ -287,18 +287,6 @@ def choose(
     have = {one.adding: one.family.family for one in every}
     _refuse_missing(choice, have, is_attacked=any(one.after_attack for one in levels))
     return choice
-
-
-def _table(out: Path, name: str, columns: Sequence[str]) -> pd.DataFrame:
-    """Return some columns of a table of a run."""
-    again = f"python -m evaluation.report {shlex.quote(str(out))} writes it anew"
-    try:
-        return from_csv(content_of(out / name))[list(columns)]
-    except FileNotFoundError:
-        raise DataError(f"{out / name} is missing; {again} if the run has finished") from None
-    except (OSError, ValueError, KeyError) as error:
-        reason = str(error).splitlines()[0]
-        raise DataError(f"{out / name} cannot be read ({reason}); {again}") from None
 
 
 def _levels(

@@ -311,7 +311,7 @@ class TestErrors:
     @pytest.mark.parametrize(
         ("text", "message"),
         [
-            (None, "{out} has no verdict.json; run python -m evaluation.report {out} first"),
+            (None, "{out}/verdict.json is missing; python -m evaluation.report {out} writes it"),
             ('{"items": []}', "has no items"),
             *((text, "verdict.json cannot be read") for text in ("{", "[]", '{"items": [1]}')),
         ],
