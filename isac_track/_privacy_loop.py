@@ -25,24 +25,24 @@ def described(
     """
     (xy, truth, moved_to, moved_from), (cos, sin), (epsilon_m, by_segment) = places, turn, rule
     for i in range(offsets.size - 1):
-        first, end = offsets[i], offsets[i + 1]
-        n = end - first
+        own = slice(offsets[i], offsets[i + 1])
+        shared, true, to, since, clock = xy[own], truth[own], moved_to[own], moved_from[own], t[own]
+        n = clock.size
         total_m2 = run_s = leaked_s = longest_s = 0.0
         leaked = segments = leaks = 0
-        mean_s = (t[end - 1] - t[first]) / (n - 1) if n > 1 else 0.0
-        before_s = t[first + 1] - t[first] if n > 1 else 0.0
-        for k in range(first, end):
-            step_x = moved_to[k, 0] - moved_from[k, 0]
-            step_y = moved_to[k, 1] - moved_from[k, 1]
-            x = xy[k, 0] + (cos * step_x + sin * step_y) - truth[k, 0]
-            y = xy[k, 1] + (cos * step_y - sin * step_x) - truth[k, 1]
+        mean_s = (clock[n - 1] - clock[0]) / (n - 1) if n > 1 else 0.0
+        before_s = clock[1] - clock[0] if n > 1 else 0.0
+        for k in range(n):
+            step_x, step_y = to[k, 0] - since[k, 0], to[k, 1] - since[k, 1]
+            x = shared[k, 0] + (cos * step_x + sin * step_y) - true[k, 0]
+            y = shared[k, 1] + (cos * step_y - sin * step_x) - true[k, 1]
             square_m2 = x * x + y * y
             total_m2 += square_m2
             # Without a branch: which samples leak is as hard to foretell as a coin.
             leaked_before, leaks = leaks, int(sqrt(square_m2) < epsilon_m)
             leaked += leaks
             segments += leaks * (1 - leaked_before)
-            after_s = t[k + 1] - t[k] if k + 1 < end else before_s
+            after_s = clock[k + 1] - clock[k] if k + 1 < n else before_s
             lasting_s = 0.5 * (before_s + after_s) if by_segment > 0.0 else mean_s
             before_s = after_s
             leaked_s += leaks * lasting_s

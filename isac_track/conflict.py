@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.special import ndtr
 
-from isac_track.types import Bools, Floats, Ints
+from isac_track.types import Bools, Floats, Ints, squared_lengths
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _SMALLEST_STD_M = 1e-3
@@ -54,7 +54,7 @@ def minimum_separation(*, robot: Floats, agents: Floats) -> Floats:
     """
     if robot.shape != agents.shape:
         raise ValueError(f"robot {robot.shape} and agents {agents.shape} must have one shape")
-    return np.asarray(np.hypot(*np.moveaxis(robot - agents, -1, 0)).min(axis=(1, 2)))
+    return np.asarray(np.sqrt(squared_lengths(robot - agents).min(axis=(1, 2))))
 
 
 def is_conflict(*, separation_m: Floats, safety_radius_m: float) -> Bools:
@@ -106,7 +106,7 @@ def conflict_probability(*, robot: Floats, mean: Floats, cov: Floats, radius_m: 
     independent. Further than 6 std from the disc counts as 0.
     """
     gap = mean - robot
-    distance_m = np.hypot(gap[..., 0], gap[..., 1])
+    distance_m = np.sqrt(squared_lengths(gap))
     widest_m = np.sqrt(np.maximum(np.trace(cov, axis1=-2, axis2=-1), _SMALLEST_STD_M**2))
     near = distance_m < radius_m + _REACH_STD * widest_m
     # To lie in the disc is no likelier than on its side of the tangent in front of it. Only steps

@@ -25,7 +25,7 @@ from isac_track.kalman.slow_errors import SlowError, smooth_tracks
 from isac_track.protection import Laplace, Ou, OuFid
 from isac_track.sharing import Clean, Fid, Fixed, Raw
 from isac_track.sharing_controls import Thin
-from isac_track.types import ErrorLaw, Floats, Ints, Release, Sensed, Tracks
+from isac_track.types import ErrorLaw, Floats, Ints, Release, Sensed, Tracks, squared_lengths
 
 _LAG_S: Final = 1.0  # Over which acceleration is measured: what a smoother averages over.
 _EVERY = 4  # Of them within one lag.
@@ -122,7 +122,7 @@ def errors_of(
         return Errors(np.full(raw.shape, _LEAST_VARIANCE_M2), is_gaussian=True)
     if not isinstance(mechanism, (Raw, Fixed, Fid, Thin, Laplace, Ou, OuFid)):
         return None
-    scale = scale_m2(raw, np.hypot(*sensed.unit_error.T), law=sensed.law, rng=rng)
+    scale = scale_m2(raw, squared_lengths(sensed.unit_error), law=sensed.law, rng=rng)
     if getattr(mechanism, "adding", "linear") == "linear":
         scale *= np.square(np.divide(shared, raw, out=np.ones_like(raw), where=raw > 0.0))
         return Errors(np.maximum(scale, _LEAST_VARIANCE_M2), is_gaussian=sensed.law == "isotropic")
@@ -131,27 +131,26 @@ def errors_of(
     if isinstance(mechanism, Ou | OuFid):
         slow = SlowError(std_m, mechanism.tau_s)
     else:
-        length_m = np.hypot(*(release.xy - sensed.xy).T)
-        unit = np.divide(length_m, std_m, out=np.ones_like(std_m), where=std_m > 0.0)
+        unit = np.ones_like(std_m)
+        np.divide(squared_lengths(release.xy - sensed.xy), std_m**2, out=unit, where=std_m > 0.0)
         law = "laplace" if isinstance(mechanism, Laplace) else added
         scale += scale_m2(std_m, unit, law=law, rng=rng)
     gaussian = sensed.law == added == "isotropic" and not isinstance(mechanism, Laplace)
     return Errors(np.maximum(scale, _LEAST_VARIANCE_M2), slow, is_gaussian=gaussian)
 
 
-def scale_m2(std_m: Floats, length: Floats, *, law: str, rng: Generator) -> Floats:
+def scale_m2(std_m: Floats, square: Floats, *, law: str, rng: Generator) -> Floats:
     """Return the variance per axis, (M,) m^2, that errors were drawn with, given how long they are.
 
-    `length` is in units of `std_m`. A radial error is Gaussian of variance s std^2 per axis, s of
-    the arcsine law: 1 / s - 1 is then z^2 / length^2, z standard Gaussian. A Laplace one has s of a
-    Gamma law of shape 3/2, and 1 / s is inverse Gaussian.
+    `square` is their squared length in units of ``std_m**2``. A radial error is Gaussian of
+    variance s std^2 per axis, s of the arcsine law: 1 / s - 1 is then z^2 / square, z standard
+    Gaussian. A Laplace one has s of a Gamma law of shape 3/2, and 1 / s is inverse Gaussian.
     """
     if law == "radial":
         noise = np.square(rng.standard_normal(std_m.size))
-        told = np.square(length)
-        return np.asarray(np.square(std_m) * told / np.maximum(told + noise, 1e-300))
+        return np.asarray(np.square(std_m) * square / np.maximum(square + noise, 1e-300))
     if law == "laplace":
-        length = np.maximum(length, 1e-9)
+        length = np.sqrt(np.maximum(square, 1e-18))
         return np.asarray(np.square(std_m) / rng.wald(np.sqrt(3.0) / length, 3.0))
     return np.square(std_m)
 

@@ -12,7 +12,7 @@ from numpy.random import Generator
 
 from isac_track.config import SensingSettings
 from isac_track.rng import stream
-from isac_track.types import ErrorLaw, Floats, Ints, Scenes, Sensed, read_only
+from isac_track.types import ErrorLaw, Floats, Ints, Scenes, Sensed, read_only, squared_lengths
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0
 
@@ -136,12 +136,10 @@ def unit_errors(
     if law == "isotropic":
         return draws[:, 1:]
     if law == "radial":
-        along, x, y = draws.T
-        length = np.hypot(x, y)
+        along = draws[:, 0] / np.sqrt(squared_lengths(draws[:, 1:]))
         errors = np.empty((n_samples, 2))
-        for axis, draw in enumerate((x, y)):  # both at once would take longer
-            np.divide(draw, length, out=errors[:, axis])
-            errors[:, axis] *= along
+        for axis in range(2):  # both at once would take longer
+            np.multiply(draws[:, 1 + axis], along, out=errors[:, axis])
         return errors
     if law == "fixed_direction":
         if offsets is None:

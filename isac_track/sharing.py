@@ -55,7 +55,7 @@ def perturb(
     elif adding == "independent":
         if unit_error is None:
             unit_error = _fresh_errors(sensed, law or sensed.law, rng)
-        sigma = np.hypot(sensed.sigma_raw, extra)
+        sigma = np.sqrt(sensed.sigma_raw**2 + extra**2)
     else:
         raise ValueError(f"unknown adding rule {adding!r}; known: linear, independent")
     xy = np.empty_like(sensed.xy)

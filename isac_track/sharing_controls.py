@@ -7,6 +7,7 @@ fewer samples. A descriptor that tells how linkable people are must tell under t
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from importlib import import_module
 from typing import ClassVar, Final, get_args
 
 import numpy as np
@@ -42,32 +43,23 @@ def correlated_errors(
     elapsed[first] = np.inf
     decay, noise = np.exp(-elapsed), np.sqrt(-np.expm1(-2.0 * elapsed))
     if law == "isotropic":
-        return _recursion(decay, noise[:, None] * draws[:, 1:], offsets)
-    amplitude = _recursion(decay, noise * draws[:, 0], offsets)[:, None]
+        return _recursion(decay, noise[:, None] * draws[:, 1:])
+    amplitude = _recursion(decay, noise[:, None] * draws[:, :1])
     if law == "fixed_direction":
         return amplitude * track_directions(draws[:, 1:], offsets=offsets)
     turn = np.sqrt(np.abs(dt_s) / tau_s) * draws[:, 1]  # |...|: from one track to the next
     turn[first] = np.arctan2(draws[first, 2], draws[first, 1])
     remembers = np.ones(t.size)
     remembers[first] = 0.0
-    angle = _recursion(remembers, turn, offsets)
-    direction: Floats = np.column_stack([np.cos(angle), np.sin(angle)])
+    angle = _recursion(remembers, turn[:, None])
+    direction: Floats = np.hstack([np.cos(angle), np.sin(angle)])
     return amplitude * direction
 
 
-def _recursion(decay: Floats, step: Floats, offsets: Ints) -> Floats:
-    """Return x_k = decay_k x_(k-1) + step_k along each track, (M, ...); decay 0 starts anew.
-
-    A prefix scan: steps are joined in pairs, fours, eights, ..., all of them at once.
-    """
-    found, passes = step.copy(), decay.copy()
-    reach, longest = 1, int(np.diff(offsets).max(initial=0))
-    while reach < longest:
-        weight = passes[reach:] if found.ndim == 1 else passes[reach:, None]
-        found[reach:] += weight * found[:-reach]  # the product is computed before anything moves
-        passes[reach:] = passes[reach:] * passes[:-reach]
-        reach *= 2
-    return found
+def _recursion(decay: Floats, step: Floats) -> Floats:
+    """Return x_k = decay_k x_(k-1) + step_k, (M, D), in place of the steps; decay 0 starts anew."""
+    import_module("isac_track.kalman._error_loops").recursion(decay, step)
+    return step
 
 
 @dataclass(frozen=True, slots=True)

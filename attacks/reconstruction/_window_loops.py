@@ -9,23 +9,24 @@ from isac_track.types import Floats, Ints
 @compiled(read(1), read(2), read(1, "int64"), read(1, "int64"), written(2))
 def centred_means(_: Floats, xy: Floats, offsets: Ints, half: Ints, out: Floats) -> None:
     """Fill `out` with the mean over up to `half` neighbours on each side, fewer near the ends."""
-    total = np.zeros((len(xy) + 1, 2))
+    total = np.zeros((np.diff(offsets).max() + 1 if half.size > 0 else 1, 2))
     for i in range(half.size):
-        first, last = offsets[i], offsets[i + 1] - 1
-        for axis in range(2):
-            # Sums of small numbers lose less: every track is summed up from its first position.
-            origin = xy[first, axis]
-            for k in range(first, last + 1):
-                total[k + 1, axis] = total[k, axis] + (xy[k, axis] - origin)
-            for k in range(first, last + 1):
-                side = min(half[i], k - first, last - k)
+        own, found = xy[offsets[i] : offsets[i + 1]], out[offsets[i] : offsets[i + 1]]
+        last = len(own) - 1
+        # Sums of small numbers lose less: every track is summed up from its first position.
+        for k in range(len(own)):
+            for axis in range(2):
+                total[k + 1, axis] = total[k, axis] + (own[k, axis] - own[0, axis])
+        for k in range(len(own)):
+            side = min(half[i], k, last - k)
+            for axis in range(2):
                 within = total[k + side + 1, axis] - total[k - side, axis]
-                out[k, axis] = within / (2 * side + 1) + origin
+                found[k, axis] = within / (2 * side + 1) + own[0, axis]
 
 
 @part_of_loop
-def _to_grid(t: Floats, values: Floats, step_s: float, grid: Floats) -> None:
-    """Interpolate onto as many instants at the mean interval, from the first value on."""
+def _to_grid(t: Floats, xy: Floats, step_s: float, grid: Floats) -> None:
+    """Interpolate onto as many instants at the mean interval, (2, n) from the first place on."""
     last = t.size - 1
     k = 0
     for i in range(t.size):
@@ -33,17 +34,20 @@ def _to_grid(t: Floats, values: Floats, step_s: float, grid: Floats) -> None:
         while k < last - 1 and t[k + 1] <= at:
             k += 1
         share = min((at - t[k]) / (t[k + 1] - t[k]), 1.0)
-        grid[i] = values[k] - values[0] + share * (values[k + 1] - values[k])
+        for axis in range(2):
+            grid[axis, i] = xy[k, axis] - xy[0, axis] + share * (xy[k + 1, axis] - xy[k, axis])
 
 
 @part_of_loop
-def _from_grid(t: Floats, grid: Floats, step_s: float, origin: float, out: Floats) -> None:
+def _from_grid(t: Floats, grid: Floats, step_s: float, origin: Floats, out: Floats) -> None:
     """Interpolate back onto the samples' own instants."""
     last = t.size - 1
     for i in range(t.size):
         place = min((t[i] - t[0]) / step_s, float(last))
         k = min(int(place), last - 1)
-        out[i] = origin + grid[k] + (place - k) * (grid[k + 1] - grid[k])
+        for axis in range(2):
+            before = grid[axis, k]
+            out[i, axis] = origin[axis] + before + (place - k) * (grid[axis, k + 1] - before)
 
 
 @part_of_loop
@@ -57,7 +61,7 @@ def _slide(grid: Floats, half: int, fitted: Floats) -> None:
     count = 2.0 * m + 1.0
     j2 = m * (m + 1.0) * count / 3.0
     j4 = j2 * (3.0 * m * m + 3.0 * m - 1.0) / 5.0
-    spread = j4 - j2 * j2 / count
+    over_spread, over_count, over_j2 = 1.0 / (j4 - j2 * j2 / count), 1.0 / count, 1.0 / j2
     s0 = s1 = s2 = 0.0
     for middle in range(m, n - m):
         # Summed up afresh once a window: what running sums lose grows with their square.
@@ -78,11 +82,11 @@ def _slide(grid: Floats, half: int, fitted: Floats) -> None:
             s0 += come
             s1 += m * come
             s2 += m * m * come
-        bend = (s2 - s0 * j2 / count) / spread
-        level = (s0 - bend * j2) / count
+        bend = (s2 - s0 * j2 * over_count) * over_spread
+        level = (s0 - bend * j2) * over_count
         before, after = (m if middle == m else 0), (m if middle == n - 1 - m else 0)
         for j in range(-before, after + 1):
-            fitted[middle + j] = level + j * (s1 / j2 + j * bend)
+            fitted[middle + j] = level + j * (s1 * over_j2 + j * bend)
 
 
 @compiled(read(1), read(2), read(1, "int64"), read(1, "int64"), written(2))
@@ -94,11 +98,10 @@ def fit_parabolas(t: Floats, xy: Floats, offsets: Ints, half: Ints, out: Floats)
         if half[i] == 0:
             out[first:end] = xy[first:end]
             continue
-        clock = t[first:end]
+        clock, places = t[first:end], xy[first:end]
         step_s = (clock[n - 1] - clock[0]) / (n - 1)
-        grid, fitted = np.empty(n), np.empty(n)
+        grid, fitted = np.empty((2, n)), np.empty((2, n))
+        _to_grid(clock, places, step_s, grid)
         for axis in range(2):
-            values = xy[first:end, axis]
-            _to_grid(clock, values, step_s, grid)
-            _slide(grid, half[i], fitted)
-            _from_grid(clock, fitted, step_s, values[0], out[first:end, axis])
+            _slide(grid[axis], half[i], fitted[axis])
+        _from_grid(clock, fitted, step_s, places[0], out[first:end])

@@ -35,12 +35,16 @@ class Averaging:
         repeats = context.repeats
 
         def reconstruct(release: Release) -> Reconstruction:
-            total, weight = np.zeros_like(release.xy), np.zeros((release.t.size, 1))
+            total, weight = np.zeros_like(release.xy), np.zeros_like(release.t)
             for one in (release, *repeats):
-                sigma_m = np.ones_like(one.t) if one.sigma is None else one.sigma
-                trust = 1.0 / np.maximum(sigma_m**2, 1e-12)[:, None]
-                total += trust * one.xy
+                trust = np.ones_like(one.t)
+                if one.sigma is not None:
+                    trust /= np.maximum(one.sigma**2, 1e-12)
                 weight += trust
-            return Reconstruction(total * (1.0 / weight))
+                for axis in range(2):  # both at once would take longer
+                    total[:, axis] += trust * one.xy[:, axis]
+            for axis in range(2):
+                total[:, axis] /= weight
+            return Reconstruction(total)
 
         return reconstruct

@@ -16,7 +16,7 @@ from isac_track.kalman.steady import Q_M2_PER_S3
 from isac_track.model_world import Motion, scale_m2, simulated
 from isac_track.protection import Laplace
 from isac_track.protocols import AttackContext, Reconstructor
-from isac_track.types import Floats, Knowledge, Reconstruction, Release
+from isac_track.types import Floats, Knowledge, Reconstruction, Release, squared_lengths
 
 _Part: TypeAlias = tuple[Floats, str]
 _LEAST_M2 = 1e-8
@@ -90,8 +90,8 @@ class Posterior:
         for turn in range(-self.burn_in, self.draws):
             scales = [
                 # A walk that lay exactly on a sample would never leave it.
-                np.maximum(scale_m2(std_m, np.hypot(*one.T) / std_m, law=law, rng=rng), _LEAST_M2)
-                for one, (std_m, law) in zip(errors, parts, strict=True)
+                np.maximum(scale_m2(std_m, square / std_m**2, law=law, rng=rng), _LEAST_M2)
+                for square, (std_m, law) in zip(map(squared_lengths, errors), parts, strict=True)
             ]
             variance = np.sum(scales, axis=0)
             free = simulated(t=t, offsets=offsets, start=start, motion=motion, rng=rng)

@@ -35,7 +35,17 @@ from isac_track.protocols import OF_WALKS, AttackContext, TrainingSet
 from isac_track.rng import stream
 from isac_track.scenes import Cut, make_scenes
 from isac_track.sensing import draw_channel, sense, sense_scenes, walk_numbers
-from isac_track.types import Floats, Ints, Knowledge, Release, Scenes, Sensed, derived
+from isac_track.types import (
+    Floats,
+    Ints,
+    Knowledge,
+    Release,
+    Scenes,
+    Sensed,
+    derived,
+    end_to_end,
+    runs_of,
+)
 
 if TYPE_CHECKING:
     from evaluation.experiment.axes import Consumer
@@ -55,13 +65,7 @@ class Victims(NamedTuple):
     """Some n of the tracks of a block, which are attacked at once: m samples, end to end."""
 
     tracks: Ints  # (n,) which of the block
-    samples: sharing.Samples
     truth: Floats  # (m, 2) m
-
-    def of(self, release: Release) -> Release:
-        """Return what a release holds of them."""
-        own = tuple(map(release.pseudonym.__getitem__, self.tracks.tolist()))
-        return derived(sharing.restricted(release, self.samples), pseudonym=own)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -177,8 +181,7 @@ def attacked_block(
 
 
 def _victims(scenes: Scenes, tracks: Ints) -> Victims:
-    samples = sharing.samples_of(scenes.offsets, tracks)
-    return Victims(tracks, samples, scenes.xy.take(samples.rows, axis=0))
+    return Victims(tracks, end_to_end(scenes.xy, runs_of(scenes.offsets, tracks)[0]))
 
 
 def _people(half: Ints, *, fold: int, seed: int) -> Ints:
@@ -200,7 +203,7 @@ def attacked_level(
     scenes, victims = sharing.restricted(block.scenes, left), block.victims
     if left is not None:
         victims = tuple(_victims(scenes, one.tracks) for one in victims)
-    own = tuple(one.of(release) for one in victims)
+    own = tuple(release.tracks(one.tracks) for one in victims)
     shows = {consumer.granted & SHOWS for consumer in consumers}
     views, training = {}, {}
     for fold, others in enumerate(block.training):
@@ -283,7 +286,7 @@ def attack_rows(consumer: Consumer, level: AttackedLevel) -> Rows:
                 shown, frame = level.views[fold, consumer.granted & SHOWS]
                 given = shown
             else:
-                own = part.of(release)
+                own = release.tracks(part.tracks)
                 rng = stream(block.seed, "frames", *level.key, fold, "pass", number)
                 shown, frame = view_of(own, granted=granted, rng=rng)
                 # A stranger may unlock arrays: what it writes to is its own.
@@ -391,7 +394,8 @@ def _context(
     repeats, seed = [], level.block.seed
     for number, release in enumerate(level.again if Knowledge.REPEATS in granted else ()):
         rng = stream(seed, "frames", *level.key, fold, "again", number)
-        repeats.append(view_of(victims.of(release), granted=granted, rng=rng)[0])
+        own = release.tracks(victims.tracks)
+        repeats.append(view_of(own, granted=granted, rng=rng)[0])
     return AttackContext(
         rng=stream(seed, "attacks", consumer.spec, consumer.knowledge, *level.key, fold),
         epsilon_m=level.block.stages.privacy.epsilon_m,
@@ -411,14 +415,13 @@ def _anchor(level: AttackedLevel, victims: Victims, frame: Frame) -> Release:
     offsets, seed = level.scenes.offsets, level.block.seed
     drawn = stream(seed, "anchors", int(level.scenes.index[0])).random(offsets.size - 1)
     places = (offsets[:-1] + drawn * np.diff(offsets)).astype(np.int64)[victims.tracks]
-    own = victims.of(level.release)
     return frame.release(
         Release(
             t=level.scenes.t[places],
             xy=level.scenes.xy[places],
             sigma=None,
             offsets=np.arange(places.size + 1),
-            pseudonym=own.pseudonym,
+            pseudonym=level.release.tracks(victims.tracks).pseudonym,
         )
     )
 

@@ -66,12 +66,12 @@ def column(values: Any) -> pa.Array:  # noqa: ANN401 - an array of either librar
 
 def names_column(rows: Ints, names: Sequence[str]) -> pa.Array:
     """Return a column of names, (N,), given by their places in `names`."""
-    return _names(tuple(names)).take(column(rows))
+    return _names_column(np.ascontiguousarray(rows, dtype=np.int64).tobytes(), tuple(names))
 
 
-@lru_cache(maxsize=16)
-def _names(names: tuple[str, ...]) -> pa.Array:
-    return column(names)  # once for all cells of a task
+@lru_cache(maxsize=16)  # once for all cells of a task
+def _names_column(rows: bytes, names: tuple[str, ...]) -> pa.Array:
+    return column(names).take(column(np.frombuffer(rows, dtype=np.int64)))
 
 
 def track_columns(scenes: Scenes, rows: Ints) -> Rows:

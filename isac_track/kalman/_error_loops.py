@@ -25,6 +25,14 @@ _ROW = 20
 """A sample as the filter leaves it: state, covariance, gain, innovation, its variance, f, dt."""
 
 
+@compiled(read(1), written(2))
+def recursion(decay: Floats, step: Floats) -> None:
+    """Add to each step what is left of the one before it."""
+    for k in range(1, len(step)):
+        for axis in range(step.shape[1]):
+            step[k, axis] += decay[k] * step[k - 1, axis]
+
+
 @part_of_loop
 def _memory(dt: float, tau_s: float) -> float:
     """Correlation of the error over dt; of none (0 s) it is 0, of a constant one (inf) 1."""

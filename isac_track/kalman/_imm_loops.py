@@ -173,10 +173,10 @@ def _filter(
             # Relative to the nearer mode: far outliers underflow in both otherwise.
             if mu_other > 0 and (d2_other < d2_one or not mu_one > 0):
                 det, d2 = det_other, d2_other
+                mu_one *= exp(min((d2 - d2_one) / 2, 0.0)) * sqrt(det / det_one)
             else:
                 det, d2 = det_one, d2_one
-            mu_one *= exp(min((d2 - d2_one) / 2, 0.0)) * sqrt(det / det_one)
-            mu_other *= exp(min((d2 - d2_other) / 2, 0.0)) * sqrt(det / det_other)
+                mu_other *= exp(min((d2 - d2_other) / 2, 0.0)) * sqrt(det / det_other)
             total = mu_one + mu_other
             mu_one /= total
             mu_other /= total
@@ -186,9 +186,10 @@ def _filter(
                 log_likelihood += log(scale) / 2
                 scale = 1.0
         row = min(k - first, mu.shape[0] - 1)
-        _write(one, x[row, 0], p[row, 0])
-        _write(other, x[row, 1], p[row, 1])
-        mu[row, 0], mu[row, 1] = mu_one, mu_other
+        if row == k - first or k + 1 == offsets[i + 1]:
+            _write(one, x[row, 0], p[row, 0])
+            _write(other, x[row, 1], p[row, 1])
+            mu[row, 0], mu[row, 1] = mu_one, mu_other
     return log_likelihood + log(scale) / 2
 
 

@@ -329,10 +329,9 @@ def smooth_positions(
     longest = offsets[order[-1] + 1] - offsets[order[-1]] if order.size > 0 else 0
     buffer = np.zeros((longest + 1) * _ROW)
     first, size = np.empty(LANES, dtype=np.int64), np.empty(LANES, dtype=np.int64)
-    for group in range(0, order.size, LANES):
-        used = min(LANES, order.size - group)
+    for group in range(-(-order.size % LANES), order.size, LANES):  # the first may be incomplete
         for lane in range(LANES):
-            i = order[group + min(lane, used - 1)]  # the last track fills empty lanes
+            i = order[max(group + lane, 0)]  # the shortest track fills empty lanes
             first[lane], size[lane] = offsets[i], offsets[i + 1] - offsets[i]
             start = first[lane]
             buffer[lane + _T] = t[start]
@@ -340,16 +339,16 @@ def smooth_positions(
             buffer[lane + _VX] = buffer[lane + _VY] = buffer[lane + _B] = 0.0
             buffer[lane + _A], buffer[lane + _C] = prior[0], prior[1]
             buffer[lane + _DET] = prior[0] * prior[1]
-        n = size[used - 1]
+        n = size[LANES - 1]
         # Row by row: lane by lane every store would fetch a line of memory of its own.
         for k in range(n):
             row = buffer[(k + 1) * _ROW : (k + 2) * _ROW]
             for lane in range(LANES):
-                own = first[lane] + min(k, size[lane] - 1)
-                square = 2.0 * variance[own] if k < size[lane] else _NOTHING
-                row[lane + _T], row[lane + _SQUARE] = t[own], square
-                row[lane + _X], row[lane + _Y] = xy[own, 0], xy[own, 1]
-                row[lane + _PX], row[lane + _PY], row[lane + _A] = xy[own, 0], xy[own, 1], 0.0
+                own = first[lane] + (k if k < size[0] else min(k, size[lane] - 1))
+                x, y = xy[own, 0], xy[own, 1]
+                row[lane + _T], row[lane + _X], row[lane + _Y] = t[own], x, y
+                row[lane + _PX], row[lane + _PY], row[lane + _A] = x, y, 0.0
+                row[lane + _SQUARE] = 2.0 * variance[own] if k < size[lane] else _NOTHING
         blur = 1.0
         for turn in range(passes):
             _forward(buffer, n, q, blur)
@@ -358,7 +357,7 @@ def smooth_positions(
                 blur *= anneal
         for k in range(n):
             row = buffer[(k + 1) * _ROW : (k + 2) * _ROW]
-            for lane in range(used):
+            for lane in range(max(-group, 0), LANES):
                 if k < size[lane]:
                     own = first[lane] + k
                     position[own, 0], position[own, 1] = row[lane + _PX], row[lane + _PY]
