@@ -150,19 +150,21 @@ def least_costs(
         here = basis[begin[m] : begin[m + 1]].reshape(-1, m)
         p_parts, p_square = _projected(probe, start_p, here)
         g_parts, g_square = _projected(gallery, start_g, here)
-        dot = np.dot(p_parts.T, g_parts)
+        dots = crosses = np.dot(p_parts.T, g_parts)
         if rotated:
-            # The modulus of a b*: the rotation that fits best, which no reflection can enter.
             turned, rank = np.empty_like(p_parts), len(here)
             turned[:rank], turned[rank:] = p_parts[rank:], -p_parts[:rank]
-            cross = np.dot(turned.T, g_parts)
-            for i in range(len(dot)):
-                for j in range(n_gallery):
-                    dot[i, j] = np.sqrt(dot[i, j] * dot[i, j] + cross[i, j] * cross[i, j])
+            crosses = np.dot(turned.T, g_parts)
         for i in range(p_square.size):
-            own, scale = p_square[i], weight[m - 1] / m
-            for j in range(n_gallery):
-                gap[j] = max(own + g_square[j] - 2.0 * dot[i, j], 0.0) * scale
+            own, scale, dot, cross = p_square[i], weight[m - 1] / m, dots[i], crosses[i]
+            if rotated:
+                # The modulus of a b*: the rotation that fits best, which no reflection can enter.
+                for j in range(n_gallery):
+                    modulus = np.sqrt(dot[j] * dot[j] + cross[j] * cross[j])
+                    gap[j] = max(own + g_square[j] - 2.0 * modulus, 0.0) * scale
+            else:
+                for j in range(n_gallery):
+                    gap[j] = max(own + g_square[j] - 2.0 * dot[j], 0.0) * scale
             for e in range(floors.size):
                 best, more = out[e, i], floors[e] * weight[m - 1]
                 for j in range(n_gallery):

@@ -19,17 +19,18 @@ _Told: TypeAlias = tuple[Floats, Floats, Floats]
 _WALKS, _TOLD = together(read(1), read(2), read(1), read(1, "int64")), together(*[read(3)] * 3)
 
 
-@compiled(_WALKS, read(2), written(4), written(4))
+@compiled(_WALKS, read(2), written(4))
 def tell(  # noqa: C901 - moments, a sample at a time
-    walks: _Walks, segments_s: Floats, information: Floats, pull: Floats
+    walks: _Walks, segments_s: Floats, told: Floats
 ) -> None:
-    """Fill `information` (L, N, K, K) and `pull` (L, N, K, 2); see `likelihood_ratio.Told`.
+    """Fill `told` (L, N, K, K + 2) with what walks tell of their coefficients, at each of L lags.
 
-    Of walks (times, positions, information of each sample, offsets), in L stretches from their
-    first samples on, with any shift left out.
+    That is their information, 1/m^2 per axis, and beside it the pull, 1/m: information times
+    coefficients. Of walks (times, positions, information of each sample, offsets), in L stretches
+    from their first samples on, with any shift left out.
     """
     t, xy, weight, offsets = walks
-    rank = information.shape[2]
+    rank = told.shape[2]
     q, moments, sums = np.empty(rank + 1), np.empty((rank + 1, rank + 1)), np.empty((rank + 1, 2))
     degree = np.arange(2.0, rank + 1.0)
     slope, back = (2.0 * degree - 1.0) / degree, (degree - 1.0) / degree  # of Legendre's recursion
@@ -56,10 +57,68 @@ def tell(  # noqa: C901 - moments, a sample at a time
             for a in range(rank):
                 share = moments[a + 1, 0] / total if total > 0.0 else 0.0
                 for axis in range(2):
-                    pull[at, row, a, axis] = sums[a + 1, axis] - share * sums[0, axis]
+                    told[at, row, a, rank + axis] = sums[a + 1, axis] - share * sums[0, axis]
                 for b in range(a + 1):
                     left = moments[a + 1, b + 1] - share * moments[b + 1, 0]
-                    information[at, row, a, b] = information[at, row, b, a] = left
+                    told[at, row, a, b] = told[at, row, b, a] = left
+
+
+@part_of_loop
+def _solve(rows: Floats) -> float:
+    """Put the solution of K equations (K, K + R) in their last R columns; return ln |det|.
+
+    Gauss and Jordan's elimination, with the largest pivot of each column.
+    """
+    rank, width = rows.shape
+    log_det = 0.0
+    for c in range(rank):
+        top = c
+        for a in range(c + 1, rank):
+            if abs(rows[a, c]) > abs(rows[top, c]):
+                top = a
+        pivot = rows[top, c]
+        log_det += log(abs(pivot))
+        for b in range(c, width):
+            rows[top, b], rows[c, b] = rows[c, b], rows[top, b] / pivot
+        for a in range(rank):
+            if a != c:
+                times = rows[a, c]
+                for b in range(c, width):
+                    rows[a, b] -= times * rows[c, b]
+    return log_det
+
+
+@compiled(read(4), read(3), read(2), written(3), written(3), written(3))
+def take_sides(
+    told: Floats, more_m2: Floats, prior: Floats, known: Floats, pull: Floats, alone: Floats
+) -> None:
+    """Fill what `ratios` takes of a side from what `tell` tells, its errors as large as they are.
+
+    To the covariance of a walk's coefficients is added `more_m2`, (L, K, K).
+    """
+    n_lags, n_walks, rank = told.shape[:3]
+    rows, own = np.empty((rank, 2 * rank + 2)), np.empty((rank, rank + 2))
+    for at, row in np.ndindex(n_lags, n_walks):
+        rows[:, rank:] = told[at, row]
+        for a in range(rank):
+            for b in range(rank):
+                total = 1.0 if a == b else 0.0
+                for c in range(rank):
+                    total += told[at, row, a, c] * more_m2[at, c, b]
+                rows[a, b] = total
+        _solve(rows)
+        own[:] = rows[:, rank:]
+        for a in range(rank):
+            own[a, a] += prior[at, a]
+            for b in range(a + 1):
+                known[at, a * (a + 1) // 2 + b, row] = rows[a, rank + b]
+        evidence = _solve(own)
+        for a in range(rank):
+            for axis in range(2):
+                force = rows[a, 2 * rank + axis]
+                evidence -= 0.5 * force * own[a, rank + axis]
+                pull[at, 2 * a + axis, row] = force
+        alone[at, 0, row] = evidence
 
 
 @part_of_loop

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
 from types import ModuleType
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 from scipy.special import logsumexp
@@ -84,13 +84,6 @@ class LikelihoodRatio:
         return linker(_ratios, self, slow, (1 + linear) * RadialRTS.USUAL_PASSES)
 
 
-class Told(NamedTuple):
-    """What N walks tell of the coefficients of their stretches, one at each of L lags."""
-
-    information: Floats  # (L, N, K, K) 1/m^2 per axis.
-    pull: Floats  # (L, N, K, 2) 1/m, information times coefficients.
-
-
 def _ratios(
     probe: Release,
     gallery: Release,
@@ -99,18 +92,16 @@ def _ratios(
     passes: int,
 ) -> Floats:
     """Return the score of every pair, (P, G); `slow` as from `added_error`."""
-    lags_s = _lags_s(attack)
-    lasts_s = attack.window_s - np.abs(lags_s)
-    spread_m2 = prior_m2(duration_s=lasts_s, q=attack.q, rank=attack.rank)
+    lags_s, spread_m2 = _lags_s(attack), _spread_m2(attack)
+    log_lag = -np.abs(lags_s) / attack.lag_s
+    log_lag += np.log(spread_m2).sum(axis=1) - logsumexp(log_lag)
     sides = []
     for release, sign in ((probe, 1), (gallery, -1)):
         origin, among = whole(release)
-        told = Told(*(np.asarray(one[:, among]) for one in _told(origin, attack, sign, passes)))
-        sides.append(_side(told, attack, slow, 1.0 / spread_m2))
-    log_lag = -np.abs(lags_s) / attack.lag_s
-    log_lag += np.log(spread_m2).sum(axis=1) - logsumexp(log_lag)
-    score = np.empty((sides[0][0].shape[2], sides[1][0].shape[2]))
-    _loops().ratios(sides[0], sides[1], 1.0 / spread_m2, log_lag, score)
+        side = _side(origin, attack, slow, sign, passes)
+        sides.append(tuple(one.take(among, axis=2) for one in side))
+    score = np.empty((len(probe), len(gallery)))
+    _loops().ratios(*sides, 1.0 / spread_m2, log_lag, score)
     return score
 
 
@@ -120,37 +111,38 @@ def _lags_s(attack: LikelihoodRatio) -> Floats:
     return np.array(sorted(range(-most, most + 1), key=abs)) * _STEP_S
 
 
+def _spread_m2(attack: LikelihoodRatio) -> Floats:
+    lasts_s = attack.window_s - np.abs(_lags_s(attack))
+    return prior_m2(duration_s=lasts_s, q=attack.q, rank=attack.rank)
+
+
 @remembered
-def _told(release: Release, attack: LikelihoodRatio, sign: int, passes: int) -> Told:
+def _told(release: Release, attack: LikelihoodRatio, sign: int, passes: int) -> Floats:
     """Return what the walks of a release tell, as a probe (1) or a gallery (-1)."""
-    lags_s, n, rank = _lags_s(attack), len(release), attack.rank
+    lags_s, rank = _lags_s(attack), attack.rank
     start_s = np.maximum(sign * lags_s, 0.0)
     segments_s = np.column_stack([start_s, start_s + attack.window_s - np.abs(lags_s)])
-    told = Told(np.empty((lags_s.size, n, rank, rank)), np.empty((lags_s.size, n, rank, 2)))
+    told = np.empty((lags_s.size, len(release), rank, rank + 2))
     walks = release.t, release.xy, information(release, passes), release.offsets
-    _loops().tell(tuple(map(np.ascontiguousarray, walks)), segments_s, *told)
+    _loops().tell(tuple(map(np.ascontiguousarray, walks)), segments_s, told)
     return told
 
 
+@remembered
 def _side(
-    told: Told, attack: LikelihoodRatio, slow: tuple[float, float], prior: Floats
+    release: Release, attack: LikelihoodRatio, slow: tuple[float, float], sign: int, passes: int
 ) -> tuple[Floats, ...]:
     """Return what `_ratio_loop.ratios` takes of a side, its errors as large as they are."""
-    lags_s, rank = _lags_s(attack), attack.rank
-    more_m2 = np.tile(attack.floor_m2 * np.eye(rank), (lags_s.size, 1, 1, 1))
-    std_m, tau_s = slow
+    lags_s, rank, (std_m, tau_s) = _lags_s(attack), attack.rank, slow
+    more_m2 = np.tile(attack.floor_m2 * np.eye(rank), (lags_s.size, 1, 1))
     if std_m > 0.0:
         for at, lag_s in enumerate(np.abs(lags_s).tolist()):
             more_m2[at] += std_m**2 * _slow_share(attack.window_s - lag_s, tau_s, rank)
-    both = np.concatenate([told.information, told.pull], axis=3)
-    both = np.linalg.solve(np.eye(rank) + told.information @ more_m2, both)
-    known, pull = both[..., :rank], both[..., rank:]
-    alone = known + prior[:, None, :, None] * np.eye(rank)
-    evidence = np.linalg.slogdet(alone)[1]
-    evidence -= 0.5 * (pull * np.linalg.solve(alone, pull)).sum(axis=(2, 3))
-    triangle = known[:, :, *np.tril_indices(rank)].transpose(0, 2, 1)
-    flat = pull.reshape(*pull.shape[:2], 2 * rank).transpose(0, 2, 1)
-    return (*map(np.ascontiguousarray, (triangle, flat, evidence[:, None])),)
+    sizes = (rank * (rank + 1) // 2, 2 * rank, 1)
+    side = tuple(np.empty((lags_s.size, size, len(release))) for size in sizes)
+    told = _told(release, attack, sign, passes)
+    _loops().take_sides(told, more_m2, 1.0 / _spread_m2(attack), *side)
+    return side
 
 
 @lru_cache(maxsize=256)
