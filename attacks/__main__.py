@@ -117,11 +117,6 @@ def _list() -> int:
 
 
 def _check(spec: str) -> int:
-    linker, at, reconstruction = spec.partition("@")
-    if at:
-        parts = f"{linker or 'LINKER'}, then {reconstruction or 'RECONSTRUCTION'}"
-        two = "two attacks, one on what the other makes of a release"
-        raise SettingsError(f"{spec!r} is {two}; check the two parts apart: {parts}")
     from attacks.testing import adversaries_of, checks_for, noun_of  # noqa: PLC0415 - `--help` stays quick
     from isac_track import plugins  # noqa: PLC0415 - as above
     from isac_track.testing import engine  # noqa: PLC0415 - as above

@@ -27,7 +27,6 @@ _DECIMAL = re.compile(r"[+-]?\d+\.\d*(e[+-]?\d+)?", re.IGNORECASE)
 _LONGEST_NAME = 200
 """Characters: ids stand in messages, tables and figures, and a split track repeats its own."""
 _BLOCK_BYTES = 1 << 18
-_MOST_COLUMNS = 10_000  # Of csv: pyarrow takes memory for each, also for those that are not used.
 _FREE_ROWS = 500_000
 """A parquet file above this needs a byte a row: equal rows pack a thousandfold, walks do not."""
 _FREE_BYTES = 50_000_000
@@ -68,10 +67,8 @@ def read_csv(*, data: bytes, path: str) -> Rows:
             if message := _csv_fault(line, names) if line else "":
                 raise DataError(f"{path}, line {number}: {message}") from None
         raise DataError(f"{path}: cannot be read as csv ({brief(error)})") from None
-    columns = {name: table[column] for column, name in used.items()}
-    del table
     place = recording.Place(path, lambda: np.fromiter(_csv_lines(body), dtype=np.int64))
-    return _rows(columns, names=names, place=place)
+    return _rows(table.rename_columns([*used.values()]), names=names, place=place)
 
 
 def read_parquet(*, data: bytes, path: str) -> Rows:
@@ -110,10 +107,8 @@ def read_parquet(*, data: bytes, path: str) -> Rows:
                 raise ValueError(f"column {name} is not in it")  # noqa: TRY301 - told below
     except Exception as error:  # noqa: BLE001 - as above
         raise DataError(f"{path}: the parquet file is damaged ({brief(error)})") from None
-    columns = {name: table[name] for name in used}
-    del table
     place = recording.Place(path, lambda: np.arange(1, n_rows + 1), unit="row")
-    return _rows(columns, names=names, place=place)
+    return _rows(table, names=names, place=place)
 
 
 def _csv_header(*, header: str, path: str) -> tuple[str, ...]:
@@ -126,9 +121,6 @@ def _csv_header(*, header: str, path: str) -> tuple[str, ...]:
         if len(names) == 1 and separator in header.strip():
             message = f"{name} between the columns; csv has commas (and decimal points)"
             raise DataError(f"{where}: {message}")
-    if len(names) > _MOST_COLUMNS:
-        message = f"{len(names)} columns, over {_MOST_COLUMNS}; leave out what is not used"
-        raise DataError(f"{where}: {message}")
     _check_header(names=names, where=where)
     return names
 
@@ -172,25 +164,23 @@ def _csv_fault(line: str, names: tuple[str, ...]) -> str:
     return ""
 
 
-def _rows(columns: dict[str, pa.ChunkedArray], *, names: Sequence[str], place: Place) -> Rows:
-    """Return the rows of arrow columns, which are let go one by one; `names` are the file's."""
-    t, x, y = (_numbers(columns.pop(name), name=name, path=place.path) for name in _UNITS)
+def _rows(table: pa.Table, *, names: Sequence[str], place: Place) -> Rows:
+    """Return the rows of arrow columns; `names` are the file's."""
+    t, x, y = (_numbers(table[name], name=name, path=place.path) for name in _UNITS)
     if not t.size:
         raise DataError(f"{place.path}: the file holds no rows")
     recording.check_numbers({"t": t, "x": x, "y": y}, place)
-    xy = np.column_stack([x, y])
-    del x, y
-    person, ids = _index(columns["id"], is_group=False, place=place)
+    person, ids = _index(table["id"], is_group=False, place=place)
     groups: tuple[tuple[str, str], ...] = ()
-    if "group" in columns:  # an empty cell is no group
-        group, labels = _index(columns["group"], is_group=True, place=place)
+    if "group" in names:  # an empty cell is no group
+        group, labels = _index(table["group"], is_group=True, place=place)
         pairs = np.unique(np.column_stack([person, group]), axis=0)
         groups = tuple((ids[who], labels[label]) for who, label in pairs if labels[label])
     notes: tuple[recording.Repair, ...] = ()
     if others := [recording.printable(name[:40]) for name in names if name not in _USED]:
         unused = f"column(s) {recording.listed(others)}: not used, {t.size} rows each"
         notes = (recording.Repair("ignored-column", len(others), f"{place.path}: {unused}"),)
-    return recording.Rows(person, ids, t - t.min(), xy, place, groups, notes)
+    return recording.Rows(person, ids, t - t.min(), np.column_stack([x, y]), place, groups, notes)
 
 
 def _numbers(column: pa.ChunkedArray, *, name: str, path: str) -> Floats:

@@ -38,24 +38,21 @@ def to_tracks(
     place, ids, members = rows.place, rows.ids, (*rows.groups, *groups)
     notes = [*rows.notes]
 
-    def take(which: Ints | Bools) -> None:
-        nonlocal rows  # one column after the other is let go: files may be large
-        for name in ("person", "t", "xy"):
-            rows = replace(rows, **{name: getattr(rows, name)[which]})
+    def taken(rows: Rows, which: Ints | Bools) -> Rows:
+        return replace(rows, person=rows.person[which], t=rows.t[which], xy=rows.xy[which])
 
     order = np.argsort(rows.person, kind="stable")
     late = (np.diff(rows.t[order]) < 0) & (np.diff(rows.person[order]) == 0)
     text = "earlier than the row before of the same id; sorted"
     notes += place.noted("unsorted", order[1:][late], text)
     order = np.lexsort((rows.t, rows.person))  # stable
-    take(order)
+    rows = taken(rows, order)
     again = _copies(rows, order)
     text = "the same id, time and position again; dropped"
     notes += place.noted("duplicate", order[1:][again], text)
     if again.any():
         keep = np.concatenate([[True], ~again])
-        take(keep)
-        order = order[keep]
+        rows, order = taken(rows, keep), order[keep]
 
     cut, gaps = _cuts(rows, order)
     notes += gaps
@@ -64,8 +61,7 @@ def to_tracks(
     text = f"a single sample (id {listed([ids[index] for index in rows.person[single]])}); dropped"
     notes += place.noted("one-point", order[single], text)
     if single.any():
-        take(~single)
-        order = order[~single]
+        rows, order = taken(rows, ~single), order[~single]
     offsets = np.concatenate([[0], np.cumsum(lengths[lengths > 1])])
     t, owner = rows.t, rows.person[offsets[:-1]]
     if not t.size:

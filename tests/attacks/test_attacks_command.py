@@ -109,9 +109,6 @@ class TestCheck:
             (f"{MINE}:Nobody", f"cannot be loaded from {MINE}:Nobody"),
             ("kalman_rts:-1", "q must be positive"),
             (f"{LINKERS}:NeedsRepeats", "nobody who links is granted"),
-            ("profile@kalman_rts:0.1", "check the two parts apart: profile, then kalman_rts:0.1"),
-            ("@kalman_rts", "apart: LINKER, then kalman_rts"),
-            ("profile@", "apart: profile, then RECONSTRUCTION"),
         ],
     )
     def test_wrong_usage(self, spec, message, capsys):

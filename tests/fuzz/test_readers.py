@@ -14,8 +14,7 @@ from helpers.recordings import CORPUS, TEXT, assert_told, packed, read_walk, ref
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from isac_track.datasets import FORMATS
-from isac_track.datasets.repair import to_tracks
+from isac_track.datasets import FORMATS, load
 from isac_track.errors import IsacTrackError
 
 VALID = {name: [(CORPUS / f"walks.{name}").read_bytes()] for name in TEXT}
@@ -116,26 +115,7 @@ class TestMemory:
         data = recording(format_name)
         assert peak_bytes(data, format_name) < 10 * len(data)
         data = data.replace(b"\n", b"\r\n")
-        if format_name == "csv":
-            data = data.replace(b",1,", ",\N{GRINNING FACE},".encode())
-        elif format_name != "trajnet":  # has ASCII numbers alone
-            data = "# \N{GRINNING FACE}\r\n".encode() + data
         assert peak_bytes(data, format_name) < 10 * len(data)
-
-    @pytest.mark.parametrize("of_a_person", [1_000_000, 10], ids=["one person", "ten rows each"])
-    @pytest.mark.parametrize(
-        ("format_name", "header", "line"),
-        [("csv", "t,id,x,y\n", "{t},{person},{t},0\n"), ("social-gan", "", "{t} {person} {t} 0\n")],
-    )
-    def test_with_the_shortest_rows(self, format_name, header, line, of_a_person):
-        n = 80_000
-        if of_a_person > n:  # stands still, but for the last row: all others say the same again
-            cells = ((int(row == n - 1), 1) for row in range(n))
-        else:
-            cells = ((row % 10, row // 10) for row in range(n))
-        data = (header + "".join(line.format(t=t, person=person) for t, person in cells)).encode()
-        assert len(data) < 12 * n
-        assert peak_bytes(data, format_name, fps=1.0) < 10 * len(data)
 
     @pytest.mark.parametrize(
         ("columns", "message"),
@@ -166,23 +146,13 @@ def recording(format_name):
 
 
 def peak_bytes(data, format_name, fps=25.0):
-    """What Python and arrow held at most, beside the file itself: up to the rows, or after."""
+    """What Python and arrow held at most, beside the file itself."""
     check(VALID[format_name][0], format_name, None if format_name == "csv" else 25.0)  # imports
-    up_to_rows = [0]
-
-    def sorted_out(rows, *, groups):
-        up_to_rows.append(tracemalloc.get_traced_memory()[1] + pool.max_memory())
-        tracemalloc.reset_peak()
-        handed_on = [rows]
-        del rows  # as nobody else holds them
-        return to_tracks(handed_on.pop(), groups=groups)
-
     tracemalloc.start()
     try:
-        with pytest.MonkeyPatch.context() as patch, arrow_pool() as pool:
-            patch.setattr("isac_track.datasets.to_tracks", sorted_out)
+        with arrow_pool() as pool:
             check(data, format_name, None if format_name == "csv" else fps)
-        return max(*up_to_rows, tracemalloc.get_traced_memory()[1] + pool.bytes_allocated())
+        return tracemalloc.get_traced_memory()[1] + pool.max_memory()
     finally:
         tracemalloc.stop()
 
