@@ -62,7 +62,7 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
 }
 _MECHANISMS = ("isac_track.sharing", "isac_track.sharing_controls", "isac_track.protection")
 """Modules with a table ``MECHANISMS``: one that is added there is known here."""
-_METHOD: dict[Kind, str] = {"mechanisms": "share", "predictors": "predict", "attacks": "fit"}
+_METHOD: dict[Kind, str] = {"attacks": "fit", "mechanisms": "share", "predictors": "predict"}
 _MOST_LEVELS = 1000
 _WHOLE_LIMIT = 10**12  # Names show 12 digits.
 
@@ -202,8 +202,7 @@ def kind_named(spec: str) -> Kind:
 
     Where nothing tells, an attack: what is wrong with it, `parse` says.
     """
-    kinds: tuple[Kind, ...] = ("attacks", "mechanisms", "predictors")
-    for kind in kinds:
+    for kind in _METHOD:
         with contextlib.suppress(PluginError, SettingsError):
             _load(kind, _split(kind, spec)[0])
             return kind

@@ -68,7 +68,7 @@ def _rows(subject: Hashable) -> list[Row]:
         try:
             row.raw(copied(row.ordinary))
         except AssertionError:
-            row = row.with_everything()
+            row = dataclasses.replace(row, given=row.ordinary.everything)
         rows.append(row)
     return rows
 

@@ -52,7 +52,6 @@ class ReconstructionCase(made.Case):
     asked: ClassVar[tuple[str, ...]] = ("release",)  # What the function from `fit` is called with.
     compared: ClassVar[str] = "positions or std"
     unit: ClassVar[str] = " m"
-    framed: ClassVar[str] = "the release, the training set and each repeat"
     hit: ClassVar[str] = "samples leak"
     chance: ClassVar[float] = np.pi * EPSILON_M**2 / BOX_M**2
     """Whatever is said of a position drawn uniformly in the square, so probably it is within
@@ -232,7 +231,6 @@ class LinkageCase(made.Case):
     asked: ClassVar[tuple[str, ...]] = ("probe", "gallery")
     compared: ClassVar[str] = "scores"
     unit: ClassVar[str] = " of their spread"
-    framed: ClassVar[str] = "every walk of either release and of the training set"
     hit: ClassVar[str] = "mates come first"
     chance: ClassVar[float] = 1 / N_TRACKS
     easy_share: ClassVar[float] = 1 / 4  # Chance alone brings 6 of 24 once in 1000 at most.

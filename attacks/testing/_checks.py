@@ -6,7 +6,7 @@ read, compared and scored, and what is made up to ask for one.
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, NoReturn, Self, TypeAlias
+from typing import Any, NoReturn, TypeAlias
 from unittest import SkipTest
 
 import numpy as np
@@ -48,10 +48,6 @@ class Row:
         knows = ", ".join(sorted(one.name for one in self.granted)) or "nothing"
         row = f" as {self.adversary} (granted {knows})" if self.adversary else ""
         return f"{type(self.subject).__name__}{row}"
-
-    def with_everything(self) -> Self:
-        """Return the row given all that there is in its cases."""
-        return replace(self, given=self.ordinary.everything)
 
     def fail(self, case: Case, what: str) -> NoReturn:
         """Fail a check, with the row and what the case is about."""
@@ -151,7 +147,7 @@ def only_granted_knowledge_is_touched(row: Row) -> None:
         replace(row, given=row.granted).raw(copied(case))
     except AssertionError as error:
         # Whether more knowledge would help tells a denial from any other fault.
-        row.with_everything().raw(copied(case))
+        replace(row, given=case.everything).raw(copied(case))
         raise AssertionError(
             f"{error}; given all knowledge it runs: declare what you touch in `requires` or "
             "`uses`, and look into context.granted before you touch what is only in `uses` "
@@ -182,7 +178,7 @@ def frames_do_not_matter(row: Row) -> None:
         row.answer(changed),
         follow(row.answer(row.ordinary)),
         tolerance=SAME_FRAME,
-        what=f"another frame and clock for {row.ordinary.framed}",
+        what="another frame and clock for every release",
         hint="without SCENE they are random; does anything depend on x and y taken by themselves, "
         "on headings, on absolute times, or on two of these sharing a frame?",
     )

@@ -35,7 +35,14 @@ def main(arguments: list[str] | None = None) -> int:
             return DONE
         if options.target is None:
             raise SettingsError("name the functions to check: package.module:OBJECT")
-        metrics = _load(options.target)
+        try:
+            metrics = resolve_name(options.target)
+        except (Exception, SystemExit) as error:  # a stranger's import may raise anything at all
+            expected = f"cannot import {options.target!r}, expected package.module:OBJECT"
+            raise PluginError(f"{expected}: {told(error)}") from error
+        if not isinstance(metrics, Metrics):
+            got = type(metrics).__name__
+            raise PluginError(f"{options.target} must be an isac_track.testing.Metrics, got {got}")
         if all(one.missing(metrics) for one in select_checks(options.check)):
             raise SettingsError(f"{options.target} offers no function for the checks chosen")
         found = run_checks(metrics, names=options.check)
@@ -44,18 +51,6 @@ def main(arguments: list[str] | None = None) -> int:
         return DONE if none_failed else LIMIT_NOT_MET
 
     return exit_code(check)
-
-
-def _load(target: str) -> Metrics:
-    try:
-        metrics = resolve_name(target)
-    except (Exception, SystemExit) as error:  # a stranger's import may raise anything at all
-        expected = f"cannot import {target!r}, expected package.module:OBJECT"
-        raise PluginError(f"{expected}: {told(error)}") from error
-    if not isinstance(metrics, Metrics):
-        got = type(metrics).__name__
-        raise PluginError(f"{target} must be an isac_track.testing.Metrics, got {got}")
-    return metrics
 
 
 if __name__ == "__main__":

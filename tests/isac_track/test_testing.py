@@ -187,9 +187,6 @@ class TestDocumentation:
         done = pytester.runpytest_inprocess(*words)
         done.assert_outcomes(passed=2, skipped=1, deselected=len(CHECKS) - 3)
 
-    def test_example_is_short(self):
-        assert len([line for line in self.BLOCKS[0].splitlines() if line.strip()]) <= 15
-
     def test_every_function_is_named(self):
         assert [item.name for item in fields(Metrics) if f"`{item.name}`" not in self.TEXT] == []
 

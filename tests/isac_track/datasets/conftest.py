@@ -23,20 +23,27 @@ def data_folder(empty_machine, monkeypatch, tmp_path):  # noqa: ARG001 - all els
     return tmp_path / "data"
 
 
-@pytest.fixture
-def ucy():
-    """Give the folder of the real recordings, which are not part of the project."""
+def folder_of(name):
+    """Give the user's data folder if it holds this recording, which is not part of the project."""
     folder = Path(os.environ.get("ISAC_TRACK_DATA", "nowhere"))
-    if not (folder / "students03" / "obsmat.txt").is_file():
-        pytest.skip("needs the UCY recordings: set ISAC_TRACK_DATA")
+    if not (folder / name).is_dir():
+        pytest.skip(f"needs {name}: set ISAC_TRACK_DATA")
     return folder
 
 
 @pytest.fixture
+def ucy():
+    return folder_of("students03")
+
+
+@pytest.fixture
 def gc():
-    """Skip where Grand Central is not at hand, which is not part of the project."""
-    if not (Path(os.environ.get("ISAC_TRACK_DATA", "nowhere")) / "gc").is_dir():
-        pytest.skip("needs Grand Central: set ISAC_TRACK_DATA")
+    return folder_of("gc")
+
+
+@pytest.fixture
+def single_file():
+    return folder_of("singlefile") / "singlefile"
 
 
 @pytest.fixture
@@ -45,12 +52,3 @@ def mirror(empty_machine, monkeypatch):  # noqa: ARG001 - the cache is to be emp
     with serving() as server:
         monkeypatch.setenv("ISAC_TRACK_MIRROR", server.address)
         yield server
-
-
-@pytest.fixture
-def single_file():
-    """Give the folder of the single-file experiments, which are not part of the project."""
-    folder = Path(os.environ.get("ISAC_TRACK_DATA", "nowhere")) / "singlefile"
-    if not folder.is_dir():
-        pytest.skip("needs the single-file experiments: set ISAC_TRACK_DATA")
-    return folder
