@@ -6,10 +6,10 @@ import contextlib
 import hashlib
 import os
 import time
+import tomllib
 from collections.abc import Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING
@@ -64,96 +64,8 @@ class Known:
     """How to get what is never downloaded from here: a folder of its own, named like it."""
 
 
-_UCY = partial(
-    Known,
-    citation="A. Lerner, Y. Chrysanthou, D. Lischinski: Crowds by Example. "
-    "Computer Graphics Forum 26(3), 655-664, 2007",
-    licence="free to use with credit to the authors; in metres by OpenTraj",
-    format="obsmat",
-    fps=25.0,
-)
-_ETH = partial(
-    Known,
-    citation="S. Pellegrini, A. Ess, K. Schindler, L. van Gool: You'll Never Walk Alone. ICCV 2009",
-    licence="no licence is stated; its authors ask to be cited; in metres by OpenTraj",
-    format="obsmat",
-)
-_PLAZA = partial(
-    Known,
-    citation="isac-track: the simulated crowd plaza, made by isac_track.datasets.crowd",
-    licence="MIT, as isac-track",
-)
-_RUNS = {
-    "04_1": "98357131950b51dc89949e28ef81c29b5240f57cd9831e7eedd17e4a1bc8c4c0",
-    "08_1": "d92a26e1e925feefa73be38cd5e9f2d806277d2043ade6bc399c0cc9d3a2b835",
-    "16_1": "d0d0f74cde18d583a6cd2bc5adb3fc5a4b22693fbc6ee33be9c225e345e48246",
-    "20_2": "aee68c3f7a9ff5ad42299bb5208749186ca4fb03c8bd44090f22865b3dd0818d",
-}
-_KNOWN = (
-    _UCY(
-        "students03",
-        "UCY students 3, Tel Aviv campus",
-        remote="UCY/students03",
-        sha256={
-            MAIN_FILE: "d9fd7048eab7d3d9550d7ac4f59b19d97a87612310e8c8e48cf3aaf59764ff80",
-            GROUPS_FILE: "93f1c1d59e089de38ca9d3a81d1592f8add87fac92130abdedcc3a8267177e02",
-        },
-    ),
-    _UCY(
-        "zara01",
-        "UCY zara 1, shopping street",
-        remote="UCY/zara01",
-        sha256={MAIN_FILE: "bd999ebcfbc506821fa5032a10b9101e150defcff85f1ef037d09ce7c6a8c2aa"},
-    ),
-    _UCY(
-        "zara02",
-        "UCY zara 2, the same street",
-        remote="UCY/zara02",
-        sha256={MAIN_FILE: "0b29bdacd54b971299b741f291d9b0eac0ce9aeec9901e75576c529a39523e9b"},
-    ),
-    _ETH(
-        "eth",
-        "ETH, a building's entrance; frames 6 apart at 15 a second",
-        remote="ETH/seq_eth",
-        fps=15.0,
-        sha256={MAIN_FILE: "d452ae2185ecb1164c2fdf31e75f6236f4c2ffc02c751a6b2ae921740cbc60d1"},
-    ),
-    _ETH(
-        "hotel",
-        "ETH hotel, a pavement at a tram stop",
-        remote="ETH/seq_hotel",
-        fps=25.0,
-        sha256={MAIN_FILE: "2b8577595204a6b780b80258fd50da35adb7293e3e06ad6f8e1b60965e7dde6e"},
-    ),
-    Known(
-        "gc",
-        "Grand Central Station, a concourse, 1.25 Hz: too slow for sway",
-        citation="B. Zhou, X. Wang, X. Tang, CVPR 2012 (video); S. Yi, H. Li, X. Wang: "
-        "Understanding Pedestrian Behaviors from Stationary Crowd Groups. CVPR 2015 (tracks)",
-        licence="none is issued: for research, never to be passed on",
-        format="gc",
-        sha256={WHOLE: "8225802df781dcae75d771b5bf78950122f4f2f9ebb8f8734fd5f5d2565ff990"},
-        get="no licence is issued with it, so it is not downloaded from here. Get the folder "
-        "datasets/GC of OpenTraj (github.com/crowdbotp/OpenTraj) at commit 97ec1d5e1b57, save it "
-        "as DIR/gc, or an archive of it as DIR/gc/gc.tgz",
-    ),
-    Known(
-        "singlefile",
-        "people one behind the other on an oval, who come back in other runs",
-        citation="Pedestrian Dynamics Data Archive, doi 10.34735/ped.2021.5; "
-        "PedestrianDynamics/SingleFileMovementAnalysis",
-        licence="as its owners state it with the doi; credit is due",
-        format="pedpy",
-        sessions="croma_female_*.txt",
-        sha256={WHOLE: "", **{f"croma_female_{run}.txt": digest for run, digest in _RUNS.items()}},
-        get="its files are not downloaded from here. Get croma_female_*.txt of "
-        "github.com/PedestrianDynamics/SingleFileMovementAnalysis (commit db3609f7228a, folder "
-        "setupLeft) and save them in DIR/singlefile",
-    ),
-    _PLAZA("plaza", "simulated crowd, bundled", session=1),
-    _PLAZA("plaza-session2", "the same simulated people another time, bundled", session=2),
-)
-KNOWN: Mapping[str, Known] = {known.name: known for known in _KNOWN}
+_TABLES = tomllib.loads(Path(__file__).with_name("known.toml").read_text(encoding="utf-8"))
+KNOWN: Mapping[str, Known] = {name: Known(name, **table) for name, table in _TABLES.items()}
 
 
 def known(name: str) -> Known:
