@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import sys
 import time
 import tomllib
 from collections.abc import Mapping
@@ -180,8 +181,8 @@ def fetch(data_set: Known) -> tuple[dict[str, Path], bool]:
     """Return the path of every file, and whether any was downloaded.
 
     Files go to the cache whole and checked, or not at all. A damaged file in the cache is ours to
-    replace; one in the user's own folder is not. Progress is shown on stderr. It is a DataError
-    if a file cannot be had, with the way out, or if the user's own is not the right one.
+    replace; one in the user's own folder is not. What is downloaded is said on stderr. It is a
+    DataError if a file cannot be had, with the way out, or if the user's own is not the right one.
     """
     import requests  # noqa: PLC0415 - a plain import of the package stays quick
     import urllib3  # noqa: PLC0415 - as above
@@ -208,7 +209,7 @@ def fetch(data_set: Known) -> tuple[dict[str, Path], bool]:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             _remove_leftovers(folder, file_name)
-            actual = _download(url, unchecked, title=f"{data_set.name}/{file_name}")
+            actual = _download(url, unchecked)
             if actual != data_set.sha256[file_name]:
                 raise ValueError(f"sha256 is {actual}, expected {data_set.sha256[file_name]}")  # noqa: TRY301 - told below
             unchecked.replace(target)
@@ -285,33 +286,23 @@ def _answer(url: str) -> requests.Response:
         raise requests.Timeout(f"timed out: over {LEAST_S:.0f} s") from None
 
 
-def _download(url: str, into: Path, *, title: str) -> str:
-    """Write what `url` gives to a file, with a progress bar; return its sha256."""
+def _download(url: str, into: Path) -> str:
+    """Write what `url` gives to a file; return its sha256."""
     import requests  # noqa: PLC0415 - as above
-    from rich import progress  # noqa: PLC0415 - only for a download
-    from rich.console import Console  # noqa: PLC0415 - only for a download
 
-    bar = progress.Progress(
-        *progress.Progress.get_default_columns()[:2],
-        progress.DownloadColumn(),
-        console=Console(stderr=True),
-    )
-    began_s = time.monotonic()
-    with _answer(url) as response:
+    began_s, digest = time.monotonic(), hashlib.sha256()
+    with _answer(url) as response, into.open("wb") as file:
         response.raise_for_status()
+        print(f"downloading {url}", file=sys.stderr)  # noqa: T201 - it may take a while
         announced = response.headers.get("Content-Length", "")
         expected = min(int(announced), _MOST_BYTES) if announced.isdecimal() else _MOST_BYTES
         limit_s = LEAST_S + expected / LEAST_BYTES_PER_S
-        digest = hashlib.sha256()
-        with bar, into.open("wb") as file:
-            task = bar.add_task(title, total=int(announced) if announced.isdecimal() else None)
-            # What is there, each time: a whole chunk may take a slow server for ever.
-            while chunk := response.raw.read1(_CHUNK_BYTES):
-                if time.monotonic() - began_s > limit_s:
-                    raise requests.Timeout(f"timed out: over {limit_s:.0f} s")
-                file.write(chunk)
-                digest.update(chunk)
-                if file.tell() > _MOST_BYTES:
-                    raise ValueError(f"over {_MOST_BYTES} bytes")
-                bar.advance(task, len(chunk))
+        # What is there, each time: a whole chunk may take a slow server for ever.
+        while chunk := response.raw.read1(_CHUNK_BYTES):
+            if time.monotonic() - began_s > limit_s:
+                raise requests.Timeout(f"timed out: over {limit_s:.0f} s")
+            file.write(chunk)
+            digest.update(chunk)
+            if file.tell() > _MOST_BYTES:
+                raise ValueError(f"over {_MOST_BYTES} bytes")
     return digest.hexdigest()
