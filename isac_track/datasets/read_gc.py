@@ -23,7 +23,7 @@ import numpy as np
 from isac_track.datasets import recording
 from isac_track.datasets.recording import Place, Repair, Rows
 from isac_track.datasets.registry import shown
-from isac_track.errors import DataError
+from isac_track.errors import DataError, told
 from isac_track.types import Floats, Tracks
 
 ARCHIVE = "gc.tgz"
@@ -88,8 +88,7 @@ def _archived(path: Path, where: str) -> Iterator[tuple[str, bytes]]:
                 if _called(member.name) and (file := archive.extractfile(member)):
                     yield member.name, file.read()
     except (tarfile.TarError, zlib.error, EOFError, OSError, ValueError) as error:
-        reason = recording.brief(error)
-        raise DataError(f"{where}: not an archive that can be read ({reason})") from None
+        raise DataError(f"{where}: not an archive that can be read ({told(error)})") from None
 
 
 def _fault(member: tarfile.TarInfo, count: int) -> str:

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isac_track.datasets import recording
-from isac_track.datasets.recording import Place, Rows, brief
-from isac_track.errors import DataError
+from isac_track.errors import DataError, told
 from isac_track.types import Floats, Ints
 
 if TYPE_CHECKING:
@@ -34,7 +33,7 @@ _MOST_UNPACKING = 100
 """A parquet file above `_FREE_BYTES` when unpacked may be this many times its size."""
 
 
-def read_csv(*, data: bytes, path: str) -> Rows:
+def read_csv(*, data: bytes, path: str) -> recording.Rows:
     """Read comma-separated values with a header line; DataError names file and line."""
     import pyarrow as pa  # noqa: PLC0415 - a plain import of the package stays quick
     from pyarrow import csv as arrow_csv  # noqa: PLC0415 - only for such a file
@@ -66,12 +65,12 @@ def read_csv(*, data: bytes, path: str) -> Rows:
         for number, line in enumerate(recording.lines_of(body), start=2):
             if message := _csv_fault(line, names) if line else "":
                 raise DataError(f"{path}, line {number}: {message}") from None
-        raise DataError(f"{path}: cannot be read as csv ({brief(error)})") from None
+        raise DataError(f"{path}: cannot be read as csv ({told(error)})") from None
     place = recording.Place(path, lambda: np.fromiter(_csv_lines(body), dtype=np.int64))
     return _rows(table.rename_columns([*used.values()]), names=names, place=place)
 
 
-def read_parquet(*, data: bytes, path: str) -> Rows:
+def read_parquet(*, data: bytes, path: str) -> recording.Rows:
     """Read a parquet file; DataError names file and row."""
     import pyarrow as pa  # noqa: PLC0415 - a plain import of the package stays quick
     from pyarrow import parquet  # noqa: PLC0415 - only for such a file
@@ -85,7 +84,7 @@ def read_parquet(*, data: bytes, path: str) -> Rows:
         n_rows = max(metadata.num_rows, sum(group.num_rows for group in groups))
         unpacked_bytes = sum(group.total_byte_size for group in groups)
     except Exception as error:  # noqa: BLE001 - a damaged file makes pyarrow raise nearly anything
-        raise DataError(f"{path}: not a parquet file ({brief(error)})") from None
+        raise DataError(f"{path}: not a parquet file ({told(error)})") from None
     names = tuple(schema.names)
     _check_header(names=names, where=path)
     if n_rows > max(_FREE_ROWS, len(data)):
@@ -106,7 +105,7 @@ def read_parquet(*, data: bytes, path: str) -> Rows:
             if name not in table.column_names:
                 raise ValueError(f"column {name} is not in it")  # noqa: TRY301 - told below
     except Exception as error:  # noqa: BLE001 - as above
-        raise DataError(f"{path}: the parquet file is damaged ({brief(error)})") from None
+        raise DataError(f"{path}: the parquet file is damaged ({told(error)})") from None
     place = recording.Place(path, lambda: np.arange(1, n_rows + 1), unit="row")
     return _rows(table, names=names, place=place)
 
@@ -164,7 +163,7 @@ def _csv_fault(line: str, names: tuple[str, ...]) -> str:
     return ""
 
 
-def _rows(table: pa.Table, *, names: Sequence[str], place: Place) -> Rows:
+def _rows(table: pa.Table, *, names: Sequence[str], place: recording.Place) -> recording.Rows:
     """Return the rows of arrow columns; `names` are the file's."""
     t, x, y = (_numbers(table[name], name=name, path=place.path) for name in _UNITS)
     if not t.size:
@@ -196,7 +195,7 @@ def _numbers(column: pa.ChunkedArray, *, name: str, path: str) -> Floats:
 
 
 def _index(
-    column: pa.ChunkedArray, *, is_group: bool, place: Place
+    column: pa.ChunkedArray, *, is_group: bool, place: recording.Place
 ) -> tuple[Ints, tuple[str, ...]]:
     """Return (M,) index into the cleaned values of an arrow column, and these in order."""
     import pandas as pd  # noqa: PLC0415 - only for such a file
@@ -209,7 +208,7 @@ def _index(
     try:
         values = column.to_pandas(integer_object_nulls=True)
     except (pa.ArrowException, UnicodeError) as error:
-        raise DataError(f"{place.path}: ids cannot be read ({brief(error)})") from None
+        raise DataError(f"{place.path}: ids cannot be read ({told(error)})") from None
     codes, distinct = pd.factorize(values, use_na_sentinel=False)
     cleaned = []
     for code, value in enumerate(distinct):

@@ -146,11 +146,6 @@ def listed(names: Sequence[str] | Ints) -> str:
     return ", ".join(str(name) for name in names[:_SHOWN]) + more
 
 
-def brief(error: Exception) -> str:
-    """Return the first line of what a library says of a file, for a message of our own."""
-    return printable((str(error).splitlines() or [type(error).__name__])[0][:160])
-
-
 _CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 
 
