@@ -6,7 +6,6 @@ import csv
 import io
 import re
 from collections.abc import Iterator, Sequence
-from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -127,9 +126,8 @@ def _csv_header(*, header: str, path: str) -> tuple[str, ...]:
 def _check_header(*, names: Sequence[str], where: str) -> None:
     missing = [name for name in _NEEDED if name not in names]
     if missing:
-        near = get_close_matches(missing[0], [name.lower() for name in names], n=1, cutoff=0.3)
-        original = next((name for name in names if near and name.lower() == near[0]), None)
-        hint = f"; did you mean {original[:40]!r}? Rename it" if original else ""
+        near = [name for name in names if name.lower() == missing[0]]
+        hint = f"; did you mean {near[0]!r}? Rename it" if near else ""
         raise DataError(
             f"{where}: no column {', '.join(missing)} (needed: t in s, id, x and y in m){hint}"
         )
