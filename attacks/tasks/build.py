@@ -14,10 +14,11 @@ from typing import Final
 import numpy as np
 from numpy.random import Generator
 
-from attacks.tasks.sessions import N_FOLDS, Sessions, Windows, circumstances, halves, joined, roles
+from attacks.tasks.sessions import N_FOLDS, Sessions, Windows, circumstances, halves, roles
 from attacks.tasks.task_list import TASKS, Task, task_named
 from isac_track.config import StageSettings
 from isac_track.datasets import load, summarise
+from isac_track.datasets.repair import walking_groups
 from isac_track.errors import DataError, SettingsError
 from isac_track.resample import sampling_times, walk
 from isac_track.rng import stream
@@ -273,6 +274,17 @@ def _closed(
         too_short=len(tracks) - len(long),
         not_drawn=len(long) - rows.size,
     )
+
+
+def joined(first: Sequence[str], second: Sequence[str]) -> tuple[str, ...]:
+    """Return the cluster of each person: who shares a group in either session, or over others.
+
+    Each is called by the first name, in alphabetical order, of its groups in the first session.
+    """
+    ids = tuple(map(str, range(len(first))))
+    days = [(ids, [f"{day}{name}" for name in of]) for day, of in enumerate((first, second))]
+    members = [one for day in days for one in zip(*day, strict=True)]
+    return tuple(one.removeprefix("group:0") for one in walking_groups(ids=ids, members=members))
 
 
 def handover(draft: Draft) -> Sessions:

@@ -3,7 +3,7 @@
 Walking groups stay whole, whoever is attacked, teaches the adversary or calibrates it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -84,24 +84,6 @@ class Sessions:
         learnt, known = (cluster[each.any(axis=0)] for each in (self.learns, self.calibrates))
         if np.intersect1d(learnt, known).size:
             raise AssertionError("scores are calibrated on people who were learnt from")
-
-
-def joined(first: Sequence[str], second: Sequence[str]) -> tuple[str, ...]:
-    """Return the cluster of each person: who shares a group in either session, or over others.
-
-    Each is called by the first name, in alphabetical order, of its groups in the first session.
-    """
-    # Heavy, and workers get sessions made.
-    from scipy.sparse import coo_array  # noqa: PLC0415 - as said
-    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415 - as said
-
-    names, one = np.unique(first, return_inverse=True)
-    names_later, other = np.unique(second, return_inverse=True)
-    size = names.size + names_later.size
-    people = coo_array((np.ones(one.size), (one, names.size + other)), shape=(size, size))
-    component = connected_components(people, directed=False)[1][: names.size]
-    first_name = names[np.unique(component, return_index=True)[1]]
-    return tuple(first_name[component[one]].tolist())
 
 
 def halves(group: tuple[str, ...], *, rng: Generator) -> Ints:

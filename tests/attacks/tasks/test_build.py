@@ -13,8 +13,7 @@ from helpers.walks import release_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from attacks.tasks.build import sessions_of
-from attacks.tasks.sessions import joined
+from attacks.tasks.build import joined, sessions_of
 from attacks.tasks.task_list import TASKS, task_named
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, SettingsError
