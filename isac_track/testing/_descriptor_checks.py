@@ -6,6 +6,7 @@ for leaked. Its segments are what remains between the zeros.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import groupby, pairwise, product
 from math import comb, expm1, nan, sqrt
 
@@ -248,16 +249,12 @@ def _rigid_motion_and_clock(function: Function) -> None:
     _after(function, lambda track: replace(track, t=2.0 * track.t), factor=2.0)
 
 
-@check
-def plr_rigid_motion(plr: Function) -> None:
-    """PLR does not change when both walks are turned, shifted and mirrored together."""
-    _after(plr, moved)
-
-
-@check
-def plr_time_reversal(plr: Function) -> None:
-    """PLR does not depend on the order of the samples."""
-    _after(plr, backwards)
+for _name, _change, _statement in (
+    ("rigid_motion", moved, "does not change when both walks are turned, shifted and mirrored"),
+    ("time_reversal", backwards, "does not depend on the order of the samples"),
+):
+    _body = partial(_after, change=_change)
+    check(_body, name=f"plr_{_name}", statement=f"PLR {_statement}.", needs=("plr",))
 
 
 @_check_each("plr", "mel_s")
