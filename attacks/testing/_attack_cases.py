@@ -129,9 +129,7 @@ class ReconstructionCase(made.Case):
         )
 
     @staticmethod
-    def ordinary_and_another(
-        _granted: frozenset[Knowledge],
-    ) -> tuple[ReconstructionCase, ReconstructionCase]:
+    def ordinary_and_another(_granted: object) -> tuple[ReconstructionCase, ReconstructionCase]:
         """Return a small case as most are, and one with another release of the same walks."""
         sizes = tuple(20 + 4 * row for row in range(8))
         case = made_up("ordinary", about="8 walks, noise of 0.3 m", sizes=sizes)

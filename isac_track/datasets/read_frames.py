@@ -161,16 +161,10 @@ def _fault(fields: list[str], format_name: str, n_first: int) -> str:
     if n_first not in {0, len(fields)}:
         return f"{len(fields)} columns where the rows before have {n_first}"
     for field in fields:
-        kind = "a number"
         try:
             float(field)
         except ValueError:
-            pass
-        else:  # float() takes what loadtxt does not
-            if field.isascii() and "_" not in field:
-                continue
-            kind = "a plain number"
-        return f"{field[:40]!r} is not {kind}"
+            return f"{field[:40]!r} is not a number"
     return ""
 
 

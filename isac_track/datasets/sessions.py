@@ -1,7 +1,6 @@
 """Several files as the sessions of one recording, and who of them comes back."""
 
 from collections.abc import Sequence
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -15,19 +14,16 @@ from isac_track.types import Floats, Tracks
 APART_S = 60.0
 """Between the last sample of a session and the first of the next, on the clock of all."""
 _SUFFIXES = (".csv", ".ndjson", ".parquet", ".txt")
-_MOST_FILES = 1000
 _SAME_STEP = 0.01  # Usual steps of sessions may differ by this share.
 
 
 def files_in(folder: Path, pattern: str = "*") -> list[Path]:
     """Return the files of a folder that are sessions, sorted; DataError if there are none."""
     try:
-        every = [*islice(folder.glob(pattern), _MOST_FILES + 1)]
+        every = folder.glob(pattern)
         found = [one for one in every if one.suffix.lower() in _SUFFIXES and one.is_file()]
     except OSError as error:
         raise DataError(f"{shown(folder)}: cannot be read ({error.strerror})") from None
-    if len(every) > _MOST_FILES:
-        raise DataError(f"{shown(folder)}: over {_MOST_FILES:,} files; name some with --session")
     if not found:
         named = pattern if pattern != "*" else " ".join(_SUFFIXES)
         raise DataError(f"{shown(folder)}: this is a folder, and holds no session ({named})")

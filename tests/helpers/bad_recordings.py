@@ -37,7 +37,7 @@ BAD = {
         (GAN + b"20 1 nan 0\n", "f, line 3: x is nan; leave such rows out"),
         (NOTES, "f, line 6: x is nan"),
         (GAN + b"0 1.5 0 0\n", "f, line 3: id 1.5 is not a whole number"),
-        (GAN + b"1_0 1 0 0\n", "f, line 3: '1_0' is not a plain number"),
+        (GAN + b"1_0 1 0 0\n", "f: cannot be read as social-gan: could not convert string '1_0'"),
         (GAN, "give frames per second with --fps", None),
         (GAN, "--fps: 0 frames per second is not a frame rate", 0.0),
         (GAN, "--fps: nan frames per second is not", float("nan")),
