@@ -18,7 +18,7 @@ from isac_track.rng import stream
 from isac_track.sensing import unit_errors
 from isac_track.testing._metrics import Function, check, expect, expect_that
 from isac_track.testing.engine import statement_of
-from isac_track.types import Bools, ErrorLaw, Floats
+from isac_track.types import ErrorLaw, Floats
 
 EPSILON_M = 0.3
 EPSILONS_M = np.linspace(0.02, 1.5, 25).tolist()
@@ -54,11 +54,6 @@ def of(function: Function, track: Track) -> float:
 def expect_of(function: Function, track: Track, value: float) -> None:
     """Compare a descriptor of a trajectory with a number."""
     expect(of(function, track), value, what=_NAMES[function.__name__], case=track)
-
-
-def text_of(leaked: Bools) -> str:
-    """Return the pattern of samples."""
-    return "".join("01"[sample] for sample in leaked.astype(int))
 
 
 def lasting_s(t: Sequence[float]) -> list[float]:
@@ -112,7 +107,8 @@ def random_tracks(
         error_m: Floats = limit_m * np.where(leaked, near, far)
         angle_rad = rng.uniform(0.0, 2.0 * np.pi, size)
         shared_xy = true_xy + (error_m * [np.cos(angle_rad), np.sin(angle_rad)]).T
-        yield Track(text_of(leaked), t, true_xy, shared_xy, limit_m)
+        pattern = "".join("01"[sample] for sample in leaked.astype(int))
+        yield Track(pattern, t, true_xy, shared_xy, limit_m)
 
 
 def moved(track: Track) -> Track:
