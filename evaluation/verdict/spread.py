@@ -187,7 +187,8 @@ def intervals(one: Contrasts) -> tuple[Floats, Floats]:
     """Return the ends of each contrast's own interval, (K,): of counts where few people differ."""
     half = stdtrit(np.maximum(one.degrees, 1.0), _TAIL) * one.errors
     low, high = one.gaps[0] - half, one.gaps[0] + half
-    least, most = exact_ends(*one.discordant[:2], one.degrees + 1.0, 1.0 - _TAIL)
+    more, fewer = one.discordant[:2]
+    least, most = exact_ends(more, fewer, one.degrees + 1.0, 1.0 - _TAIL)
     return (
         np.where(one.is_exact, np.minimum(low, least), low),
         np.where(one.is_exact, np.maximum(high, most), high),
