@@ -14,7 +14,7 @@ from helpers.recordings import CORPUS, TEXT, assert_told, packed, read_walk, ref
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from isac_track.datasets import FORMATS, load
+from isac_track.datasets import FORMATS
 from isac_track.errors import IsacTrackError
 
 VALID = {name: [(CORPUS / f"walks.{name}").read_bytes()] for name in TEXT}
