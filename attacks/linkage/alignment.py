@@ -10,8 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import EVERYBODY, Few, learn, linker
-from attacks.linkage.signals import FACTORS, aligned_costs, motions, on_grid
+from attacks.linkage.learning import learn, linker
+from attacks.linkage.signals import aligned_costs, factors, motion_of, on_grid
 from attacks.parameters import positive, tried
 from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 from isac_track.types import Floats, Knowledge, Release
@@ -61,7 +61,7 @@ class Shape:
         """Return what scores walks like those in the training set."""
         floors = tried(self.floor_m2, (self.DEFAULT_FLOOR_M2, 1e-4, 1e-3, 3e-3, 3e-2, 1e-1))
 
-        def scores(train: LinkageTrainingSet, _: Few) -> Callable[[float], Floats]:
+        def scores(train: LinkageTrainingSet) -> Callable[[float], Floats]:
             found = _shapes(train.probe, train.gallery, self, floors)
             return dict(zip(floors, found, strict=True)).__getitem__
 
@@ -105,13 +105,13 @@ class Profile:
 
     def fit(self, context: AttackContext) -> Linker:
         """Return what scores walks like those in the training set."""
-        factors = tried(self.factor, FACTORS)
+        widths = factors(context, self.factor)
         floors = tried(self.floor, (self.DEFAULT_FLOOR, 1e-4, 5e-4, 1e-2, 3e-2))
-        pairs = list(product(factors, floors))
+        pairs = list(product(widths, floors))
 
-        def scores(train: LinkageTrainingSet, few: Few) -> Callable[[tuple[float, float]], Floats]:
+        def scores(train: LinkageTrainingSet) -> Callable[[tuple[float, float]], Floats]:
             sides = train.probe, train.gallery
-            each = [_profiles(*sides, self, factor, floors, few) for factor in factors]
+            each = [_profiles(*sides, self, factor, floors) for factor in widths]
             return dict(zip(pairs, np.concatenate(each), strict=True)).__getitem__
 
         (best,) = learn(context, (pairs,), most=_TAUGHT_BY, scores=scores)
@@ -124,9 +124,8 @@ def _profiles(
     attack: Profile,
     factor: float,
     floors: float | Sequence[float],
-    few: Few = EVERYBODY,
 ) -> Floats:
     """Return the score of every pair, (P, G), or (E, P, G) of several floors."""
-    p, g = motions(probe, gallery, factor, attack.turn_m, few)
+    p, g = (motion_of(one, factor, attack.turn_m) for one in (probe, gallery))
     score: Floats = -np.log(aligned_costs(p, g, floors=floors, rank=_RANK, reach_s=attack.reach_s))
     return score

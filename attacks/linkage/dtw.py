@@ -6,8 +6,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import EVERYBODY, Few, learn, linker
-from attacks.linkage.signals import EXPONENT, FACTORS, FULL_CELLS, Signals, blocks, loops, motions
+from attacks.linkage.learning import learn, linker
+from attacks.linkage.signals import EXPONENT, FULL_CELLS, Signals, blocks, factors, loops, motion_of
 from attacks.parameters import positive, tried
 from isac_track.protocols import AttackContext, Linker
 from isac_track.types import Floats, Knowledge, Release
@@ -56,22 +56,15 @@ class DTW:
         """Return what scores walks like those in the training set."""
         factor, penalty = learn(
             context,
-            (tried(self.factor, FACTORS), tried(self.penalty, (self.DEFAULT_PENALTY, 0.02, 0.5))),
+            (factors(context, self.factor), tried(self.penalty, (self.DEFAULT_PENALTY, 0.02, 0.5))),
             most=_TAUGHT_BY,
-            scores=lambda train, few: partial(_score, train.probe, train.gallery, self, few=few),
+            scores=lambda train: partial(_score, train.probe, train.gallery, self),
         )
         return linker(_score, self, factor, penalty)
 
 
-def _score(
-    probe: Release,
-    gallery: Release,
-    attack: DTW,
-    factor: float,
-    penalty: float,
-    few: Few = EVERYBODY,
-) -> Floats:
-    p, g = motions(probe, gallery, factor, attack.turn_m, few)
+def _score(probe: Release, gallery: Release, attack: DTW, factor: float, penalty: float) -> Floats:
+    p, g = (motion_of(one, factor, attack.turn_m) for one in (probe, gallery))
     costs = warped_costs(p, g, band=attack.band, penalty=penalty, floor=attack.floor)
     return np.asarray(-np.log(costs))
 

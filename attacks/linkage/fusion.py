@@ -13,7 +13,7 @@ from attacks.linkage.alignment import Profile, Shape
 from attacks.linkage.behaviour import FEATURES, Behaviour, features
 from attacks.linkage.dtw import DTW
 from attacks.linkage.histogram import Histogram
-from attacks.linkage.learning import LEAST_MATES, mated
+from attacks.linkage.learning import LEAST_MATES, among, mated
 from attacks.linkage.likelihood_ratio import LikelihoodRatio
 from attacks.parameters import positive
 from attacks.reconstruction.kalman_rts import RadialRTS
@@ -63,7 +63,7 @@ class Fusion:
         rows = mated(train)
         if rows.size < 2 * LEAST_MATES:
             return _MEMBERS[0].fit(context)
-        halves = [_among(train, rows[half::2]) for half in (0, 1)]
+        halves = [among(train, rows[half::2]) for half in (0, 1)]
         found = [
             _stacked(_fitted(context, other), one.probe, one.gallery)
             for one, other in (halves, halves[::-1])
@@ -80,12 +80,6 @@ class Fusion:
             return np.asarray(scaled(_stacked(members, probe, gallery)) @ weights)
 
         return fused
-
-
-def _among(train: LinkageTrainingSet, rows: Ints) -> LinkageTrainingSet:
-    """Return some mated probes of a training set and their mates, nobody else."""
-    probe, gallery = part(train.probe, rows), part(train.gallery, train.mate[rows])
-    return LinkageTrainingSet(probe, gallery, np.arange(rows.size))
 
 
 _Members = Sequence[Callable[[Release, Release], Floats]]

@@ -5,10 +5,12 @@ from functools import partial
 from typing import ClassVar
 
 import numpy as np
+from scipy.special import xlogy
 
-from attacks.linkage.learning import EVERYBODY, Few, learn, linker
-from attacks.linkage.signals import FACTORS, Signals, loops, motions
+from attacks.linkage.learning import learn, linker
+from attacks.linkage.signals import Signals, factors, loops, motion_of
 from attacks.parameters import positive, tried
+from attacks.remembered import remembered, whole
 from isac_track.protocols import AttackContext, Linker
 from isac_track.types import Floats, Ints, Knowledge, Release
 
@@ -56,18 +58,23 @@ class Histogram:
         """Return what scores walks like those in the training set."""
         factor, speeds = learn(
             context,
-            (tried(self.factor, FACTORS), tried(self.speeds, (self.DEFAULT_SPEEDS, 24))),
+            (factors(context, self.factor), tried(self.speeds, (self.DEFAULT_SPEEDS, 24))),
             most=_TAUGHT_BY,
-            scores=lambda train, few: partial(_score, train.probe, train.gallery, few=few),
+            scores=lambda train: partial(_score, train.probe, train.gallery),
         )
         return linker(_score, factor, speeds)
 
 
-def _score(
-    probe: Release, gallery: Release, factor: float, speeds: int, few: Few = EVERYBODY
-) -> Floats:
-    a, b = (counts_of(one, speeds=speeds) for one in motions(probe, gallery, factor, few=few))
-    return one_source(a, b)
+def _score(probe: Release, gallery: Release, factor: float, speeds: int) -> Floats:
+    return one_source(*(_counts(one, factor, speeds) for one in (probe, gallery)))
+
+
+@remembered
+def _counts(release: Release, factor: float, speeds: int) -> Floats:
+    origin, rows = whole(release)
+    if origin is not release:
+        return _counts(origin, factor, speeds)[rows]
+    return counts_of(motion_of(release, factor), speeds=speeds)
 
 
 def counts_of(motion: Signals, *, speeds: int) -> Floats:
@@ -89,19 +96,15 @@ def counts_of(motion: Signals, *, speeds: int) -> Floats:
 
 def _between(values: Floats, centres: Floats) -> tuple[Ints, Floats]:
     """Return the centre below each value and the share of the one above."""
-    inside = np.clip(values, centres[0], centres[-1])
-    low = np.clip(np.searchsorted(centres, inside, side="right") - 1, 0, centres.size - 2)
-    share: Floats = (inside - centres[low]) / (centres[low + 1] - centres[low])
-    return low, share
+    at = np.interp(values, centres, np.arange(centres.size, dtype=np.float64))
+    low = np.minimum(at.astype(np.int64), centres.size - 2)
+    return low, at - low
 
 
 def one_source(a: Floats, b: Floats) -> Floats:
     """Return the log likelihood ratio of one source to two, (P, G), of counts (P, K) and (G, K)."""
     all_a, all_b = a.sum(axis=1)[:, None], b.sum(axis=1)
     shared = np.empty((len(a), len(b)))
-    loops().shared_cells(a, b, _x_log_x(a), _x_log_x(b), shared)
-    return np.asarray(_x_log_x(all_a) + _x_log_x(all_b) - _x_log_x(all_a + all_b) + shared)
-
-
-def _x_log_x(x: Floats) -> Floats:
-    return np.asarray(x * np.log(np.maximum(x, np.finfo(np.float64).tiny)))
+    loops().shared_cells(a, b, xlogy(a, a), xlogy(b, b), shared)
+    both = all_a + all_b
+    return np.asarray(xlogy(all_a, all_a) + xlogy(all_b, all_b) - xlogy(both, both) + shared)

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import Few, learn, linker, mated
+from attacks.linkage.learning import learn, linker, mated
 from attacks.linkage.signals import loops
 from attacks.parameters import positive, tried
 from attacks.remembered import noise_m2, remembered, whole
@@ -61,7 +61,7 @@ class Kinematic:
             tried(self.floor_m2, (self.DEFAULT_FLOOR_M2, 0.001, 0.1)),
         )
 
-        def scores(train: LinkageTrainingSet, _: Few) -> Callable[[float, float], Floats]:
+        def scores(train: LinkageTrainingSet) -> Callable[[float, float], Floats]:
             # As releases of their own: several filters of everybody would cost more than they save.
             probe, gallery = derived(train.probe), derived(train.gallery)
             return partial(continuations, probe, gallery, gap_s=rivals(train))

@@ -2,17 +2,14 @@
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
-from attacks.remembered import remembered
+from attacks.remembered import part, remembered
+from isac_track.linkability.ranks import standing
 from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 from isac_track.types import Floats, Ints, Knowledge, Release, read_only
-
-Rows: TypeAlias = Ints | slice
-Few: TypeAlias = tuple[Rows, Rows]  # Which walks of the probe and of the gallery are compared.
-EVERYBODY: Few = (slice(None), slice(None))
 
 _MOST_PAIRS = 2**19
 """Of which all scores of a level are remembered, 4 MB for each linker and adversary."""
@@ -49,6 +46,12 @@ def mated(train: LinkageTrainingSet) -> Ints:
     return np.flatnonzero(train.mate >= 0)
 
 
+def among(train: LinkageTrainingSet, rows: Ints) -> LinkageTrainingSet:
+    """Return some mated probes of a training set and their mates, nobody else."""
+    probe, gallery = part(train.probe, rows), part(train.gallery, train.mate[rows])
+    return LinkageTrainingSet(probe, gallery, np.arange(rows.size))
+
+
 def teaches(context: AttackContext) -> bool:
     """Return whether there is a training set with `LEAST_MATES` mated pairs or more."""
     return Knowledge.TRAIN in context.granted and mated(context.train).size >= LEAST_MATES
@@ -58,28 +61,27 @@ def learn(
     context: AttackContext,
     options: Sequence[Sequence[Any]],
     *,
-    scores: Callable[[LinkageTrainingSet, Few], Callable[..., Floats]],
+    scores: Callable[[LinkageTrainingSet], Callable[..., Floats]],
     most: int | None = None,
 ) -> tuple[Any, ...]:
     """Return a value for each of some parameters, chosen one after the other by `log_rank`.
 
     Another value than the default, the first of a parameter's `options`, is taken if it gains
-    `MARGIN`; where the context teaches nothing, none is. `scores` goes from the training set, and
-    who of either side counts, to what turns a value for each parameter into their scores, (P, G).
-    Learnt from are at the `most` so many mated pairs and nobody else.
+    `MARGIN`; where the context teaches nothing, none is. `scores` goes from a training set to what
+    turns a value for each parameter into its scores, (P, G). Learnt from are at the `most` so many
+    mated pairs and nobody else.
     """
     best = tuple(values[0] for values in options)
     if not teaches(context) or all(len(values) == 1 for values in options):
         return best
-    few, mate = EVERYBODY, context.train.mate
+    train = context.train
     if most is not None:
-        rows = mated(context.train)[:most]
-        few, mate = (rows, mate[rows]), np.arange(rows.size)
-    score = scores(context.train, few)
-    least = log_rank(score(*best), mate=mate)
+        train = among(train, mated(train)[:most])
+    score = scores(train)
+    least = log_rank(score(*best), mate=train.mate)
     for which, values in enumerate(options):
         choices = [best, *((*best[:which], value, *best[which + 1 :]) for value in values[1:])]
-        losses = [least, *(log_rank(score(*choice), mate=mate) for choice in choices[1:])]
+        losses = [least, *(log_rank(score(*choice), mate=train.mate) for choice in choices[1:])]
         winner = int(np.argmin(losses))
         if losses[winner] < least - MARGIN:
             best, least = choices[winner], losses[winner]
@@ -88,9 +90,5 @@ def learn(
 
 def log_rank(scores: Floats, *, mate: Ints) -> float:
     """Return the mean log of the rank of each mate among all candidates; ties count half."""
-    rows = np.flatnonzero(mate >= 0)
-    own, among = scores[rows, mate[rows]][:, None], scores
-    if rows.size < len(scores):
-        among = scores[rows]
-    tied = np.count_nonzero(among == own, axis=1) - 1
-    return float(np.log1p(np.count_nonzero(among > own, axis=1) + tied / 2.0).mean())
+    above, tied = standing(scores, mate)
+    return float(np.log1p(above + (tied - 1) / 2.0)[mate >= 0].mean())

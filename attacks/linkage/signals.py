@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from attacks.linkage.learning import EVERYBODY, Few, Rows
+from attacks.linkage.learning import teaches
 from attacks.remembered import noise_m2, remembered, whole
+from isac_track.protocols import AttackContext
 from isac_track.types import Floats, Ints, Release, read_only
 
 STEP_S = 0.25  # Of the grid: 4 Hz, above what is left of a walk behind the noise of any network.
@@ -23,7 +24,7 @@ SLOW_M_S = 0.4  # Below it a walk hardly has a direction; its turning rate is da
 _WIDTH_S = 3.0  # Of smoothing at errors of 1 m: tuned on the bundled crowd.
 WIDTHS_S = read_only(0.5 * 2.0 ** (np.arange(7) / 2.0))
 """0.5 s to 4 s, in steps of a factor of 1.4: few, so that walks are smoothed together."""
-FACTORS = (1.0, 0.5, 2.0)  # Of the widths that an informed adversary tries, the default first.
+_FACTORS = (1.0, 0.5, 2.0)  # Of the widths that an informed adversary tries, the default first.
 FULL_CELLS = 48.0  # 12 s: the overlap by which others are measured.
 EXPONENT = 3.0  # Of the ratio to an overlap, by which its cost grows: a short overlap fits anybody.
 _NEAR = 160
@@ -37,7 +38,7 @@ class Signals(NamedTuple):
     values: Floats  # (C, N, K) channels.
     sizes: Ints  # (N,) 1 to K, how many cells of each walk count, the first ones.
 
-    def walks(self, rows: Rows) -> "Signals":
+    def walks(self, rows: Ints) -> "Signals":
         """Return some of the walks."""
         return Signals(self.values[:, rows], self.sizes[rows])
 
@@ -115,20 +116,28 @@ def widths_s(release: Release, factor: float = 1.0) -> Floats:
     return rounded
 
 
+def factors(context: AttackContext, given: float | None) -> tuple[float, ...]:
+    """Return the factors of the widths that are tried: what was given, or the default first.
+
+    Left out are those by which all walks learnt from are smoothed over the same widths.
+    """
+    if given is not None or not teaches(context):
+        return (_FACTORS[0] if given is None else given,)
+    sides, found = (context.train.probe, context.train.gallery), dict[bytes, float]()
+    for factor in _FACTORS:
+        found.setdefault(b"".join(widths_s(one, factor).tobytes() for one in sides), factor)
+    return tuple(found.values())
+
+
 @remembered
 def motion_of(release: Release, factor: float, turn_m: float = 1.0) -> Signals:
     """Return how the walks of a release go, smoothed over `widths_s`; turning times `turn_m`."""
+    origin, rows = whole(release)
+    if origin is not release:
+        return motion_of(origin, factor, turn_m).walks(rows)
     values, count = motion(on_grid(release), width_s=widths_s(release, factor))
     values[1] *= turn_m
     return Signals(values, count)
-
-
-def motions(
-    probe: Release, gallery: Release, factor: float, turn_m: float = 1.0, few: Few = EVERYBODY
-) -> Iterator[Signals]:
-    """Yield how some walks of two releases go; see `motion_of`."""
-    for release, rows in zip((probe, gallery), few, strict=True):
-        yield motion_of(release, factor, turn_m).walks(rows)
 
 
 def aligned_costs(

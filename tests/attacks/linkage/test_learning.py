@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from helpers.walks import context, two_releases
 
-from attacks.linkage.learning import EVERYBODY, MARGIN, learn, log_rank
+from attacks.linkage.learning import MARGIN, learn, log_rank
+from attacks.remembered import whole
 from isac_track.protocols import LinkageTrainingSet
 
 N = 12
@@ -24,8 +25,8 @@ def learnt(options, n_ahead, *, train=TRAIN):
     """What is learnt where a choice has so many people ahead, and what was asked for."""
     asked = []
 
-    def scores(known, few):
-        assert (known, few) == (train, EVERYBODY)
+    def scores(known):
+        assert known is train
         return lambda *choice: asked.append(choice) or ranked(n_ahead(*choice), known.mate)
 
     return learn(context(train), options, scores=scores), asked
@@ -51,7 +52,7 @@ def test_only_a_gain_of_the_margin_moves_from_the_default(share, found):
     default = ranked(1, train.mate)
     better = np.concatenate([ranked(0, train.mate)[:1], default[1:]])
     scores = {1: default, 2: better}.__getitem__
-    assert learn(context(train), ((1, 2),), scores=lambda *_: scores) == (found,)
+    assert learn(context(train), ((1, 2),), scores=lambda _: scores) == (found,)
 
 
 def test_without_a_choice_or_a_teacher_nothing_is_asked():
@@ -64,9 +65,10 @@ def test_few_mates_are_the_mates():
     known, taught = np.where(np.arange(N) % 2 == 0, TRAIN.mate, -1), []
     known[1], known[11] = TRAIN.mate[[1, 11]]  # eight of them
 
-    def scores(_, few):
-        taught.extend(few)
-        return lambda _: ranked(1, np.arange(4))
+    def scores(few):
+        assert few.mate.tolist() == [0, 1, 2, 3]
+        taught.extend(whole(one)[1].tolist() for one in (few.probe, few.gallery))
+        return lambda _: ranked(1, few.mate)
 
     learn(
         context(LinkageTrainingSet(TRAIN.probe, TRAIN.gallery, known)),
@@ -75,4 +77,4 @@ def test_few_mates_are_the_mates():
         most=4,
     )
     rows = [0, 1, 2, 4]
-    assert [one.tolist() for one in taught] == [rows, TRAIN.mate[rows].tolist()]
+    assert taught == [rows, TRAIN.mate[rows].tolist()]

@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from helpers.walks import odd_release, release_of, two_releases
+from helpers.walks import context, odd_release, release_of, two_releases
 from scipy.optimize import minimize_scalar
 
 from attacks.linkage.signals import (
@@ -16,10 +16,12 @@ from attacks.linkage.signals import (
     WIDTHS_S,
     Signals,
     aligned_costs,
+    factors,
     motion,
     on_grid,
     widths_s,
 )
+from isac_track.protocols import LinkageTrainingSet
 from isac_track.rng import stream
 
 
@@ -71,6 +73,16 @@ def test_noise_asks_for_width():
     usual, half = (widths_s(noisy, factor) for factor in (1.0, 0.5))
     assert (usual > 2.0).all()
     assert (half < usual).all()
+
+
+def test_widths_that_come_to_the_same_are_tried_once():
+    tried = {}
+    for noise_m in (0.0, 1.0):
+        train = LinkageTrainingSet(*two_releases(12, noise_m=noise_m))
+        tried[noise_m] = factors(context(train), None)
+    assert tried == {0.0: (1.0,), 1.0: (1.0, 0.5, 2.0)}
+    assert factors(context(train), 3.0) == (3.0,)
+    assert factors(context(), None) == (1.0,)
 
 
 def slow_cost(a, b, *, floor, rank, reach, rotated):
