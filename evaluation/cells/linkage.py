@@ -7,7 +7,7 @@ person's linkability is compared with.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -289,8 +289,17 @@ def _sides(consumer: Consumer, level: LinkedLevel, fold: int) -> _Sides:
     is_alike = Knowledge.TRAIN not in granted and behind.origin.startswith(sharing.OURS)
     key = (Knowledge.SIGMA in shows, behind.spec, granted, None if is_alike else fold)
     if key not in level.sides:
-        level.sides[key] = _smoothed(consumer, behind, level, fold, shows)
+        made = _smoothed(consumer, behind, level, fold, shows)
+        # Both folds may have chosen alike: what linkers make of a release is then made once.
+        alike = (one for one in level.sides.values() if _are_same(one.both, made.both))
+        level.sides[key] = next(alike, made)
     return level.sides[key]
+
+
+def _are_same(some: Iterable[Release], others: Iterable[Release]) -> bool:
+    """Whether releases of one level hold the very same arrays."""
+    pairs = zip(some, others, strict=True)
+    return all(one.xy is other.xy and one.sigma is other.sigma for one, other in pairs)
 
 
 def _smoothed(
