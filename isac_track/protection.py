@@ -15,7 +15,7 @@ from numpy.random import Generator
 
 from isac_track.kalman import Batch, kalman_last
 from isac_track.rng import stream
-from isac_track.sharing import check_at_least, fid_d_sigma, perturb
+from isac_track.sharing import Fid, check_at_least, fid_d_sigma, perturb
 from isac_track.sharing_controls import correlated_errors
 from isac_track.types import Adding, ErrorLaw, Floats, Ints, Release, Sensed, positive, stretches
 
@@ -133,9 +133,7 @@ class OuFid:
     errors_are_independent: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        positive("eta", self.eta)
-        check_at_least("alpha", self.alpha, 0, " m")
-        check_at_least("beta", self.beta, 1)
+        Fid(self.eta, self.alpha, self.beta)  # which checks them
         _check_slow(self.tau_s, self.reuse)
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:

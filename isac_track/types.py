@@ -288,7 +288,9 @@ def within(values: Floats, low: float, high: float) -> bool:
 
 
 def _check_estimate(xy: Floats, *, what: str) -> None:
-    if not within(xy, -ESTIMATE_LIMIT_M, ESTIMATE_LIMIT_M):
+    # If the sum of the squares, which takes one pass, is not beyond the limit's, no coordinate is.
+    is_small = np.vdot(xy, xy) <= ESTIMATE_LIMIT_M**2
+    if not is_small and not within(xy, -ESTIMATE_LIMIT_M, ESTIMATE_LIMIT_M):
         is_far = np.isfinite(xy).all()
         fault = f"lies beyond {ESTIMATE_LIMIT_M:g} m" if is_far else "is not finite"
         raise ValueError(f"{what} {fault}")

@@ -30,18 +30,13 @@ class Frame:
     """A frame and a clock, one for all samples or one each: turned by an angle, then shifted."""
 
     turn: Complexes | complex = 1.0  # (M,) or one: cosine and sine of the angle
-    shift_m: Floats | float = 0.0  # (M, 2) m or (2,)
+    shift_m: Complexes | complex = 0.0  # (M,) or one: x and y, m
     clock_s: Floats | float = 0.0
 
     def points(self, xy: Floats) -> Floats:
         """Return positions, (M, 2) m, in the frame."""
-        turn = np.asarray(self.turn)
-        cos, sin = turn.real, turn.imag
-        turned = np.empty_like(xy)
-        turned[:, 0] = cos * xy[:, 0] - sin * xy[:, 1]
-        turned[:, 1] = sin * xy[:, 0] + cos * xy[:, 1]
-        turned += self.shift_m
-        return turned
+        points = np.ascontiguousarray(xy).view(np.complex128)[:, 0]
+        return (self.turn * points + self.shift_m).view(np.float64).reshape(-1, 2)
 
     def release(self, release: Release) -> Release:
         """Return a release in the frame and on the clock."""
@@ -50,7 +45,7 @@ class Frame:
     def of(self, offsets: Ints) -> Frame:
         """Return the frame of each sample of walks that begin and end at offsets, of their own."""
         arrays = (self.turn, self.shift_m, self.clock_s)
-        return Frame(*(np.repeat(one, np.diff(offsets), axis=0) for one in arrays))
+        return Frame(*(np.repeat(one, np.diff(offsets)) for one in arrays))
 
 
 def view_of(
@@ -61,7 +56,7 @@ def view_of(
     if Knowledge.SCENE in granted:
         return release, Frame()
     angle = float(rng.uniform(0.0, 2.0 * np.pi))
-    shift_m, clock_s = rng.uniform(-FAR_M, FAR_M, 2), rng.uniform(0.0, LONG_S)
+    shift_m, clock_s = complex(*rng.uniform(-FAR_M, FAR_M, 2)), rng.uniform(0.0, LONG_S)
     frame = Frame(np.cos(angle) + 1j * np.sin(angle), shift_m, clock_s)
     return frame.release(release), frame
 

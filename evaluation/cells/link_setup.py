@@ -238,7 +238,7 @@ def _frames(sessions: Sessions, side: str, *, seed: int) -> Frame:
     angle = 2.0 * np.pi * drawn[:, 0]
     return Frame(
         turn=np.cos(angle) + 1j * np.sin(angle),
-        shift_m=FAR_M * (2.0 * drawn[:, 1:3] - 1.0),
+        shift_m=FAR_M * (2.0 * drawn[:, 1:3] - 1.0).view(np.complex128)[:, 0],
         # From the start of each window: a recording may last longer than the draw reaches.
         clock_s=LONG_S * drawn[:, 3] - windows.t[windows.offsets[:-1]],
     )
