@@ -99,7 +99,8 @@ def to_csv(frame: pd.DataFrame) -> bytes:
         column = frame[name].to_numpy(dtype=object, na_value="").tolist()
         is_number = frame[name].dtype.kind in "biuf"
         columns.append([str(one) if is_number else _field(one) for one in column])
-    rows = map(",".join, zip(*columns, strict=True))
+    # Of one column alone a line without a field would be none.
+    rows = (",".join(row) or '""' for row in zip(*columns, strict=True))
     return "\n".join([",".join(frame.columns), *rows, ""]).encode()
 
 
