@@ -171,9 +171,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     dataset, seed = manifest["dataset"]["name"], manifest["identity"]["seed"]
     predictors, known = manifest["settings"]["predictors"], families_in(manifest["cells"])
     with aside(partial(_of_scenes, out, manifest)) as of_scenes:
-        read = linkability.cards(out, manifest, drawn=_DRAWN)
-        linked = summary.linkage_estimates(read)
-        table = linkability.linkability(read, dataset=dataset)
+        linked, sums, table = _of_linkers(out, manifest)
         found, attacked, (curves, decided, at_raw_alarms), worlds = of_scenes()
     once = flags.on_first_releases(out, manifest)
     flagged, looked = flags.flags(found, slow=flags.slow_attacks(manifest), once=once)
@@ -185,7 +183,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     with aside(partial(_of_people, out, manifest, Sweeps(asked, known), best)) as of_people:
         at_equal = matched(sweeps, predictors=predictors, dataset=dataset)
         crossed, halves = cross_fitted(attacked, known, best.get("", AS_SHARED), seed=seed)
-        sums = summary.linkage_sums(read) | attacked
+        sums |= attacked
         frontiers = frontier(sweeps, predictors=predictors, dataset=dataset, sums=sums, seed=seed)
         tidy = summary.to_frame({**found, **linked}, worlds=worlds, known=known, dataset=dataset)
         far = flags.far_from_optimum(gaps(tidy))
@@ -212,6 +210,13 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     )
     told = [one.sentence for one in answers(results)]
     return replace(results, verdict={"answer": told, **said}), looked
+
+
+def _of_linkers(out: Path, manifest: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Return what the linkage cells tell: estimates, sums by cluster, and `linkability.csv`."""
+    read = linkability.cards(out, manifest, drawn=_DRAWN)
+    table = linkability.linkability(read, dataset=manifest["dataset"]["name"])
+    return summary.linkage_estimates(read), summary.linkage_sums(read), table
 
 
 def _of_scenes(out: Path, manifest: Mapping[str, Any]) -> tuple[Any, ...]:
