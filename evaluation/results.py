@@ -173,8 +173,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     with aside(partial(_of_scenes, out, manifest)) as of_scenes:
         linked, sums, table = _of_linkers(out, manifest)
         found, attacked, (curves, decided, at_raw_alarms), worlds = of_scenes()
-    once = flags.on_first_releases(out, manifest)
-    flagged, looked = flags.flags(found, slow=flags.slow_attacks(manifest), once=once)
+    flagged, looked = flags.flags(found, slow=flags.slow_attacks(manifest))
     sweeps = Sweeps({**found, **at_raw_alarms, **linked}, known)
     best = strongest(sweeps.found, known)
     asked = {

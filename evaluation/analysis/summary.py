@@ -93,17 +93,6 @@ def key_of(entry: Mapping[str, Any], metric: str) -> Key:
     return Key(entry["mechanism"], entry["level"], entry["consumer"], metric, entry["knowledge"])
 
 
-def estimate(
-    metric: str, numerator: Floats, denominator: Floats, *, cluster: Ints, weights: Floats
-) -> Estimate:
-    """Return a metric that is a ratio of sums over rows, (R,), or the root of one.
-
-    `cluster`, (R,), is the column of a row's cluster in `weights`, (B, C).
-    """
-    sums = _within((numerator, denominator), cluster, weights)
-    return next(_estimates([metric], np.array([sums]), weights))
-
-
 def _within(ratio: tuple[Floats, Floats], cluster: Ints, weights: Floats) -> list[Floats]:
     n = weights.shape[1]
     return [cluster_sums(values=one, cluster=cluster, n_clusters=n) for one in ratio]

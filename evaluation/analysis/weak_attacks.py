@@ -24,7 +24,6 @@ import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -34,10 +33,8 @@ from evaluation.analysis.bounds import Gap
 from evaluation.analysis.families import CLEAN, RAW
 from evaluation.analysis.keys import AS_SHARED, Key, Source, Where, where_text
 from evaluation.analysis.metrics import EXPOSURE, SUCCESS
-from evaluation.analysis.summary import clusters, estimate, key_of, weights_of
 from evaluation.experiment.constants import BOUND
 from evaluation.experiment.presets import IDENTITY
-from evaluation.runs.cell_files import read_rows
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate, difference
 from isac_track.protocols import ADVERSARIES
 
@@ -84,15 +81,14 @@ class _Pair(NamedTuple):
 
 
 def flags(
-    found: Found, *, slow: AbstractSet[str] = frozenset(), once: Found | None = None
+    found: Found, *, slow: AbstractSet[str] = frozenset()
 ) -> tuple[pd.DataFrame, dict[str, dict[str, int]]]:
     """Return the flags of a run, a row each (`COLUMNS`), and how much was looked at.
 
     The latter is `comparisons`, kind to the number of intervals looked at, and `left_out`, why
     comparisons were left out, and how many.
 
-    `slow` are the attacks that saw one release of each source track only; `once` is PLR of all
-    attacks on those releases, from `on_first_releases`: without it they are compared with no other.
+    `slow` are the attacks that saw one release of each source track only: no other saw the same.
     """
     levels: dict[Where, dict[Source, Estimate]] = {}
     for key, one in found.items():
@@ -100,7 +96,7 @@ def flags(
             levels.setdefault(key.where, {})[key.measure.source] = one
     left_out: Counter[str] = Counter()
     pairs = [
-        *_beaten_pairs(levels, found, slow=slow, once=once or {}, left_out=left_out),
+        *_beaten_pairs(levels, found, slow=slow, left_out=left_out),
         *_falling_pairs(levels, found, left_out=left_out),
     ]
     enough = [pair for pair in pairs if min(pair.minus.n, pair.plus.n) >= FEWEST_EFFECTIVE]
@@ -139,32 +135,6 @@ def far_from_optimum(known: Sequence[Gap]) -> pd.DataFrame:
 def slow_attacks(manifest: Mapping[str, Any]) -> set[str]:
     """Return the attacks of a run that saw one release of each source track only."""
     return {entry["consumer"] for entry in manifest.get("cells", ()) if entry.get("slow", False)}
-
-
-def on_first_releases(out: Path, manifest: Mapping[str, Any]) -> dict[Key, Estimate]:
-    """Return PLR of the attacks on the releases that the slow ones saw; empty without slow ones.
-
-    DataError if a cell cannot be read.
-    """
-    seen = {
-        entry["spec"]: _names(read_rows(out, entry, columns=["scene", "agent"]))
-        for entry in manifest["cells"]
-        if entry.get("slow", False)
-    }
-    weights = weights_of(manifest) if seen else np.zeros((0, 0))
-    found = {}
-    for entry in manifest["cells"]:
-        # Nobody is held against an attack that is neither simple nor slow.
-        counts = entry.get("slow", False) or _base(entry["consumer"]) in SIMPLER
-        is_own = entry["kind"] == "attack" and not entry.get("world")
-        if is_own and entry["spec"] in seen and counts:
-            table = read_rows(out, entry, columns=["scene", "agent", "group", "plr"])
-            table = table.filter(np.isin(_names(table), seen[entry["spec"]]))
-            plr, cluster = table["plr"].to_numpy(), clusters(table, manifest)
-            found[key_of(entry, EXPOSURE)] = estimate(
-                EXPOSURE, plr, np.ones_like(plr), cluster=cluster, weights=weights
-            )
-    return found
 
 
 def to_json(rows: pd.DataFrame, looked: Mapping[str, Any]) -> bytes:
@@ -209,7 +179,7 @@ def lines(rows: pd.DataFrame) -> list[str]:
 
 
 def _beaten_pairs(
-    levels: Levels, found: Found, *, slow: AbstractSet[str], once: Found, left_out: Counter[str]
+    levels: Levels, found: Found, *, slow: AbstractSet[str], left_out: Counter[str]
 ) -> Iterator[_Pair]:
     for where, plr in levels.items():
         shared = found.get(AS_SHARED.measure(EXPOSURE).at(*where))
@@ -217,12 +187,8 @@ def _beaten_pairs(
         for attack, by in ((a, b) for a in plr for b in plr if _should_win(a, b)):
             minus, plus = plr[attack], plr[by]
             if (attack.consumer in slow) != (by.consumer in slow):
-                keys = [source.measure(EXPOSURE).at(*where) for source in (attack, by)]
-                if not all(key in once for key in keys):
-                    left_out["a slow attack, without the others on the same tracks"] += 1
-                    continue
-                minus, plus = (once[key] for key in keys)
-            if nothing_to_gain:
+                left_out["a slow attack, without the others on the same tracks"] += 1
+            elif nothing_to_gain:
                 left_out["all that is shared leaks already"] += 1
             else:
                 said = f"is beaten by {by.label} at {where_text(*where)}: PLR "
@@ -283,8 +249,3 @@ def _points(value: float, low: float, high: float, *, sign: str = "-") -> str:
     digits = 1 if min(abs(low), abs(high)) >= 0.001 else 2  # noqa: PLR2004 - a tenth of a point
     shown = [f"{100 * one:{sign}.{digits}f}" for one in (value, low, high)]
     return f"{shown[0]} [{shown[1]}, {shown[2]}]"
-
-
-def _names(table: Any) -> Any:  # noqa: ANN401 - pyarrow has no types
-    """Return a number for each row's track: its scene and its agent."""
-    return table["scene"].to_numpy() * 2**16 + table["agent"].to_numpy()

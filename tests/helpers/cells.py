@@ -83,12 +83,6 @@ class Blur:
         return lambda release: Reconstruction(release.xy + 0.5)
 
 
-@dataclass(frozen=True)
-class SlowBlur(Blur):
-    slow: ClassVar[bool] = True
-    seconds_per_sample: ClassVar[float] = 0.0
-
-
 class World:
     """Some scenes of four agents, and what is computed of them in blocks."""
 
