@@ -56,6 +56,7 @@ def estimates(
     or in another one of `WORLDS`. Raises DataError if a cell cannot be read.
     """
     weights = weights_of(manifest)
+    n = weights.shape[1]
     found: dict[Key, Estimate] = {}
     scored: list[Scored] = []
     attacked: dict[Key, Summed] = {}
@@ -77,7 +78,9 @@ def estimates(
                 scored.append((entry, cluster, told))
             for metric, ratio in ratios(entry["kind"], table).items():
                 keys.append(key_of(entry, metric))
-                sums.append(_within(ratio, cluster, weights))
+                sums.append(
+                    [cluster_sums(values=one, cluster=cluster, n_clusters=n) for one in ratio]
+                )
         metrics, of_clusters = [key.metric for key in keys], np.array(sums)
         found |= zip(keys, _estimates(metrics, of_clusters, weights), strict=True)
         attacked |= {
@@ -91,11 +94,6 @@ def estimates(
 def key_of(entry: Mapping[str, Any], metric: str) -> Key:
     """Return what a metric of a cell of the manifest is about."""
     return Key(entry["mechanism"], entry["level"], entry["consumer"], metric, entry["knowledge"])
-
-
-def _within(ratio: tuple[Floats, Floats], cluster: Ints, weights: Floats) -> list[Floats]:
-    n = weights.shape[1]
-    return [cluster_sums(values=one, cluster=cluster, n_clusters=n) for one in ratio]
 
 
 def _estimates(metrics: Sequence[str], sums: Floats, weights: Floats) -> Iterator[Estimate]:
