@@ -1,8 +1,10 @@
-"""Compiled loops of the linkage scorecard: shuffled mates, weights of pairs, hulls of ROCs.
+"""Compiled loops of the linkage scorecard: ranks, shuffled mates, ROCs and assignments.
 
 A pair's weight is a product of two clusters' weights; all bootstrap replicates lie side by side in
 memory, so that one vector instruction treats several.
 """
+
+# ruff: noqa: C901, PLR0912, PLR0917, FURB136 - written out as they compile to the fastest code
 
 from __future__ import annotations
 
@@ -11,18 +13,17 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from isac_track.compiling import compiled, part_of_loop, read, written
+from isac_track.compiling import INT, compiled, part_of_loop, read, written
 from isac_track.types import Floats, Ints
 
 if TYPE_CHECKING:
     Cells: TypeAlias = NDArray[np.int32]
     Places: TypeAlias = NDArray[np.uint16]
     Bins: TypeAlias = NDArray[np.uint8]
-    Rows: TypeAlias = NDArray[np.uint32]
 
 _MOST = 2**16 - 1  # of a sum in 16 bits
-_ASIDE = 8  # ROCs that are laid out at a time: their numbers fill a line of the cache.
-_FEW = 32  # Probes whose ranks stay in the cache while all shuffles look them up.
+_ROWS = 4  # Merged side by side.
+_ASIDE = 8  # Minima kept side by side.
 
 
 @compiled(
@@ -47,51 +48,67 @@ def rank_rows(
     many as high. To `counts`, (cells, 2), are added the non-mated and the mated scores in each.
     """
     n_probes, n_gallery = scores.shape
-    log_gallery = np.log(n_gallery)
-    ordered, codes = np.empty(n_gallery), np.empty(n_gallery + 1, dtype=np.int32)
-    for i in range(n_probes):
-        of_row = order[i]
-        for place in range(n_gallery):
-            ordered[place] = scores[i, of_row[place]]
-        # Two ascending lists are merged without a branch, which no processor could predict.
-        place, k = 0, 0
-        while place < n_gallery and k < breaks.size:
-            codes[place] = 2 * k + (breaks[k] == ordered[place])
-            is_below = breaks[k] < ordered[place]
-            k += is_below
-            place += not is_below
-        codes[place:] = 2 * breaks.size
-        start = 0
-        while start < n_gallery:
-            stop = start + 1
-            while stop < n_gallery and ordered[stop] == ordered[start]:
-                stop += 1
-            code, above = codes[start], n_gallery - stop
-            spread = log_factorial[n_gallery - start] - log_factorial[above]
-            value = log_gallery - spread / (stop - start)
-            counts[code, 0] += stop - start
-            for place in range(start, stop):
-                j = of_row[place]
-                log_rank[i, j] = value
-                cell[i, j] = code
-                if j == mate[i]:
-                    standing[i, 0], standing[i, 1] = above, stop - start
-                    counts[code, 0] -= 1
-                    counts[code, 1] += 1
-            start = stop
+    log_gallery, n_breaks = np.log(n_gallery), breaks.size
+    # Infinity ends every list: whatever is in it comes first.
+    limits = np.full(n_breaks + 1, np.inf)
+    limits[:n_breaks] = breaks
+    ordered = np.full((_ROWS, n_gallery + 1), np.inf)
+    codes = np.empty((_ROWS, n_gallery + 1), dtype=np.int32)
+    places, passed = np.empty(_ROWS, dtype=np.uint64), np.empty(_ROWS, dtype=np.uint64)
+    for first in range(0, n_probes, _ROWS):
+        n_rows = min(_ROWS, n_probes - first)
+        for row in range(n_rows):
+            for place in range(n_gallery):
+                ordered[row, place] = scores[first + row, order[first + row, place]]
+        # Two ascending lists are merged without a branch, which no processor could predict; one
+        # step of a row does not wait for those of the others.
+        places[:], passed[:] = 0, 0
+        for _ in range(n_gallery + n_breaks):
+            for row in range(_ROWS):
+                at, k = places[row], passed[row]
+                score, limit = ordered[row, at], limits[k]
+                codes[row, at] = np.uint64(2) * k + np.uint64(limit == score)
+                is_below = np.uint64(limit < score)
+                passed[row] = k + is_below
+                places[row] = at + np.uint64(1) - is_below
+        for row in range(n_rows):
+            i = first + row
+            of_row, start = order[i], 0
+            while start < n_gallery:
+                stop = start + 1
+                while ordered[row, stop] == ordered[row, start]:
+                    stop += 1
+                code, above = codes[row, start], n_gallery - stop
+                spread = log_factorial[n_gallery - start] - log_factorial[above]
+                value = log_gallery - spread / (stop - start)
+                counts[code, 0] += stop - start
+                for place in range(start, stop):
+                    j = of_row[place]
+                    log_rank[i, j] = value
+                    cell[i, j] = code
+                    if j == mate[i]:
+                        standing[i, 0], standing[i, 1] = above, stop - start
+                        counts[code, 0] -= 1
+                        counts[code, 1] += 1
+                start = stop
 
 
-@compiled(read(2), read(1, "int64"), read(1, "int64"), read(1, "uint16"), written(2, "uint16"))
-def shuffle(uniform: Floats, sizes: Ints, n_alike: Ints, before: Places, whose: Places) -> None:
-    """Write whose mate each of N mated probes gets, once a row, (n, N), as `permutation_p` says.
+@compiled(
+    *(read(2), read(1, "int64"), read(1, "int64"), INT),
+    *(written(1, "uint16"), written(2, "uint16")),
+)
+def shuffle(
+    uniform: Floats, sizes: Ints, n_alike: Ints, first: int, now: Places, columns: Places
+) -> None:
+    """Write whose mate each of N mated probes gets, (N, n), as `permutation_p` says.
 
-    Fisher and Yates, from uniforms. The probes come cluster by cluster: ``n_alike[a]`` clusters of
-    ``sizes[a]`` probes each, for every a. `before` is the order to start from.
+    Fisher and Yates, from uniforms, a row for each shuffle from the `first` on. The probes come
+    cluster by cluster: ``n_alike[a]`` clusters of ``sizes[a]`` probes each, for every a. `now` is
+    the order to start from.
     """
     # The order that one draw leaves behind is as good a start for the next as any.
-    for row in range(whose.shape[0]):
-        uniforms, now = uniform[row], whose[row]
-        now[:] = before
+    for row in range(len(uniform)):
+        uniforms = uniform[row]
         # Unsigned: no index from the end, which would have to be looked for.
         drawn = np.uint64(0)
         base = 0
@@ -112,56 +129,48 @@ def shuffle(uniform: Floats, sizes: Ints, n_alike: Ints, before: Places, whose: 
                     drawn += np.uint64(1)
                     now[here], now[other] = now[other], now[here]
             base += size * n_clusters
-        before = now
+        for k in range(now.size):
+            columns[k, first + row] = now[k]
 
 
 @compiled(
-    *(read(2, "uint16"), read(1, "int64"), read(1, "int64"), read(2), read(2, "uint8")),
-    *(written(1), written(2)),
+    *(read(2, "uint16"), read(1, "int64"), read(2), read(2, "uint8")),
+    *(written(1), written(2, "uint16")),
 )
 def add_shuffles(
-    whose: Places,
-    probes: Ints,
-    mate: Ints,
-    log_rank: Floats,
-    score_bin: Bins,
-    total: Floats,
-    bins: Floats,
+    columns: Places, probes: Ints, log_rank: Floats, score_bin: Bins, total: Floats, bins: Places
 ) -> None:
     """Add the log-rank statistic, (n,), and the histogram of mated scores, (bins, n), of shuffles.
 
-    `whose`, (n, N), says which of the N `probes` had the `mate` that each has now.
+    `columns`, (N, n), are those of the mates that the N `probes` have now.
     """
-    for first in range(0, whose.shape[1], _FEW):
-        last = min(first + _FEW, whose.shape[1])
-        for row in range(whose.shape[0]):
-            of_row, now = total[row], whose[row]
-            for k in range(first, last):
-                here, column = np.uint64(probes[k]), np.uint64(mate[np.uint64(now[k])])
-                of_row += log_rank[here, column]
-                bins[score_bin[here, column], row] += 1.0
-            total[row] = of_row
+    for k in range(probes.size):
+        ranks, bin_of, now = log_rank[probes[k]], score_bin[probes[k]], columns[k]
+        for shuffled in range(now.size):
+            column = np.uint64(now[shuffled])
+            total[shuffled] += ranks[column]
+            bins[bin_of[column], shuffled] += 1
 
 
 @part_of_loop
 def _sorted_pairs(
     ones: int, shapes: Ints, first: Ints, second: Ints, mate: Ints, cell: Cells, counts: Ints
-) -> tuple[Ints, Rows, Rows]:
+) -> tuple[Ints, Places, Places]:
     """Return where the pairs of each cell and class begin, and the rows that weigh each pair."""
-    one = np.uint32(ones)
+    one = np.uint16(ones)
     starts = np.zeros(counts.size + 1, dtype=np.int64)
     for key in range(counts.size):
         starts[key + 1] = starts[key] + counts[key // 2, key % 2]
-    a_of = np.empty(cell.size, dtype=np.uint32)
-    b_of = np.empty(cell.size, dtype=np.uint32)
+    a_of = np.empty(cell.size, dtype=np.uint16)
+    b_of = np.empty(cell.size, dtype=np.uint16)
     place = starts.copy()
     pair, row, column = 0, 0, 0
     for s in range(shapes.shape[0]):
         for i in range(row, row + shapes[s, 0]):
-            a = np.uint32(first[i])
+            a = np.uint16(first[i])
             for j in range(shapes[s, 1]):
                 is_mate = j == mate[i]
-                b = np.uint32(second[column + j])
+                b = np.uint16(second[column + j])
                 key = 2 * cell[pair] + is_mate
                 at = place[key]
                 place[key] = at + 1
@@ -174,88 +183,58 @@ def _sorted_pairs(
     return starts, a_of, b_of
 
 
-@compiled(
-    *(read(2, "uint8"), read(2, "int64"), read(1, "int64"), read(1, "int64"), read(1, "int64")),
-    *(read(1, "int32"), read(2, "int64"), written(3)),
-)
-def weigh(
-    table: Bins,
-    shapes: Ints,
-    first: Ints,
-    second: Ints,
-    mate: Ints,
-    cell: Cells,
-    counts: Ints,
-    out: Floats,
+@part_of_loop
+def _weigh(
+    table: Bins, most: int, a_of: Places, b_of: Places, some: Places, weight: Floats
 ) -> None:
-    """Write the weight of non-mated and of mated scores in each cell that holds any, (2, K, R).
-
-    `table`, (C + 1, R), holds the weights of the clusters in every replicate, then a row of ones.
-    The searches, (P, G) each, come one after the other: the clusters of their probes (`first`) and
-    candidates (`second`), the probes' mates, and the cell of every score; `counts` are
-    `rank_rows`'s.
-    """
-    n_replicates, ones = table.shape[1], table.shape[0] - 1
-    starts, a_of, b_of = _sorted_pairs(ones, shapes, first, second, mate, cell, counts)
-    # As narrow as they come, sixteen to thirty-two in a vector instruction; so few cannot overflow.
-    some, most = np.empty(n_replicates, dtype=np.uint16), _MOST // int(table.max()) ** 2
-    number = 0
-    for k in range(counts.shape[0]):
-        if counts[k, 0] + counts[k, 1] == 0:
-            continue
-        for is_mated in range(2):
-            weight = out[is_mated, number]
-            weight[:] = 0.0
-            last = starts[2 * k + is_mated + 1]
-            for start in range(starts[2 * k + is_mated], last, most):
-                stop = min(start + most, last)
-                some[:] = 0
-                # Four pairs a turn: to fetch and store the sums takes longer than a product.
-                for pair in range(start, stop - 3, 4):
-                    a, b = table[a_of[pair]], table[b_of[pair]]
-                    c, d = table[a_of[pair + 1]], table[b_of[pair + 1]]
-                    e, f = table[a_of[pair + 2]], table[b_of[pair + 2]]
-                    g, h = table[a_of[pair + 3]], table[b_of[pair + 3]]
-                    for r in range(n_replicates):
-                        two = a[r] * b[r] + c[r] * d[r]
-                        some[r] = np.uint16(some[r] + two + e[r] * f[r] + g[r] * h[r])
-                for pair in range(stop - (stop - start) % 4, stop):
-                    a, b = table[a_of[pair]], table[b_of[pair]]
-                    for r in range(n_replicates):
-                        some[r] = np.uint16(some[r] + a[r] * b[r])
-                for r in range(n_replicates):
-                    weight[r] += some[r]
-        number += 1
+    """Write the weight of some pairs in every replicate, (R,); in 16 bits, `most` at a time."""
+    weight[:] = 0.0
+    for start in range(0, a_of.size, most):
+        stop = min(start + most, a_of.size)
+        some[:] = 0
+        # Four pairs a turn: to fetch and store the sums takes longer than a product.
+        for pair in range(start, stop - 3, 4):
+            a, b = table[a_of[pair]], table[b_of[pair]]
+            c, d = table[a_of[pair + 1]], table[b_of[pair + 1]]
+            e, f = table[a_of[pair + 2]], table[b_of[pair + 2]]
+            g, h = table[a_of[pair + 3]], table[b_of[pair + 3]]
+            for r in range(some.size):
+                two = a[r] * b[r] + c[r] * d[r]
+                some[r] = np.uint16(some[r] + two + e[r] * f[r] + g[r] * h[r])
+        for pair in range(stop - (stop - start) % 4, stop):
+            a, b = table[a_of[pair]], table[b_of[pair]]
+            for r in range(some.size):
+                some[r] = np.uint16(some[r] + a[r] * b[r])
+        for r in range(some.size):
+            weight[r] += some[r]
 
 
-@compiled(read(2), read(2), read(1, "int64"), written(2), written(2))
-def link_shares(mated: Floats, non_mated: Floats, bins: Ints, totals: Floats, out: Floats) -> None:
-    """Write `d_sys` and `d_sys_published`, (2, R), of both classes' weights in K cells, (K, R).
+@part_of_loop
+def _add_share(sums: Floats, totals: Floats, inner: float, out: Floats) -> None:
+    """Add what a bin contributes to `d_sys` and `d_sys_published`, (2, R); empty its sums."""
+    for r in range(out.shape[1]):
+        p, q = sums[0, r] / totals[0, r], sums[1, r] / totals[1, r]
+        # 2 LR / (1 + LR) - 1 = (LR - 1) / (LR + 1), which is 1 where LR is infinite.
+        share = p * (p - q) / (p + q) if p > q else 0.0
+        out[0, r] += share
+        out[1, r] += inner * share
+    sums[:] = 0.0
 
-    The `bins` of the cells, (K,), ascend from the first bin to the last. The `totals` of both
-    classes, (2, R), are written, too.
-    """
-    n = out.shape[1]
-    sums = np.zeros((2, n))
-    totals[:], out[:] = 0.0, 0.0
-    for k in range(bins.size):
+
+@compiled(read(2, "uint16"), read(1, "int64"), written(1))
+def mean_shares(mated: Places, counts: Ints, out: Floats) -> None:
+    """Write `d_sys`, (n,), of histograms of mated scores, (bins, n), of all `counts`, (bins,)."""
+    n_bins, n = mated.shape
+    sums, totals, shares = np.empty((2, n)), np.zeros((2, n)), np.zeros((2, n))
+    for k in range(n_bins):
         for r in range(n):
             totals[0, r] += mated[k, r]
-            totals[1, r] += non_mated[k, r]
-    for k in range(bins.size):
+            totals[1, r] += counts[k] - mated[k, r]
+    for k in range(n_bins):
         for r in range(n):
-            sums[0, r] += mated[k, r]
-            sums[1, r] += non_mated[k, r]
-        if k == bins.size - 1 or bins[k + 1] != bins[k]:
-            # Of the trapezia between bin centres the outer bins have one instead of two.
-            inner = 1.0 - 0.5 * (bins[k] == bins[0]) - 0.5 * (bins[k] == bins[-1])
-            for r in range(n):
-                p, q = sums[0, r] / totals[0, r], sums[1, r] / totals[1, r]
-                # 2 LR / (1 + LR) - 1 = (LR - 1) / (LR + 1), which is 1 where LR is infinite.
-                share = p * (p - q) / (p + q) if p > q else 0.0
-                out[0, r] += share
-                out[1, r] += inner * share
-            sums[:] = 0.0
+            sums[0, r], sums[1, r] = mated[k, r], counts[k] - mated[k, r]
+        _add_share(sums, totals, 1.0, shares)
+    out[:] = shares[0]
 
 
 @part_of_loop
@@ -264,38 +243,11 @@ def _x_log2_x(x: float) -> float:
 
 
 @part_of_loop
-def _read_hull(
-    own: Floats, other: Floats, rest: float, totals: tuple[float, float], stack: Floats
-) -> tuple[float, float]:
-    """Return EER and Cllr_min from the convex hull of the ROC: pool adjacent violators.
-
-    The cells are overwritten; below them lies the `rest` of the non-mated scores.
-    """
-    # Without mated scores a cell has the least likelihood ratio, and joins the one below.
-    size, waiting = own.size, 0.0
-    for k in range(own.size - 1, -1, -1):
-        m, n = own[k], other[k] + waiting
-        # Written without a branch, which no processor could predict.
-        own[size - 1] = m
-        other[size - 1] = n
-        size -= m > 0
-        waiting = 0.0 if m > 0 else n
-    depth = 0
-    for k in range(own.size - 1, size - 1, -1):
-        m, n = own[k], other[k]
-        # Downwards the likelihood ratio of a block must fall.
-        while depth > 0 and m * stack[depth - 1, 1] >= stack[depth - 1, 0] * n:
-            depth -= 1
-            m += stack[depth, 0]
-            n += stack[depth, 1]
-        stack[depth, 0], stack[depth, 1] = m, n
-        depth += 1
-    if waiting + rest > 0:
-        stack[depth, 0], stack[depth, 1] = 0.0, waiting + rest
-        depth += 1
+def _read_hull(blocks: Floats, totals: tuple[float, float]) -> tuple[float, float]:
+    """Return EER and Cllr_min from the blocks of the convex hull of a ROC."""
     miss, false, cost, eer = 1.0, 0.0, 0.0, -1.0
-    for k in range(depth):
-        m, n = stack[k, 0] / totals[0], stack[k, 1] / totals[1]
+    for k in range(len(blocks)):
+        m, n = blocks[k, 0] / totals[0], blocks[k, 1] / totals[1]
         cost += _x_log2_x(m + n) - _x_log2_x(m) - _x_log2_x(n)
         if eer < 0 and miss - m <= false + n:
             eer = false + n * (miss - false) / (m + n)
@@ -319,56 +271,152 @@ def _read_thresholds(
     return n_low > 0
 
 
-@part_of_loop
-def _lay_out(weights: Floats, first: int, out: Floats) -> None:
-    """Write the weights, (K, R), of some ROCs one after the other, (ROCs, K)."""
-    for k in range(len(weights)):
-        for r in range(first, min(first + len(out), weights.shape[1])):
-            out[r - first, k] = weights[k, r]
-
-
-@compiled(written(2), written(2), read(2), read(1), written(2))
-def read_rocs(
-    mated: Floats, non_mated: Floats, totals: Floats, levels: Floats, out: Floats
+@compiled(
+    *(read(2, "uint8"), read(2, "int64"), read(1, "int64"), read(1, "int64"), read(1, "int64")),
+    *(read(1, "int32"), read(2, "int64"), read(1, "uint8"), read(2), read(1), written(2)),
+)
+def read_scores(
+    table: Bins,
+    shapes: Ints,
+    first: Ints,
+    second: Ints,
+    mate: Ints,
+    cell: Cells,
+    counts: Ints,
+    bins: Bins,
+    totals: Floats,
+    levels: Floats,
+    out: Floats,
 ) -> None:
-    """Write AUC, EER and Cllr_min, then TPR and FPR at each level, of R ROCs.
+    """Write `d_sys`, `d_sys_published`, AUC, EER, Cllr_min, then TPR and FPR at each level.
 
-    (K, R) of either class are the weights in each cell, from the lowest, and are overwritten;
-    `totals`, (2, R), are their sums. The TPR is that of the lowest threshold with FPR <= level.
-    `out` is (3 + 2 levels, R).
+    `out` is (5 + 2 levels, R). `table`, (C + 1, R), holds the weights of the clusters in every
+    replicate, then a row of ones. The searches, (P, G) each, come one after the other: the clusters
+    of their probes (`first`) and candidates (`second`), the probes' mates, and the cell of every
+    score; `counts` are `rank_rows`'s. The `bins` of the cells ascend; `totals`, (2, R), are the
+    weights of all mated and of all non-mated scores. A TPR is that of the lowest threshold with FPR
+    <= level. The hull is that of pooled adjacent violators.
     """
-    n_cells, n = mated.shape
-    true, false, before = np.zeros(n), np.zeros(n), np.zeros(n)
+    n_replicates, ones = table.shape[1], table.shape[0] - 1
+    starts, a_of, b_of = _sorted_pairs(ones, shapes, first, second, mate, cell, counts)
+    # As narrow as they come, sixteen to thirty-two in a vector instruction; so few cannot overflow.
+    most = _MOST // int(table.max()) ** 2
+    some, own, other = np.empty(n_replicates, dtype=np.uint16), totals[0].copy(), totals[0].copy()
+    true, false, waiting = np.zeros((3, n_replicates))
+    sums, is_open = np.zeros((2, n_replicates)), np.ones(levels.size, dtype=np.bool_)
+    # At the bottom of every stack lies what no block is merged with.
+    stacks = np.empty((n_replicates, np.count_nonzero(counts[:, 1]) + 2, 2))
+    stacks[:, 0, 0], stacks[:, 0, 1] = np.inf, 0.0
+    depths, drawn = np.zeros((2, n_replicates), dtype=np.int64)
+    occupied = np.flatnonzero(counts[:, 0] + counts[:, 1])
+    lowest, highest = bins[occupied[0]], bins[occupied[-1]]
     out[:] = 0.0
-    is_open, top = np.ones(levels.size, dtype=np.bool_), n_cells
-    for k in range(n_cells - 1, -1, -1):
-        own, other = mated[k], non_mated[k]
-        for r in range(n):
+    for place in range(occupied.size - 1, -1, -1):
+        k = occupied[place]
+        start, middle, stop = starts[2 * k : 2 * k + 3]
+        _weigh(table, most, a_of[start:middle], b_of[start:middle], some, other)
+        for r in range(n_replicates):
             false[r] += other[r]
-        if not own.any():
-            continue
-        top -= 1
-        for r in range(n):
-            true[r] += own[r]
-            out[0, r] += own[r] * (totals[1, r] - false[r] + other[r] / 2)
             # A cell without mated scores joins the one below.
-            mated[top, r] = own[r]
-            non_mated[top, r] = false[r] - before[r]
-            before[r] = false[r]
-        for number in range(levels.size):
-            if is_open[number]:
-                at = out[3 + 2 * number : 5 + 2 * number]
-                is_open[number] = _read_thresholds(
-                    mated[top], totals[1], true, false, levels[number], at
-                )
-    out[0] /= totals[0] * totals[1]
-    for row in range(3, len(out)):
+            waiting[r] += other[r]
+            sums[1, r] += other[r]
+        if counts[k, 1]:
+            _weigh(table, most, a_of[middle:stop], b_of[middle:stop], some, own)
+            for r in range(n_replicates):
+                true[r] += own[r]
+                sums[0, r] += own[r]
+                out[2, r] += own[r] * (totals[1, r] - false[r] + other[r] / 2)
+            n_own = 0
+            for r in range(n_replicates):
+                drawn[n_own] = r
+                n_own += own[r] > 0
+            for r in drawn[:n_own]:
+                m, n, depth, stack = own[r], waiting[r], depths[r], stacks[r]
+                # Downwards the likelihood ratio of a block must fall.
+                while m * stack[depth, 1] >= stack[depth, 0] * n:
+                    m += stack[depth, 0]
+                    n += stack[depth, 1]
+                    depth -= 1
+                depths[r], waiting[r] = depth + 1, 0.0
+                stack[depth + 1, 0], stack[depth + 1, 1] = m, n
+            for number in range(levels.size):
+                if is_open[number]:
+                    at = out[5 + 2 * number : 7 + 2 * number]
+                    is_open[number] = _read_thresholds(
+                        own, totals[1], true, false, levels[number], at
+                    )
+        if place == 0 or bins[occupied[place - 1]] != bins[k]:
+            # Of the trapezia between bin centres the outer bins have one instead of two.
+            inner = 1.0 - 0.5 * (bins[k] == lowest) - 0.5 * (bins[k] == highest)
+            _add_share(sums, totals, inner, out[:2])
+    out[2] /= totals[0] * totals[1]
+    for row in range(5, len(out)):
         out[row] /= totals[(row + 1) % 2]
-    stack, cells = np.empty((n_cells + 1, 2)), np.empty((2, _ASIDE, n_cells - top))
-    for r in range(n):
-        if r % _ASIDE == 0:
-            _lay_out(mated[top:], r, cells[0])
-            _lay_out(non_mated[top:], r, cells[1])
-        both, rest = (totals[0, r], totals[1, r]), false[r] - before[r]
-        own, other = cells[0, r % _ASIDE], cells[1, r % _ASIDE]
-        out[1, r], out[2, r] = _read_hull(own, other, rest, both, stack)
+    for r in range(n_replicates):
+        blocks = stacks[r, 1 : depths[r] + 2]
+        blocks[-1, 0], blocks[-1, 1] = 0.0, waiting[r]
+        out[3, r], out[4, r] = _read_hull(blocks, (totals[0, r], totals[1, r]))
+
+
+@compiled(read(2), written(1, "int64"))
+def assign(cost: Floats, column_of: Ints) -> None:
+    """Write the column of each row, (P,), of the least total cost; (P, G), P <= G.
+
+    By shortest augmenting paths (Crouse, IEEE T-AES 52(4), 2016), with ties broken as scipy's
+    `linear_sum_assignment` does.
+    """
+    n_rows, n = cost.shape
+    u, v, row_of = np.zeros(n_rows), np.zeros(n), np.full(n, -1)
+    # Lengths of the paths to columns that wait, infinite beyond them; and to those reached.
+    front, reached_at, left = np.full(n + _ASIDE, np.inf), np.empty(n), np.empty(n)
+    path, waiting, place_of, reached = np.empty((4, n), dtype=np.int64)
+    least = np.empty(_ASIDE)
+    column_of[:] = -1
+    for start in range(n_rows):
+        left[:] = v
+        for j in range(n):
+            waiting[j] = place_of[j] = n - 1 - j
+            front[j] = np.inf
+        i, length, n_reached, sink = start, 0.0, 0, -1
+        while sink < 0:
+            of_row, own = cost[i], u[i]
+            for j in range(n):
+                to_column = length + of_row[j] - own - left[j]
+                path[j] = i if to_column < front[j] else path[j]
+                front[j] = to_column if to_column < front[j] else front[j]
+            least[:] = np.inf
+            for first in range(0, n, _ASIDE):
+                for lane in range(_ASIDE):
+                    one = front[first + lane]
+                    least[lane] = one if one < least[lane] else least[lane]
+            length = least.min()
+            j, n_alike = 0, 0
+            while front[j] != length:
+                j += 1
+            for lane in range(_ASIDE):
+                n_alike += least[lane] == length
+            for other in range(j + _ASIDE, n, _ASIDE):
+                n_alike += front[other] == length
+            if n_alike > 1:
+                j = -1
+                for other in waiting[: n - n_reached]:
+                    if front[other] == length and (j < 0 or row_of[other] < 0):
+                        j = other
+            reached[n_reached], reached_at[j] = j, length
+            n_reached += 1
+            # The last that waits takes its place.
+            last = waiting[n - n_reached]
+            waiting[place_of[j]], place_of[last] = last, place_of[j]
+            front[j], left[j] = np.inf, -np.inf
+            i = row_of[j]
+            sink = j if i < 0 else -1
+        u[start] += length
+        for j in reached[:n_reached]:
+            if row_of[j] >= 0:
+                u[row_of[j]] += length - reached_at[j]
+            v[j] -= length - reached_at[j]
+        j = sink
+        while j >= 0:
+            i = path[j]
+            row_of[j] = i
+            j, column_of[i] = column_of[i], j

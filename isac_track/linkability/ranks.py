@@ -179,14 +179,19 @@ def assign(
 
 def assign_in(order: Ints, scores: Floats, no_match_score: float | None) -> Ints:
     """Return `assign` of finite scores whose columns are put in this order."""
-    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - heavy, and not all assign
+    from isac_track.linkability import _loops  # noqa: PLC0415 - heavy, and not all assign
 
     gain = scores[:, order]
     if no_match_score is not None:
         # As good as a column of its own for every probe, and half the matrix: a probe that would
         # be left alone may as well take a column where it gains nothing.
         gain = np.maximum(gain - no_match_score, 0.0)
-    rows, columns = linear_sum_assignment(gain, maximize=True)
+    is_tall = gain.shape[0] > gain.shape[1]
+    columns = np.empty(min(gain.shape), dtype=np.int64)
+    _loops.assign(np.negative(gain.T if is_tall else gain, order="C"), columns)
+    rows = np.arange(columns.size)
+    if is_tall:
+        rows, columns = columns, rows
     assigned = np.full(scores.shape[0], -1)
     assigned[rows] = order[columns]
     if no_match_score is not None:

@@ -36,11 +36,10 @@ METRICS = (
 )
 LEVELS = {"tpr_at_fpr_1pct": 0.01, "tpr_at_fpr_01pct": 0.001}
 _COLUMNS = (
-    *("auc", "eer", "cllr_min"),
+    *("d_sys", "d_sys_published", "auc", "eer", "cllr_min"),
     *("tpr_at_fpr_1pct", "realised_fpr_1pct", "tpr_at_fpr_01pct", "realised_fpr_01pct"),
-    *("d_sys", "d_sys_published"),
 )
-"""What the loops over the ROCs and the histograms write."""
+"""What the loop over the scores writes."""
 _LANES = 16  # Numbers that a vector instruction treats at most: replicates are a multiple of it.
 
 
@@ -56,7 +55,7 @@ class Cells:
     breaks: Floats
     bins: NDArray[np.uint8]  # `d_sys` bin of every cell.
     counts: Ints  # (cells, 2) non-mated and mated scores in each.
-    null_bins: Floats  # (bins, n_shuffles) scores of shuffled mates.
+    null_bins: NDArray[np.uint16]  # (bins, n_shuffles) scores of shuffled mates.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -72,6 +71,8 @@ class _Weighed:
     mate: Ints
     table: NDArray[np.uint8]
     """(C + 1, R or a few more) weights; replicate 0 weighs every cluster once: the data."""
+    totals: Floats
+    """(2, R or a few more) of all mated and of all non-mated scores."""
     rows: tuple[tuple[Floats, Floats], ...]
     """(P, R) of the probes of each search, and (G, R) of its candidates."""
     within: tuple[tuple[Ints, ...], ...]  # Which pairs of each search are of one cluster.
@@ -118,7 +119,7 @@ def cut_scores(trials: Sequence[tuple[Search, People]], n_shuffles: int) -> Cell
     bins[1::2] = np.searchsorted(edges, breaks, side="right")
     bins[2::2] = bins[1::2]
     counts = np.zeros((bins.size, 2), dtype=np.int64)
-    return Cells(breaks, bins, counts, np.zeros((n_bins, n_shuffles)))
+    return Cells(breaks, bins, counts, np.zeros((n_bins, n_shuffles), dtype=np.uint16))
 
 
 def score_scale(
@@ -139,31 +140,25 @@ def score_scale(
     kept = _weighed.__wrapped__ if weights.flags.writeable else _weighed
     people = kept(searches, _Same(weights), without)
     loops, counts = import_loops(), cut.counts
-    is_occupied = counts.any(axis=1)
-    masses = np.empty((2, int(is_occupied.sum()), people.table.shape[1]))
-    cell = np.concatenate([cell.ravel() for cell in places])
-    about = (people.shapes, people.first, people.second, people.mate)
-    loops.weigh(people.table, *about, cell, counts, masses)
-    non_mated, mated = masses
-    columns, totals = np.empty((len(_COLUMNS), masses.shape[2])), np.empty((2, masses.shape[2]))
-    bins = cut.bins[is_occupied].astype(np.int64)
-    loops.link_shares(mated, non_mated, bins, totals, columns[-2:])
-    loops.read_rocs(mated, non_mated, totals, np.array(list(LEVELS.values())), columns[:-2])
+    columns = np.empty((len(_COLUMNS), people.table.shape[1]))
+    loops.read_scores(
+        *(people.table, people.shapes, people.first, people.second, people.mate),
+        *(np.concatenate([cell.ravel() for cell in places]), counts, cut.bins, people.totals),
+        *(np.array([*LEVELS.values()]), columns),
+    )
 
     n_non_mated, n_mated = counts.sum(axis=0).tolist()
     bias = math.nan
     if n_mated and n_non_mated:
         n_bins, n_shuffles = cut.null_bins.shape
         total = np.bincount(cut.bins, weights=counts.sum(axis=1), minlength=n_bins)
-        null, others = np.empty((2, n_shuffles)), total[:, None] - cut.null_bins
-        loops.link_shares(
-            *(cut.null_bins, others, np.arange(n_bins), np.empty((2, n_shuffles)), null)
-        )
-        bias = float(null[0].mean())
+        null = np.empty(n_shuffles)
+        loops.mean_shares(cut.null_bins, total.astype(np.int64), null)
+        bias = float(null.mean())
 
     # Some replicates more are there for the loops alone.
     n_replicates = people.rows[0][0].shape[1]
-    total_mated, total_non_mated = totals[:, :n_replicates]
+    total_mated, total_non_mated = people.totals[:, :n_replicates]
     is_defined = (total_mated > 0) & (total_non_mated > 0)
     defined = np.where(is_defined, columns[:, :n_replicates], np.nan)
     values = {**dict(zip(_COLUMNS, defined, strict=True)), "cllr": np.full(n_replicates, np.nan)}
@@ -193,7 +188,13 @@ def _weighed(searches: tuple[People, ...], same: _Same, without: tuple[int, ...]
     own, other = (np.concatenate(each) for each in zip(*places, strict=True))
     weighed = tuple((rows[one], rows[two]) for one, two in places)
     within = tuple(np.nonzero(one[:, None] == two) for one, two in places)
-    return _Weighed(shapes, own, other, mate, table, weighed, within)
+    totals = np.zeros((2, table.shape[1]))
+    for search, weights, alike in zip(searches, weighed, within, strict=True):
+        mated, pairs = mated_probes(search), np.ones((len(weights[0]), len(weights[1])))
+        pairs[mated.probes, mated.mate] = 0.0
+        totals[0, : rows.shape[1]] += weights[0][mated.probes].sum(axis=0)
+        totals[1, : rows.shape[1]] += _summed(pairs, *weights, alike)
+    return _Weighed(shapes, own, other, mate, table, totals, weighed, within)
 
 
 def _costs(
@@ -201,20 +202,23 @@ def _costs(
 ) -> tuple[Floats, Floats]:
     """Return the summed cost of either class as evidence, (R,) each, in nats."""
     own, between = np.zeros((2, people.rows[0][0].shape[1]))
-    for (search, who), (first, second), within in zip(
-        trials, people.rows, people.within, strict=True
-    ):
+    for (search, who), rows, within in zip(trials, people.rows, people.within, strict=True):
         mated = mated_probes(who)
         mates = mated.probes, mated.mate
         llr = calibration.slope * search.scores + calibration.intercept
-        own += softplus(-llr[mates]) @ first[mated.probes]
+        own += softplus(-llr[mates]) @ rows[0][mated.probes]
         costs = softplus(llr)
         costs[mates] = 0.0
-        # Within a cluster, a pair weighs no more than the probe.
-        once = np.bincount(within[0], weights=costs[within], minlength=len(first))
-        costs[within] = 0.0
-        between += once @ first + np.einsum("pr,pr->r", costs @ second, first)
+        between += _summed(costs, *rows, within)
     return own, between
+
+
+def _summed(of_pairs: Floats, first: Floats, second: Floats, within: tuple[Ints, ...]) -> Floats:
+    """Return the weighted sum over non-mated pairs, (R,); `of_pairs`, (P, G), is overwritten."""
+    # Within a cluster, a pair weighs no more than the probe.
+    once = np.bincount(within[0], weights=of_pairs[within], minlength=len(first))
+    of_pairs[within] = 0.0
+    return np.asarray(once @ first + np.einsum("pr,pr->r", of_pairs @ second, first))
 
 
 def over_scales(results: Sequence[Scale], *, n_searches: int) -> dict[str, Floats]:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from isac_track.linkability.significance import import_loops
-from isac_track.types import Floats
+from isac_track.types import Floats, Ints
 
 MIN_EXPECTED = 30
 """A TPR at the FPR alpha needs 30 / alpha non-mated scores, thirty above the threshold: pairs of
@@ -37,14 +37,15 @@ class Calibration:
 
 def auc(*, mated: Floats, non_mated: Floats) -> float:
     """Return the share of pairs in which the mated score is higher; ties count half."""
-    return float(_read(mated, non_mated)[0])
+    return float(_read(mated, non_mated)[2])
 
 
 def roc_hull(*, mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
     """Return FPR and TPR, (H,) each, on the convex hull of the ROC, from (0, 0) to (1, 1)."""
     from scipy.optimize import isotonic_regression  # noqa: PLC0415 - heavy, and used here alone
 
-    true, false = (mass[:, 0] / mass.sum() for mass in _counts(mated, non_mated))
+    _, _, counts = _distinct(mated, non_mated)
+    false, true = (counts / counts.sum(axis=0)).T
     both = true + false
     starts = isotonic_regression(true / both, weights=both).blocks[:-1]
     fpr, tpr = (
@@ -59,7 +60,7 @@ def eer(*, mated: Floats, non_mated: Floats) -> float:
 
     The hull is what an attacker attains who may toss a coin between two thresholds.
     """
-    return float(_read(mated, non_mated)[1])
+    return float(_read(mated, non_mated)[3])
 
 
 def tpr_at_fpr(*, mated: Floats, non_mated: Floats, alpha: float) -> tuple[float, float]:
@@ -144,7 +145,7 @@ def softplus(nats: Floats) -> Floats:
 
 def cllr_min(*, mated: Floats, non_mated: Floats) -> float:
     """Return the least `cllr` that a monotone calibration of these very scores has, 0..1 bits."""
-    return float(_read(mated, non_mated)[2])
+    return float(_read(mated, non_mated)[4])
 
 
 def d_sys(*, mated: Floats, non_mated: Floats) -> tuple[float, int]:
@@ -155,8 +156,7 @@ def d_sys(*, mated: Floats, non_mated: Floats) -> tuple[float, int]:
     mated scores. There is a bin for every ten mated scores, but at least 1 and at most 100. It
     ignores direction, and is biased upwards where scores are few.
     """
-    (share, _), n_bins = _link_shares(mated, non_mated)
-    return share, n_bins
+    return float(_read(mated, non_mated)[0]), default_bins(mated.size)
 
 
 def d_sys_published(*, mated: Floats, non_mated: Floats) -> float:
@@ -166,23 +166,7 @@ def d_sys_published(*, mated: Floats, non_mated: Floats) -> float:
     leaves out half of what lies in the first and in the last bin, up to 0.5 where the mated scores
     are there, and is 0 with a single bin.
     """
-    return _link_shares(mated, non_mated)[0][1]
-
-
-def _link_shares(mated: Floats, non_mated: Floats) -> tuple[tuple[float, float], int]:
-    """Return `d_sys` and `d_sys_published`, and the number of bins."""
-    _check_classes(mated, non_mated)
-    n_bins = default_bins(mated.size)
-    low = min(float(mated.min()), float(non_mated.min()))
-    high = max(float(mated.max()), float(non_mated.max()))
-    edges = inner_edges(low, high, n_bins)
-    p, q = (
-        np.bincount(np.searchsorted(edges, x, side="right"), minlength=n_bins)[:, None] * 1.0
-        for x in (mated, non_mated)
-    )
-    shares = np.empty((2, 1))
-    import_loops().link_shares(p, q, np.arange(n_bins), np.empty((2, 1)), shares)
-    return (float(shares[0, 0]), float(shares[1, 0])), n_bins
+    return float(_read(mated, non_mated)[1])
 
 
 def default_bins(n_mated: int) -> int:
@@ -208,21 +192,26 @@ def _check_classes(mated: Floats, non_mated: Floats) -> None:
             raise ValueError(f"{name} scores must be finite")
 
 
-def _counts(mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
-    """Return how many scores of either class have each distinct value, (K, 1), ascending."""
+def _distinct(mated: Floats, non_mated: Floats) -> tuple[Floats, Ints, Ints]:
+    """Return the K distinct scores, which each of all is, and how many of either class, (K, 2)."""
     _check_classes(mated, non_mated)
-    distinct, place = np.unique(np.concatenate([mated, non_mated]), return_inverse=True)
-    own, other = (
-        np.bincount(places, minlength=distinct.size)[:, None].astype(np.float64)
-        for places in (place[: mated.size], place[mated.size :])
-    )
-    return own, other
+    distinct, place = np.unique(np.concatenate([non_mated, mated]), return_inverse=True)
+    classes = np.split(place, [non_mated.size])
+    counts = [np.bincount(one, minlength=distinct.size) for one in classes]
+    return distinct, place, np.stack(counts, axis=1)
 
 
 def _read(mated: Floats, non_mated: Floats, *levels: float) -> Floats:
-    """Return AUC, EER and Cllr_min, then TPR and FPR at each level."""
-    out = np.empty((3 + 2 * len(levels), 1))
-    own, other = _counts(mated, non_mated)
-    totals = np.array([own.sum(axis=0), other.sum(axis=0)])
-    import_loops().read_rocs(own, other, totals, np.array(levels, dtype=np.float64), out)
+    """Return what the compiled loop `read_scores` writes, where every score weighs as much."""
+    distinct, place, counts = _distinct(mated, non_mated)
+    edges = inner_edges(float(distinct[0]), float(distinct[-1]), default_bins(mated.size))
+    bins = np.searchsorted(edges, distinct, side="right").astype(np.uint8)
+    # One search for nobody among all non-mated scores, and one a mated score among that alone.
+    shapes, mate = np.ones((1 + mated.size, 2), dtype=np.int64), np.zeros(1 + mated.size, np.int64)
+    shapes[0, 1], mate[0] = non_mated.size, -1
+    totals, out = np.array([[mated.size], [non_mated.size]]), np.empty((5 + 2 * len(levels), 1))
+    import_loops().read_scores(
+        *(np.ones((2, 1), np.uint8), shapes, np.zeros_like(mate), np.zeros_like(place), mate),
+        *(place.astype(np.int32), counts, bins, totals.astype(float), np.array(levels, float), out),
+    )
     return np.asarray(out[:, 0])

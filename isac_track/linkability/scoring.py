@@ -222,7 +222,7 @@ class Drawn:
 
     people: People
     order: Ints  # (G,) columns, for `assign`
-    whose: NDArray[np.uint16]  # (n_shuffles, N) `shuffled_mates`
+    columns: NDArray[np.uint16]  # (N, n_shuffles) `shuffled_mates`
 
 
 def draw(people: Sequence[People], rng: np.random.Generator, n_shuffles: int) -> tuple[Drawn, ...]:
@@ -246,7 +246,7 @@ def scorecard_of(
     draws: Sequence[Drawn],
 ) -> Scorecard:
     """Return `scorecard` of what is drawn already; nothing is checked."""
-    n_shuffles = len(draws[0].whose)
+    n_shuffles = draws[0].columns.shape[1]
     trials = [(search, drawn.people) for search, drawn in zip(searches, draws, strict=True)]
     by_scale = {
         scale: [one for one in trials if one[0].scale == scale]
@@ -261,7 +261,7 @@ def scorecard_of(
         cut = cells[search.scale]
         ranked = rank_rows(search, cut.breaks, cut.counts)
         columns = assign_in(drawn.order, search.scores, least)
-        shuffled = mated_probes(drawn.people), drawn.whose
+        shuffled = mated_probes(drawn.people), drawn.columns
         score_bin = cut.bins.take(ranked.cell)
         observed += add_shuffles(*shuffled, ranked.log_rank, score_bin, null, cut.null_bins)
         places[search.scale].append(ranked.cell)

@@ -81,14 +81,14 @@ def shuffled_log_ranks(
     searches: Sequence[Search], rng: np.random.Generator, n_shuffles: int
 ) -> tuple[float, Floats, list[Ints]]:
     """Return the sum of `log_rank` over mates, those of shuffled mates, (n,), and `standing`s."""
-    null, nowhere = np.zeros(n_shuffles), np.zeros((1, n_shuffles))
+    null, nowhere = np.zeros(n_shuffles), np.zeros((1, n_shuffles), dtype=np.uint16)
     observed, standings = 0.0, []
     for search in searches:
         mated = mated_probes(people_of(search))
         ranked = rank_rows(search, np.empty(0), np.zeros((1, 2), dtype=np.int64))
         one_bin = np.zeros(ranked.cell.shape, dtype=np.uint8)
-        whose = shuffled_mates(mated, rng, n_shuffles)
-        observed += add_shuffles(mated, whose, ranked.log_rank, one_bin, null, nowhere)
+        columns = shuffled_mates(mated, rng, n_shuffles)
+        observed += add_shuffles(mated, columns, ranked.log_rank, one_bin, null, nowhere)
         standings.append(ranked.standing)
     return observed, null, standings
 
@@ -234,9 +234,9 @@ def rank_rows(search: Search, breaks: Floats, counts: Ints) -> Ranked:
 
 
 def shuffled_mates(mated: Mated, rng: np.random.Generator, n: int) -> NDArray[np.uint16]:
-    """Return whose mate each of N probes gets, (n, N), as `permutation_p` draws it.
+    """Return the column of the mate that each of N probes gets, (N, n), as `permutation_p` draws.
 
-    Of more probes than 16 bits can count no memory holds the scores.
+    Of more candidates than 16 bits can count no memory holds the scores.
     """
     sizes, n_alike = mated.sizes.copy(), mated.n_alike.copy()
     n_probes, rows = mated.probes.size, 64
@@ -244,31 +244,28 @@ def shuffled_mates(mated: Mated, rng: np.random.Generator, n: int) -> NDArray[np
     if sizes.size and sizes[0] == 1:
         # Permuting clusters of one is permuting the members of one cluster, which is faster.
         sizes[0], n_alike[0] = n_alike[0], 1
-    whose, before = np.empty((n, n_probes), dtype=np.uint16), np.arange(n_probes, dtype=np.uint16)
+    columns, now = np.empty((n_probes, n), dtype=np.uint16), mated.mate.astype(np.uint16)
     # As few at a time as the cache holds.
     for first in range(0, n, rows):
-        some = whose[first : first + rows]
-        rng.random(out=uniform[: len(some)])
-        import_loops().shuffle(uniform[: len(some)], sizes, n_alike, before, some)
-        before = some[-1]
-    return whose
+        some = uniform[: n - first]
+        rng.random(out=some)
+        import_loops().shuffle(some, sizes, n_alike, first, now, columns)
+    return columns
 
 
 def add_shuffles(
     mated: Mated,
-    whose: NDArray[np.uint16],
+    columns: NDArray[np.uint16],
     log_rank: Floats,
     score_bin: NDArray[np.uint8],
     null: Floats,
-    null_bins: Floats,
+    null_bins: NDArray[np.uint16],
 ) -> float:
     """Return the sum of `log_rank`, (P, G), over mates; add those of n shuffles to `null`.
 
     To `null_bins`, (bins, n), are added their mated scores, whose bins are `score_bin`, (P, G).
     """
-    import_loops().add_shuffles(
-        *(whose, mated.probes, mated.mate, log_rank, score_bin, null, null_bins)
-    )
+    import_loops().add_shuffles(columns, mated.probes, log_rank, score_bin, null, null_bins)
     return float(log_rank[mated.probes, mated.mate].sum())
 
 

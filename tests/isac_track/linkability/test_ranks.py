@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from helpers import linkability_oracles as oracles
 from helpers.searches import search
+from scipy.optimize import linear_sum_assignment
 
 from isac_track.linkability import (
     Search,
@@ -20,6 +21,7 @@ from isac_track.linkability import (
     reciprocal_rank,
     residual_risk,
 )
+from isac_track.linkability.ranks import assign_in
 from isac_track.rng import stream
 
 
@@ -85,6 +87,17 @@ def test_assignments_are_the_best_of_all(shape, no_match_score):
             assert (scores[probes, assigned[probes]] > no_match_score).all()
             value += no_match_score * (shape[0] - probes.size)
         assert value == pytest.approx(oracles.best_assignment(scores, no_match_score)[0])
+
+
+@pytest.mark.parametrize("levels", [1, 2, 5, 10**6])
+def test_assignments_are_scipys_also_among_ties(levels):
+    rng = stream(levels, "test", "scipy")
+    for n_probes, n_gallery in rng.integers(1, 25, (60, 2)):
+        scores = rng.integers(-levels, levels, (n_probes, n_gallery)) / 3.0
+        assigned = assign_in(np.arange(n_gallery), scores, None)
+        rows, columns = linear_sum_assignment(scores, maximize=True)
+        assert np.array_equal(np.flatnonzero(assigned >= 0), rows)
+        assert np.array_equal(assigned[rows], columns)
 
 
 def test_assignments_of_ties_are_at_chance():

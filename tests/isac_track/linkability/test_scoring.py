@@ -105,15 +105,15 @@ def test_the_scorecard_says_what_its_parts_say(is_grouped):
     rng = stream(13, "test", "draws")
     everything = np.concatenate([one.scores.ravel(), two.scores.ravel()])
     edges = np.linspace(everything.min(), everything.max(), 42 // 10 + 1)
-    assigned, hits, null, null_bins = [], [], np.zeros(999), np.zeros((4, 999))
+    assigned, hits, null, null_bins = [], [], np.zeros(999), np.zeros((4, 999), np.uint16)
     for s in (one, two):
         assigned.append(assign(scores=s.scores, rng=rng) == s.mate)
         hits.append(rank1(scores=s.scores, mate=s.mate))
         score_bin = np.searchsorted(edges[1:-1], s.scores, side="right").astype(np.uint8)
         mated, counts = mated_probes(people_of(s)), np.zeros((1, 2), dtype=int)
         ranked = rank_rows(s, np.empty(0), counts).log_rank
-        whose = shuffled_mates(mated, rng, 999)
-        add_shuffles(mated, whose, ranked, score_bin, null, null_bins)
+        columns = shuffled_mates(mated, rng, 999)
+        add_shuffles(mated, columns, ranked, score_bin, null, null_bins)
     observed = 42 * mean_log_rank([one, two])
     p = (1 + (null >= observed - 1e-9).sum()) / 1000
     p_low = (1 + (null <= observed + 1e-9).sum()) / 1000

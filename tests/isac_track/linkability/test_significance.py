@@ -81,11 +81,11 @@ def test_the_null_is_the_law_over_all_possible_mates(sizes):
     sums = [np.nansum(log_rank(scores=one.scores, mate=mate)) for mate in mates]
     bins = [np.bincount(score_bin[mate >= 0, mate[mate >= 0]], minlength=3) for mate in mates]
     n = 300 * len(mates)
-    null, null_bins = np.zeros(n), np.zeros((3, n))
+    null, null_bins = np.zeros(n), np.zeros((3, n), np.uint16)
     mated, counts = mated_probes(people_of(one)), np.zeros((1, 2), dtype=int)
     ranked = rank_rows(one, np.empty(0), counts).log_rank
-    whose = shuffled_mates(mated, stream(17, "test", "law"), n)
-    observed = add_shuffles(mated, whose, ranked, score_bin, null, null_bins)
+    columns = shuffled_mates(mated, stream(17, "test", "law"), n)
+    observed = add_shuffles(mated, columns, ranked, score_bin, null, null_bins)
     assert observed == pytest.approx(np.nansum(log_rank(scores=one.scores, mate=one.mate)))
     # Jointly: the bins are those of the same mates as the sum. Less than ten are in each.
     (expected, weight), (actual, counts) = (
@@ -103,12 +103,12 @@ def test_sums_and_bins_of_many_probes_are_those_of_the_mates_that_were_drawn():
     rng = stream(19, "test", "many")
     one = clustered(rng, [1] * 40 + [2] * 20)
     mated, n = mated_probes(people_of(one)), 25
-    whose = shuffled_mates(mated, rng, n)
-    assert (np.sort(whose, axis=1) == np.arange(80)).all()
+    columns = shuffled_mates(mated, rng, n)
+    assert (np.sort(columns.T, axis=1) == np.sort(mated.mate)).all()
     ranks, score_bin = rng.random(one.scores.shape), rng.integers(0, 5, one.scores.shape)
-    null, null_bins = np.ones(n), np.ones((5, n))
-    add_shuffles(mated, whose, ranks, score_bin.astype(np.uint8), null, null_bins)
-    drawn = mated.probes, mated.mate[whose]
+    null, null_bins = np.ones(n), np.ones((5, n), np.uint16)
+    add_shuffles(mated, columns, ranks, score_bin.astype(np.uint8), null, null_bins)
+    drawn = mated.probes, columns.T
     assert null == pytest.approx(1 + ranks[drawn].sum(axis=1))
     held = score_bin[drawn]
     assert np.array_equal(null_bins, [1 + (held == k).sum(axis=1) for k in range(5)])
