@@ -257,18 +257,13 @@ def _read_hull(blocks: Floats, totals: tuple[float, float]) -> tuple[float, floa
 
 
 @part_of_loop
-def _read_thresholds(
-    own: Floats, totals: Floats, true: Floats, false: Floats, level: float, out: Floats
-) -> bool:
-    """Write the counts at this threshold where it has FPR <= level; tell whether any has."""
-    n_low = 0
-    for r in range(own.size):
-        # Rounding must not refuse a share that lies exactly at the level.
-        is_low = false[r] <= level * (1 + 1e-12) * totals[r]
-        n_low += is_low
-        out[0, r] = true[r] if is_low and own[r] > 0 else out[0, r]
-        out[1, r] = false[r] if is_low and own[r] > 0 else out[1, r]
-    return n_low > 0
+def _read_threshold(true: Floats, false: Floats, limit: float) -> tuple[float, float]:
+    """Return the counts at the highest threshold of the most hits with no more false links."""
+    # Rounding must not refuse a share that lies exactly at the level.
+    k = np.searchsorted(false, limit * (1 + 1e-12), side="right") - 1
+    while k > 0 and true[k - 1] == true[k]:
+        k -= 1
+    return (true[k], false[k]) if k >= 0 and true[k] > 0 else (0.0, 0.0)
 
 
 @compiled(
@@ -303,9 +298,10 @@ def read_scores(
     most = _MOST // int(table.max()) ** 2
     some, own, other = np.empty(n_replicates, dtype=np.uint16), totals[0].copy(), totals[0].copy()
     true, false, waiting = np.zeros((3, n_replicates))
-    sums, is_open = np.zeros((2, n_replicates)), np.ones(levels.size, dtype=np.bool_)
+    sums, n_mated, n_thresholds = np.zeros((2, n_replicates)), np.count_nonzero(counts[:, 1]), 0
+    hits, alarms = np.empty((2, n_mated, n_replicates))
     # At the bottom of every stack lies what no block is merged with.
-    stacks = np.empty((n_replicates, np.count_nonzero(counts[:, 1]) + 2, 2))
+    stacks = np.empty((n_replicates, n_mated + 2, 2))
     stacks[:, 0, 0], stacks[:, 0, 1] = np.inf, 0.0
     depths, drawn = np.zeros((2, n_replicates), dtype=np.int64)
     occupied = np.flatnonzero(counts[:, 0] + counts[:, 1])
@@ -339,23 +335,22 @@ def read_scores(
                     depth -= 1
                 depths[r], waiting[r] = depth + 1, 0.0
                 stack[depth + 1, 0], stack[depth + 1, 1] = m, n
-            for number in range(levels.size):
-                if is_open[number]:
-                    at = out[5 + 2 * number : 7 + 2 * number]
-                    is_open[number] = _read_thresholds(
-                        own, totals[1], true, false, levels[number], at
-                    )
+            hits[n_thresholds], alarms[n_thresholds] = true, false
+            n_thresholds += 1
         if place == 0 or bins[occupied[place - 1]] != bins[k]:
             # Of the trapezia between bin centres the outer bins have one instead of two.
             inner = 1.0 - 0.5 * (bins[k] == lowest) - 0.5 * (bins[k] == highest)
             _add_share(sums, totals, inner, out[:2])
     out[2] /= totals[0] * totals[1]
-    for row in range(5, len(out)):
-        out[row] /= totals[(row + 1) % 2]
     for r in range(n_replicates):
         blocks = stacks[r, 1 : depths[r] + 2]
         blocks[-1, 0], blocks[-1, 1] = 0.0, waiting[r]
-        out[3, r], out[4, r] = _read_hull(blocks, (totals[0, r], totals[1, r]))
+        mated, non_mated = totals[0, r], totals[1, r]
+        out[3, r], out[4, r] = _read_hull(blocks, (mated, non_mated))
+        for number in range(levels.size):
+            limit = levels[number] * non_mated
+            true_r, false_r = _read_threshold(hits[:, r], alarms[:, r], limit)
+            out[5 + 2 * number, r], out[6 + 2 * number, r] = true_r / mated, false_r / non_mated
 
 
 @compiled(read(2), written(1, "int64"))
