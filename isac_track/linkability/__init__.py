@@ -11,7 +11,6 @@ from isac_track.linkability.ranks import (
     Search,
     assign,
     chance,
-    cmc,
     log_rank,
     mean_log_rank,
     rank1,
@@ -31,7 +30,6 @@ from isac_track.linkability.scores import (
     d_sys_published,
     eer,
     fit_calibration,
-    roc_hull,
     tpr_at_fpr,
 )
 from isac_track.linkability.scoring import ProbeRanks, Scorecard, rank_scorecard, scorecard
@@ -46,8 +44,8 @@ from isac_track.linkability.significance import (
 
 __all__ = ["Calibration", "Outcome", "ProbeRanks", "Scorecard", "Search"]
 __all__ += ["GALLERY", "LEVEL", "MIN_EXPECTED", "SCORE_REPLICATES", "SLOPE_PENALTY"]
-__all__ += ["assign", "chance", "cmc", "log_rank", "mean_log_rank"]
+__all__ += ["assign", "chance", "log_rank", "mean_log_rank"]
 __all__ += ["rank1", "rank1_among", "reciprocal_rank"]
 __all__ += ["auc", "cllr", "cllr_min", "d_sys", "d_sys_published", "eer", "fit_calibration"]
 __all__ += ["minimum_detectable_rank1", "outcome", "permutation_p", "rank1_p", "rank_scorecard"]
-__all__ += ["residual_risk", "roc_hull", "scorecard", "tpr_at_fpr"]
+__all__ += ["residual_risk", "scorecard", "tpr_at_fpr"]

@@ -6,8 +6,7 @@ assignments are made in a random order of the columns. `scores`, (P, G), and `ma
 
 References
 ----------
-Grother and Phillips, CVPR 2004 (cumulative match characteristic). Residual risk: Giomi, Boenisch,
-Wehmeyer, Tasnadi, PoPETs 2023(2).
+Residual risk: Giomi, Boenisch, Wehmeyer, Tasnadi, PoPETs 2023(2).
 """
 
 import math
@@ -143,24 +142,6 @@ def mean_log_rank(searches: Sequence[Search]) -> float:
     values = np.concatenate([log_rank(scores=s.scores, mate=s.mate) for s in searches])
     values = values[~np.isnan(values)]
     return float(values.mean()) if values.size else float("nan")
-
-
-def cmc(searches: Sequence[Search]) -> Floats:
-    """Return the cumulative match characteristic, (K,): the expected share of ranks <= 1..K.
-
-    Over the mated probes of all searches; K is the size of the smallest gallery. NaN without a
-    mated probe.
-    """
-    k = np.arange(1, min(search.scores.shape[1] for search in searches) + 1)
-    rows = []
-    for search in searches:
-        above, tied = standing(search.scores, search.mate)
-        hit = np.clip((k - above[:, None]) / tied[:, None], 0.0, 1.0)
-        rows.append(hit[search.mate >= 0])
-    hits = np.concatenate(rows)
-    if not hits.size:
-        return np.full(k.size, np.nan)
-    return np.asarray(hits.mean(axis=0))
 
 
 def assign(

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from isac_track.linkability.significance import import_loops
-from isac_track.types import Floats, Ints
+from isac_track.types import Floats
 
 MIN_EXPECTED = 30
 """A TPR at the FPR alpha needs 30 / alpha non-mated scores, thirty above the threshold: pairs of
@@ -38,21 +38,6 @@ class Calibration:
 def auc(*, mated: Floats, non_mated: Floats) -> float:
     """Return the share of pairs in which the mated score is higher; ties count half."""
     return float(_read(mated, non_mated)[2])
-
-
-def roc_hull(*, mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
-    """Return FPR and TPR, (H,) each, on the convex hull of the ROC, from (0, 0) to (1, 1)."""
-    from scipy.optimize import isotonic_regression  # noqa: PLC0415 - heavy, and used here alone
-
-    _, _, counts = _distinct(mated, non_mated)
-    false, true = (counts / counts.sum(axis=0)).T
-    both = true + false
-    starts = isotonic_regression(true / both, weights=both).blocks[:-1]
-    fpr, tpr = (
-        np.concatenate([[0.0], np.cumsum(np.add.reduceat(share, starts)[::-1])])
-        for share in (false, true)
-    )
-    return fpr, tpr
 
 
 def eer(*, mated: Floats, non_mated: Floats) -> float:
@@ -192,18 +177,12 @@ def _check_classes(mated: Floats, non_mated: Floats) -> None:
             raise ValueError(f"{name} scores must be finite")
 
 
-def _distinct(mated: Floats, non_mated: Floats) -> tuple[Floats, Ints, Ints]:
-    """Return the K distinct scores, which each of all is, and how many of either class, (K, 2)."""
-    _check_classes(mated, non_mated)
-    distinct, place = np.unique(np.concatenate([non_mated, mated]), return_inverse=True)
-    classes = np.split(place, [non_mated.size])
-    counts = [np.bincount(one, minlength=distinct.size) for one in classes]
-    return distinct, place, np.stack(counts, axis=1)
-
-
 def _read(mated: Floats, non_mated: Floats, *levels: float) -> Floats:
     """Return what the compiled loop `read_scores` writes, where every score weighs as much."""
-    distinct, place, counts = _distinct(mated, non_mated)
+    _check_classes(mated, non_mated)
+    distinct, place = np.unique(np.concatenate([non_mated, mated]), return_inverse=True)
+    which = 2 * place + (np.arange(place.size) >= non_mated.size)
+    counts = np.bincount(which, minlength=2 * distinct.size).reshape(-1, 2)
     edges = inner_edges(float(distinct[0]), float(distinct[-1]), default_bins(mated.size))
     bins = np.searchsorted(edges, distinct, side="right").astype(np.uint8)
     # One search for nobody among all non-mated scores, and one a mated score among that alone.

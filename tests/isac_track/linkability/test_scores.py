@@ -18,7 +18,6 @@ from isac_track.linkability import (
     d_sys_published,
     eer,
     fit_calibration,
-    roc_hull,
     tpr_at_fpr,
 )
 from isac_track.rng import stream
@@ -75,23 +74,6 @@ def test_the_published_program_loses_half_of_either_outer_bin():
     assert d_sys_published(**few) == 0.0
 
 
-def test_the_hull_is_convex_and_lies_above_the_roc():
-    rng = stream(4, "test", "hull")
-    mated, non_mated = np.round(rng.normal(1, 1, 40), 1), np.round(rng.normal(0, 1, 60), 1)
-    fpr, tpr = roc_hull(mated=mated, non_mated=non_mated)
-    assert (fpr[0], tpr[0]) == (0, 0)
-    assert (fpr[-1], tpr[-1]) == pytest.approx((1, 1))
-    # Not slopes, which are infinite at the left.
-    turns = np.diff(fpr)[:-1] * np.diff(tpr)[1:] - np.diff(fpr)[1:] * np.diff(tpr)[:-1]
-    assert (turns < 1e-12).all()
-    points = oracles.roc(mated, non_mated)
-    for f, t in points:
-        assert t <= np.interp(f, fpr, tpr) + 1e-12 or f == 0
-    assert all(
-        any(np.allclose(vertex, point) for point in points) for vertex in zip(fpr, tpr, strict=True)
-    )
-
-
 SCORES = arrays(np.int64, st.integers(1, 12), elements=st.integers(-4, 4))
 
 
@@ -143,9 +125,7 @@ def test_calibration_of_scores_that_say_nothing_or_everything():
     assert separated.slope * 10 + separated.intercept > 3
 
 
-@pytest.mark.parametrize(
-    "function", [auc, eer, roc_hull, cllr_min, d_sys, d_sys_published, fit_calibration]
-)
+@pytest.mark.parametrize("function", [auc, eer, cllr_min, d_sys, d_sys_published, fit_calibration])
 def test_metrics_refuse_an_empty_class_and_infinity(function):
     for mated, non_mated in (([], [1.0]), ([1.0], []), ([[1.0]], [1.0])):
         with pytest.raises(ValueError, match="must have shape"):
