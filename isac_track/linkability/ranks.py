@@ -218,10 +218,16 @@ def first_among(strangers: Ints, gallery: int = GALLERY) -> Floats:
 
 def expected_reciprocal(above: Ints, tied: Ints, n_gallery: int) -> Floats:
     """Return `reciprocal_rank` likewise; `n_gallery` is the largest there is."""
-    harmonic = np.concatenate([[0.0], np.cumsum(1.0 / np.arange(1, n_gallery + 1))])
+    harmonic = _harmonic(n_gallery)
     return np.asarray((harmonic[above + tied] - harmonic[above]) / tied)
 
 
+@lru_cache(maxsize=256)
+def _harmonic(n: int) -> Floats:
+    return np.concatenate([[0.0], np.cumsum(1.0 / np.arange(1, n + 1))])
+
+
+@lru_cache(maxsize=256)
 def log_factorials(n: int) -> Floats:
     """Return log k! for 0..n, (n + 1,)."""
     return np.concatenate([[0.0], np.cumsum(np.log(np.arange(1, n + 1)))])

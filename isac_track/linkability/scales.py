@@ -227,12 +227,11 @@ def over_scales(results: Sequence[Scale], *, n_searches: int) -> dict[str, Float
     NaN where no scale has both classes, and where a TPR is refused: on the non-mated pairs of one
     of `n_searches`, in the mean, since those of several are of the same few people again.
     """
-    mass = np.stack([one.mass for one in results])
-    mean: dict[str, Floats] = {}
-    for name in results[0].values:
-        of_scale = np.where(mass > 0, [one.values[name] for one in results], 0.0)
-        with np.errstate(invalid="ignore"):
-            mean[name] = (of_scale * mass).sum(axis=0) / mass.sum(axis=0)
+    mass = np.stack([one.mass for one in results])[:, None]
+    of_scales = np.stack([[*one.values.values()] for one in results])
+    with np.errstate(invalid="ignore"):
+        weighted = np.where(mass > 0, of_scales * mass, 0.0)
+        mean = dict(zip(results[0].values, weighted.sum(axis=0) / mass.sum(axis=0), strict=True))
     n_non_mated = sum(result.n_non_mated for result in results) / n_searches
     for name, alpha in LEVELS.items():
         if is_refused(n_non_mated, alpha):

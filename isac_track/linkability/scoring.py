@@ -458,6 +458,6 @@ def _interval(
     elif name in _FITTED and not is_few:
         low, high = max(0.0, 2 * value - high), min(most, 2 * value - low)
     elif name in (_FITTED if is_few else _BINNED):
-        bias = float(np.nanmean(replicates)) - value
+        bias = float(replicates[~np.isnan(replicates)].mean()) - value
         low, high = max(0.0, low - bias), min(most, high - bias)
     return low, high
