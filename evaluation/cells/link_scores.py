@@ -22,10 +22,11 @@ from numpy.random import Generator
 from evaluation.cells.tables import ROWS, Tables, column, names_column, table
 from isac_track import linkability
 from isac_track.intervals import Estimate, cluster_sums, exact_binomial, ratio_estimates
+from isac_track.linkability.ranks import expected_hit
 from isac_track.linkability.scoring import RANK_METRICS, Drawn, draw, scorecard_of
 from isac_track.linkability.significance import People, people_of
 from isac_track.rng import stream
-from isac_track.types import Bools, Floats, Ints
+from isac_track.types import Floats, Ints
 
 if TYPE_CHECKING:
     from attacks.tasks.controls import Control
@@ -144,19 +145,13 @@ def read_off(
         low, high = exact_binomial(hits=hits, n=scored.n_mated)
         exact = replace(rank1, ci_low=low, ci_high=high)
         scored = replace(scored, estimates=scored.estimates | {"rank1": exact})
-    cohorts = {}
-    if control is None:
-        who = {WITHOUT_GROUPS: sessions.alone, WITHOUT_FROZEN: sessions.moving}
-        people_in = [*zip(searches, probes, galleries, strict=True)]
-        found = _cohorts(people_in, np.stack([*who.values()]), weights=known.weights)
-        cohorts = dict(zip(who, found, strict=True))
     return Linked(
         searches=tuple(searches),
         probe_person=tuple(probes),
         gallery_person=tuple(galleries),
         calibration=calibration,
         scored=scored,
-        cohorts=cohorts,
+        cohorts={} if control is not None else _cohorts(searches, known),
         is_control=control is not None,
         is_assigned=is_assigned,
         checked=checked,
@@ -170,52 +165,67 @@ def _draws(people: tuple[People, ...], names: tuple[int, *tuple[str, ...]]) -> t
 
 
 def _cohorts(
-    people: Sequence[tuple[linkability.Search, Ints, Ints]], among: Bools, *, weights: Floats
-) -> list[dict[str, float]]:
-    """Return rank 1 where only some people are probes and candidates, for each set of people.
-
-    `people` are searches with the person of each probe and candidate; `among` is (sets, people).
-    """
-    hits, sets, chances, clusters = [], [], [], []
-    for search, of_probe, of_candidate in people:
-        mated = np.flatnonzero(search.mate >= 0)
-        own = search.scores[mated, search.mate[mated]][:, None]
-        gallery = among[:, of_candidate].T.astype(np.float32)
-        # How many of each set stand above the mate and how many as high: exact in single precision.
+    searches: Sequence[linkability.Search], known: SensedSessions
+) -> dict[str, dict[str, float]]:
+    """Return rank 1 where only some people are probes and candidates, for each set of people."""
+    parts, of_set, chance, place, trials = _without_some(known)
+    hits = []
+    for search, (mated, mate, gallery, probe, of) in zip(searches, parts, strict=True):
         scores = search.scores[mated]
+        own = search.scores[mated, mate][:, None]
+        # How many of each set stand above the mate and how many as high: exact in single precision.
         above, tied = (
-            (each.astype(np.float32) @ gallery) for each in (scores > own, scores == own)
+            (each.astype(np.float32) @ gallery)[probe, of] for each in (scores > own, scores == own)
         )
-        probe, of = np.nonzero((among[:, of_probe[mated]].T) & (gallery[search.mate[mated]] > 0))
-        hits.append(np.where(above[probe, of] == 0, 1.0 / tied[probe, of].astype(float), 0.0))
-        chances.append(1.0 / gallery.sum(axis=0, dtype=float)[of])
-        sets.append(of)
-        clusters.append(search.probe_cluster[mated[probe]])
-    hit, of_set, chance, cluster = (np.concatenate(x) for x in (hits, sets, chances, clusters))
-    shape = len(among), weights.shape[1]
-    sums = [
-        cluster_sums(
-            values=one, cluster=of_set * shape[1] + cluster, n_clusters=shape[0] * shape[1]
-        ).reshape(shape)
-        for one in (hit, np.ones_like(hit))
-    ]
+        hits.append(expected_hit(above, tied.astype(np.float64)))
+    hit = np.concatenate(hits)
+    sums = cluster_sums(values=hit, cluster=place, n_clusters=trials.size).reshape(trials.shape)
     found = ratio_estimates(
-        numerator=sums[0], denominator=sums[1], weights=weights, is_share=[True] * len(among)
+        numerator=sums, denominator=trials, weights=known.weights, is_share=[True] * len(trials)
     )
-    return [
-        {
+    cohorts = {}
+    for number, (name, one) in enumerate(zip((WITHOUT_GROUPS, WITHOUT_FROZEN), found, strict=True)):
+        mine = of_set == number
+        is_any = bool(mine.any())
+        cohorts[name] = {
             "rank1": one.value,
             "ci_low": one.ci_low,
             "ci_high": one.ci_high,
             "n_clusters": one.n,
-            "chance": float(chance[mine].mean()) if mine.any() else np.nan,
+            "chance": float(chance[mine].mean()) if is_any else np.nan,
             "p_rank1": linkability.rank1_p(hits=hit[mine], chance=chance[mine])
-            if mine.any()
+            if is_any
             else np.nan,
             "n_mated": int(mine.sum()),
         }
-        for one, mine in ((one, of_set == number) for number, one in enumerate(found))
-    ]
+    return cohorts
+
+
+@lru_cache(maxsize=4)
+def _without_some(
+    known: SensedSessions,
+) -> tuple[list[tuple[Any, ...]], Ints, Floats, Ints, Floats]:
+    """Return who searches for whom without some people, as at every attack on the same.
+
+    Of each search its mated probes, their mates, who is a candidate, (G, sets), and which of the
+    probes counts in which set; of all these trials the set, the chance and the place in the number
+    of trials by set and cluster, which comes last.
+    """
+    among, sessions = np.stack([known.sessions.alone, known.sessions.moving]), known.sessions
+    parts, chances, clusters = [], [], []
+    for _, pairing in sorted(known.searches.items()):
+        mated = np.flatnonzero(pairing.mate >= 0)
+        mate, person = pairing.mate[mated], sessions.probe.person[pairing.probe[mated]]
+        gallery = among[:, sessions.gallery.person[pairing.gallery]].T
+        probe, of = np.nonzero(among[:, person].T & gallery[mate])
+        parts.append((mated, mate, gallery.astype(np.float32), probe, of))
+        chances.append(1.0 / gallery.sum(axis=0)[of])
+        clusters.append(known.cluster[person[probe]])
+    of_set = np.concatenate([of for *_, of in parts])
+    shape = len(among), known.weights.shape[1]
+    place = of_set * shape[1] + np.concatenate(clusters)
+    trials = np.bincount(place, minlength=shape[0] * shape[1]).astype(np.float64).reshape(shape)
+    return parts, of_set, np.concatenate(chances), place, trials
 
 
 def calibrated(found: Sequence[tuple[Floats, Pairing]]) -> linkability.Calibration | None:

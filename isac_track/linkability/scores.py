@@ -162,7 +162,7 @@ def default_bins(n_mated: int) -> int:
 def inner_edges(low: float, high: float, n_bins: int) -> Floats:
     """Return the edges between the bins of `d_sys`."""
     # numpy's linspace, which takes several times as long for so few.
-    return np.arange(1, n_bins) * ((high - low) / n_bins) + low
+    return np.asarray(np.arange(1, n_bins) * ((high - low) / n_bins) + low)
 
 
 def is_refused(n_non_mated: float, alpha: float) -> bool:
