@@ -31,7 +31,8 @@ from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, Estimate, differenc
 FEWEST: Final = 5
 """Real recordings below which nothing is pooled: of fewer, nobody knows how much they differ."""
 MEAN: Final = "mean"  # In the column of seeds: the average over them.
-POOLED: Final = "pooled"
+POOLED, FURTHER = "pooled", "further"
+"""In the column of recordings: all real ones, and where a further one is expected."""
 LINKED_IN: Final = "rerelease"
 _ENDS: Final = ("value", "ci_low", "ci_high")
 COLUMNS = ["question", "recording", "adding", "law", "seed", *_ENDS, "n", "tau2"]
@@ -191,7 +192,12 @@ class Answered:
         if same == k and all(sure):
             told += f"; in all {k}, each significant at 5 %"
         told += f"; least {100 * least['value']:+.1f} points ({least['recording']})"
-        return f"{told}, largest {100 * most['value']:+.1f} ({most['recording']})."
+        told += f", largest {100 * most['value']:+.1f} ({most['recording']})"
+        if self.pooled:
+            value, *ends = (100 * one for one in self.pooled[:5])
+            told += "; pooled {:+.1f} [{:.1f}, {:.1f}], of a further recording [{:.1f}, {:.1f}]"
+            told = told.format(value, *ends)
+        return f"{told}."
 
 
 def answered(rows: Sequence[Mapping[str, Any]], *, simulated: frozenset[str]) -> list[Answered]:
@@ -229,6 +235,8 @@ def to_frame(rows: Sequence[Mapping[str, Any]], of: Sequence[Answered]) -> pd.Da
     for one in of:
         every += one.rows
         if one.pooled is not None:
-            numbers = {name: getattr(one.pooled, name) for name in (*_ENDS, "tau2")}
-            every.append({**one.rows[0], "recording": POOLED, "n": one.real, **numbers})
+            value, *ends, tau2 = one.pooled
+            for name, (low, high) in ((POOLED, ends[:2]), (FURTHER, ends[2:])):
+                numbers = {"value": value, "ci_low": low, "ci_high": high, "tau2": tau2}
+                every.append({**one.rows[0], "recording": name, "n": one.real, **numbers})
     return pd.DataFrame(every, columns=COLUMNS)

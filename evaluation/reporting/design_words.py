@@ -15,11 +15,12 @@ from rich.text import Text
 from evaluation.analysis.families import FID, FIXED, LEVEL_UNITS
 from evaluation.analysis.keys import Source, level_text
 from evaluation.analysis.linkability import remarks
-from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE, SUCCESS
+from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, SUCCESS
 from evaluation.analysis.strongest import BEYOND
 from evaluation.reporting import table as make
 from evaluation.reporting import terminal
 from evaluation.reporting.announcements import same_run, scenes_text
+from evaluation.reporting.markup import paragraphs
 from evaluation.reporting.noise_plan import told
 from evaluation.reporting.result_tables import MARKS, MEANING
 from evaluation.reporting.table import Cell, Column, Table
@@ -97,67 +98,20 @@ def _plain(value: Any) -> Any:  # noqa: ANN401 - what JSON has
 
 def reason(check: design.Check) -> str:
     """Return why a target or limit is not met; empty if it is."""
-    if check.status == "met":
-        return ""
-    what = _what(check)
-    if check.why_unknown:
-        return f"{what}: cannot say, {check.why_unknown}"
-    value = _told(design.METRIC_OF.get(check.name, SUCCESS), check.measured)
-    found = f"{what} {value}: the upper end is {_off(check)} too high"
-    if math.isnan(check.times_more):
-        return found
-    if math.isinf(check.times_more):
-        return f"{found}, and the value at the limit: no more data would tell"
-    more = f"{check.times_more:.2g} times as many people"
-    if check.scenes:
-        more = (
-            f"{max(float(f'{check.scenes * check.times_more:.2g}'), check.scenes + 1):,.0f} scenes"
-        )
-    return f"{found}; about {more} would tell"
+    return "" if check.status == "met" else _said("reason", check=check)[0]
 
 
 def reasons(scheme: design.Scheme) -> list[str]:
-    """Return how the level was chosen, why not a stricter one, and which limits do not hold."""
-    extreme, opposite = ("smallest", "largest") if scheme.falls else ("largest", "smallest")
-    symbol, chosen, failed = _symbol(scheme), _at(scheme, scheme.chosen), ""
-    if scheme.stricter is not None:
-        failed = f"{_at(scheme, scheme.stricter)} does not ({'; '.join(_reasons(scheme.missed))})"
-    if scheme.chosen is None:
-        found = f"no {symbol} of the run meets the targets, not even the {opposite}: {failed}"
-    elif failed:
-        found = f"{chosen} is the {extreme} that meets the targets; {failed}"
-    else:
-        found = f"{chosen} meets the targets and is the {extreme} of the run"
-        same = " (stricter ones would share the same: every sample has the full error)"
-        found += same * scheme.is_saturated
-    also = (
-        f"{symbol} = {', '.join(map(level_text, scheme.also_meets))} would meet the targets, but a "
-        "less strict level does not: not chosen, it may be chance"
-    )
-    return [found, *[also] * bool(scheme.also_meets), *_reasons(scheme.checks), *_stakes(scheme)]
+    """Return how the level was chosen, why not a stricter one, and which limits do not hold.
+
+    Of a chosen level also by how much the limits hold, what it costs, and what could break it.
+    """
+    known = {one.knowledge for one in scheme.chosen.beyond} if scheme.chosen else set()
+    return _said("reasons", scheme=scheme, beyond=[one for one in BEYOND if one not in known])
 
 
-def _stakes(scheme: design.Scheme) -> Iterator[str]:
-    """Yield by how much the limits hold, what the level costs, and what could break it."""
-    level = scheme.chosen
-    if level is None:
-        return
-    held = [check for check in scheme.checks if check.status == "met"]
-    if margins := ", ".join(f"{_what(check)} {_off(check)}" for check in held):
-        yield f"below the limits: {margins}"
-    costs = (
-        f"{name} {_told(MISSED_RATE, one)}"
-        for name, one in level.costs.items()
-        if math.isfinite(one.value)
-    )
-    yield f"it costs: missed by {', '.join(costs)}"
-    known = [
-        f"PLR after {Source(one.attack, one.knowledge).label} {_told(EXPOSURE, one.numbers['plr'])}"
-        for one in level.beyond
-    ]
-    left = [one for one in BEYOND if one not in {of.knowledge for of in level.beyond}]
-    known += [f"not measured: {', '.join(left)} (--adversary NAME)"] * bool(left)
-    yield f"could break it: {'; '.join(known)}"
+def _said(part: str, **of: Any) -> list[str]:  # noqa: ANN401 - what a macro takes
+    return paragraphs("design.txt.j2", part, _WORDS, **of)
 
 
 def _told(metric: str, one: Estimate) -> str:
@@ -165,19 +119,19 @@ def _told(metric: str, one: Estimate) -> str:
     return f"{cell.text} {METRICS[metric].unit} {cell.interval}".strip()
 
 
+def _metric(check: design.Check) -> str:
+    return design.METRIC_OF.get(check.name, SUCCESS)
+
+
 def _what(check: design.Check) -> str:
-    return f"{METRICS[design.METRIC_OF.get(check.name, SUCCESS)].head} {check.whose}".strip()
+    return f"{METRICS[_metric(check)].head} {check.whose}".strip()
 
 
 def _off(check: design.Check) -> str:
     """Return how far the upper end is from the limit."""
-    shown = METRICS[design.METRIC_OF.get(check.name, SUCCESS)]
+    shown = METRICS[_metric(check)]
     off = f"{abs(check.measured.ci_high - check.limit) * shown.scale:.2g}"
     return f"{off} points" if shown.unit == "%" else f"{off} {shown.unit}"
-
-
-def _reasons(checks: Iterable[design.Check]) -> list[str]:
-    return [reason(check) for check in checks if check.status != "met"]
 
 
 def _at(scheme: design.Scheme, level: design.Level | None) -> str:
@@ -186,6 +140,17 @@ def _at(scheme: design.Scheme, level: design.Level | None) -> str:
 
 def _symbol(scheme: design.Scheme) -> str:
     return _LEVEL_NAMES.get(scheme.family.family, "level")
+
+
+_WORDS: dict[str, Any] = {
+    **{one.__name__.strip("_"): one for one in (_metric, _what, _off, _told, _at)},
+    "symbol_of": _symbol,
+    "levels": lambda some: ", ".join(map(level_text, some)),
+    "unmet": lambda checks: [reason(one) for one in checks if one.status != "met"],
+    "costs": lambda at: [one for one in at.costs.items() if math.isfinite(one[1].value)],
+    "source": lambda one: Source(one.attack, one.knowledge).label,
+}
+"""What the template calls."""
 
 
 def sentence(choice: design.Choice) -> str:
@@ -198,19 +163,19 @@ def sentence(choice: design.Choice) -> str:
             under = " ({})" if schemes[0].family.adding else ""
             at = (f"{_at(one, one.chosen)}{under.format(one.adding)}" for one in schemes)
             met.append(f"{name} {' and '.join(dict.fromkeys(at))}")
-    people = " (simulated people)" * bool(choice.manifest["dataset"]["simulated"])
-    if not met:
-        told = (f"{why}: {', '.join(names)}" for why, names in failing.items())
-        return f"No{people}: {'; '.join(told)}."
     rates = {name: f"{100.0 * limit:.4g} %" for name, limit in limits.of(*design.TARGETS).items()}
-    target = f"at most {rates['missed']} of the conflicts are missed"
-    if "false_alarm" in rates:
-        target += f" at no more than {rates['false_alarm']} false alarms"
-    privacy = "; no privacy limit was given"
-    if limits.of(*DESCRIPTORS, SUCCESS):
-        where = " as shared" if limits.as_shared else " after attack"
-        privacy = f", and every privacy limit holds{where * bool(limits.of(*DESCRIPTORS))}"
-    return f"Yes{people}: with {', or '.join(met)} {target}{privacy}."
+    where = " as shared" if limits.as_shared else " after attack"
+    (said,) = _said(
+        "sentence",
+        met=met,
+        failing=failing,
+        simulated=choice.manifest["dataset"]["simulated"],
+        missed=rates["missed"],
+        false_alarm=rates.get("false_alarm"),
+        is_limited=bool(limits.of(*DESCRIPTORS, SUCCESS)),
+        where=where * bool(limits.of(*DESCRIPTORS)),
+    )
+    return said
 
 
 def _failing(schemes: Sequence[design.Scheme]) -> str:
@@ -227,8 +192,7 @@ def _failing(schemes: Sequence[design.Scheme]) -> str:
         for check in (check for one in schemes for check in one.checks):
             close = "scenes" if check.scenes else "people"
             if status == (check.status if math.isnan(check.times_more) else close):
-                metric = design.METRIC_OF.get(check.name, SUCCESS)
-                found.setdefault(METRICS[metric].head, text)
+                found.setdefault(METRICS[_metric(check)].head, text)
     for text in _UNMET.values():
         heads = [head for head, its in found.items() if its == text]
         why += [f"{text} {' and '.join(heads)}"] if heads else []
@@ -237,30 +201,23 @@ def _failing(schemes: Sequence[design.Scheme]) -> str:
 
 def notes(choice: design.Choice) -> list[str]:
     """Return what else is to be known of the run and of the question."""
-    dataset, schemes = choice.manifest["dataset"], choice.schemes
-    silent = [one for one in schemes if one.name not in choice.answers]
-    undeclared = ", ".join(dict.fromkeys(one.name for one in schemes if not one.family.adding))
-    raw_misses = "; ".join(reason(one) for one in choice.raw_checks if one.status == "not met")
-    limit, closed = choice.limits.given.get(EXPOSURE, 0.0), ""
+    schemes, limit, closed = choice.schemes, choice.limits.given.get(EXPOSURE, 0.0), list[str]()
     if 0.0 < limit < 1.0 and not choice.limits.as_shared:
         usual = {"q": steady.Q_M2_PER_S3, "dt_s": steady.INTERVAL_S}
-        closed = " ".join(told(plr=limit, epsilon_m=steady.EPSILON_M, **usual)[:2])
-    crowds = ", ".join(one.task for one in choice.tasks if not one.limited)
-    found = {
-        dataset.get("notice") or "the tracks are simulated": dataset["simulated"],
-        f"{', '.join(one.name for one in silent)}: without a level under every adding rule asked "
-        "for; shown, but no answer": silent,
-        f"{undeclared}: declares no adding rule, so that it is judged under both": undeclared,
-        f"raw positions, without any added error, miss the targets themselves ({raw_misses}): no "
-        "level can be expected to meet them": raw_misses
-        and any(scheme.chosen is None for scheme in schemes),
-        f"closed forms alone, without a run, would have said: {' '.join(closed.split())}": closed,
-        f"--max-rank1 does not limit {crowds}: simulated people": crowds
-        and SUCCESS in choice.limits.given,
-        "the run is of another version of the code, which would drop its finished cells; the "
-        "command below fills a new folder": not choice.is_current and closer(choice),
-    }
-    return [text for text, is_so in found.items() if is_so]
+        closed = told(plr=limit, epsilon_m=steady.EPSILON_M, **usual)[:2]
+    is_hopeless = any(scheme.chosen is None for scheme in schemes)
+    raw_misses = [reason(one) for one in choice.raw_checks if one.status == "not met"]
+    crowds = [one.task for one in choice.tasks if not one.limited]
+    return _said(
+        "notes",
+        dataset=choice.manifest["dataset"],
+        silent=", ".join(one.name for one in schemes if one.name not in choice.answers),
+        undeclared=", ".join(dict.fromkeys(one.name for one in schemes if not one.family.adding)),
+        raw_misses="; ".join(raw_misses) * is_hopeless,
+        closed=" ".join(closed),
+        crowds=", ".join(crowds) * (SUCCESS in choice.limits.given),
+        is_closer_elsewhere=not choice.is_current and bool(closer(choice)),
+    )
 
 
 def closer(choice: design.Choice) -> str | None:

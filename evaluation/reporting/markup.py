@@ -1,5 +1,6 @@
-"""A table as LaTeX (a booktabs tabular) and Markdown; `templates` has it for the page."""
+"""What templates make: a table as LaTeX (a booktabs tabular), the page, and words; Markdown."""
 
+import re
 from collections.abc import Iterable
 from itertools import groupby
 from pathlib import Path
@@ -33,6 +34,7 @@ _LATEX = Environment(  # noqa: S701 - what is not HTML needs another escape: `te
     comment_end_string="#>",
     keep_trailing_newline=True,
 )
+_TEXT = Environment(**_OPTIONS)  # noqa: S701 - what is shown as it is has no escape
 PREAMBLE: Final = "% Needs \\usepackage{booktabs}. Values with 95 % intervals.\n"
 _MOST_COLUMNS = 10  # Beside the keys: what a page has room for.
 _MOST_BESIDE = 6  # With more columns of intervals, these stand below their values.
@@ -63,6 +65,15 @@ def latex(tables: Iterable[Table]) -> str:
             is_below = n_intervals > _MOST_BESIDE
             parts.append(template.render(places=places, is_below=is_below, **options))
     return PREAMBLE + "\n".join(parts)
+
+
+def paragraphs(template: str, part: str, words: dict[str, Any], **of: Any) -> list[str]:  # noqa: ANN401 - see jinja2
+    """Return the paragraphs of a macro of a text template, a line each; none is empty.
+
+    `words` are names that the whole template knows, always the same for one.
+    """
+    said = getattr(_TEXT.get_template(template, globals=words).module, part)(**of)
+    return [" ".join(one.split()) for one in re.split(r"\n\s*\n", said) if one.strip()]
 
 
 def markdown(table: Table) -> str:

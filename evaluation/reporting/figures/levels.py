@@ -1,21 +1,24 @@
-"""Figures over the level: what is shared and missed, and what attacks leave."""
+"""Figures over the level: what is shared and missed, what attacks leave, and who is found again."""
 
+import math
 import re
 from collections.abc import Iterator, Sequence
-from itertools import groupby
+from itertools import groupby, zip_longest
 from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.families import FID, FIXED, RAW
-from evaluation.analysis.keys import AS_SHARED, ORACLE, is_attack
-from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE
+from evaluation.analysis.families import CLEAN, FID, FIXED, RAW
+from evaluation.analysis.keys import AS_SHARED, ORACLE, Source, is_attack
+from evaluation.analysis.linkability import LinkedTask
+from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS
 from evaluation.analysis.paper import DATASET, PREDICTOR, PUBLISHED
 from evaluation.analysis.strongest import most_knowing
 from evaluation.experiment.presets import IDENTITY, SHARED
 from evaluation.reporting import rows as picked
-from evaluation.reporting.charts import LOOKS, Axis, Curve, Look, curves_chart
+from evaluation.reporting.charts import LOOKS, Axis, Chart, Curve, Look, curves_chart
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.result_tables import after_attack, sources_of
 
@@ -30,8 +33,22 @@ _PANELS = {
 }
 
 
+class _Series(NamedTuple):
+    """A metric of somebody: rows have mechanism, level, value and both ends."""
+
+    label: str
+    look: Look
+    rows: pd.DataFrame
+    metric: str
+
+    def of(self, mechanism: str) -> list[float]:
+        """Return what it is where a mechanism has no level, as it is shown."""
+        found = self.rows.loc[self.rows["mechanism"] == mechanism, "value"]
+        return [METRICS[self.metric].scale * one for one in found if np.isfinite(one)]
+
+
 def figures(run: picked.Results) -> Iterator[Figure]:
-    """Yield that after attack, and one of each swept mechanism."""
+    """Yield that after attack, one of each swept mechanism, and that of linkage."""
     yield from _attacked(run)
     names: list[str] = []
     for swept, of in groupby(picked.schemes(run.ours), key=attrgetter("name")):
@@ -39,61 +56,68 @@ def figures(run: picked.Results) -> Iterator[Figure]:
         plain = f"sweep-{re.sub(r'[^A-Za-z0-9=.-]+', '_', swept)[:_MOST_CHARACTERS]}"
         name = _FILES.get(swept, plain)
         names.append(f"{name}-{known[0].place}" if name in names else name)
-        yield from _sweep(run, known, name=names[-1])
+        yield _sweep(run, known, name=names[-1])
+    yield _linked(run)
 
 
-def curve(
-    rows: pd.DataFrame, scheme: picked.Scheme, *, label: str, look: Look, metric: str
-) -> list[Curve]:
-    """Return the curve of a metric over the levels of a scheme, named by its ends; none without."""
-    shown, of = METRICS[metric], scheme.of(rows)
-    of = of[np.isfinite(of["value"])]
-    if of.empty:
-        return []
-    y = shown.scale * of[picked.ENDS].to_numpy(dtype=np.float64).T
-    ends = [
-        f"{value:.{shown.digits}f} {shown.unit} at {scheme.at(level)}"
-        for value, level in zip(y[0], of["level"], strict=True)
-    ]
-    told = " to ".join(dict.fromkeys([ends[0], ends[-1]]))
-    return [Curve(look, f"{label}: {told}", of["level"].to_numpy(dtype=np.float64), y)]
+def _panel(
+    scheme: picked.Scheme,
+    series: Sequence[_Series],
+    key: dict[str, Look],
+    *,
+    y: Axis,
+    task: str = "",
+    across: Sequence[tuple[str, float]] = (),
+    marked: Sequence[tuple[Look, float, float, str]] = (),
+) -> Iterator[tuple[str, Chart]]:
+    """Yield a panel over the levels of a scheme, its curves named by their ends; none without."""
+    curves = []
+    for label, look, every, metric in series:
+        shown, rows = METRICS[metric], scheme.of(every[np.isfinite(every["value"])])
+        values = shown.scale * rows[picked.ENDS].to_numpy(dtype=np.float64).T
+        ends = [
+            f"{value:.{shown.digits}f} {shown.unit} at {scheme.at(level)}"
+            for value, level in zip(values[0], rows["level"], strict=True)
+        ]
+        if ends:
+            told = " to ".join(dict.fromkeys([ends[0], ends[-1]]))
+            x = rows["level"].to_numpy(dtype=np.float64)
+            curves.append(Curve(look, f"{label}: {told}", x, values))
+            key[label] = look
+    if curves:
+        x_axis = Axis(scheme.label, scheme.log)
+        chart = curves_chart(curves, x=x_axis, y=y, across=across, marked=marked)
+        yield f"{task}{scheme.title}, {scheme.rule_text}", chart
+        if marked:
+            key["paper (raw at the edge)"] = _PAPER_LOOK
 
 
-def alone(rows: pd.DataFrame, mechanism: str, metric: str) -> list[float]:
-    """Return a metric where a mechanism has no level, as it is shown."""
-    found = rows.loc[rows["mechanism"] == mechanism, "value"]
-    return [METRICS[metric].scale * one for one in found if np.isfinite(one)]
+def _raw(series: Sequence[_Series]) -> list[tuple[str, float]]:
+    return [(f"k{one.look.place}", value) for one in series for value in one.of(RAW)]
 
 
-def _sweep(run: picked.Results, known: Sequence[picked.Scheme], *, name: str) -> Iterator[Figure]:
-    """Yield the figure of a swept mechanism: a column for each adding rule, a row for each axis."""
+def _sweep(run: picked.Results, known: Sequence[picked.Scheme], *, name: str) -> Figure:
+    """Return the figure of a swept mechanism: a column for each adding rule, a row an axis."""
     ours = run.ours[~is_attack(run.ours)]
+    of = ours.set_index(["consumer", "metric"], drop=False).sort_index(kind="stable")
     predictors = ours.loc[ours["metric"] == MISSED_RATE, "consumer"].unique()[: LOOKS - 2]
     looks = {(one, MISSED_RATE): Look(place) for place, one in enumerate(predictors)}
     looks |= {(SHARED, metric): look for metric, look in _SHARED_LOOKS.items()}
-    panels, key = [], dict[str, Look]()
+    series = [
+        _Series(METRICS[at[1]].head if at[0] == SHARED else at[0], look, of[of.index == at], at[1])
+        for at, look in looks.items()
+    ]
+    panels, key = list[tuple[str, Chart]](), dict[str, Look]()
     for label, metrics in _PANELS.items():
+        some = [one for one in series if one.metric in metrics]
+        papers = {one.metric for one in some if one.metric != MISSED_RATE or one.label == PREDICTOR}
         for scheme in known:
-            curves, across, marked = list[Curve](), list[tuple[str, float]](), []
-            for (consumer, metric), look in looks.items():
-                if metric not in metrics:
-                    continue
-                rows = ours[(ours["consumer"] == consumer) & (ours["metric"] == metric)]
-                head = METRICS[metric].head if consumer == SHARED else consumer
-                found = curve(rows, scheme, label=head, look=look, metric=metric)
-                curves += found
-                across += [(f"k{look.place}", one) for one in alone(rows, RAW, metric)]
-                key |= {head: look} if found else {}
-                if run.dataset == DATASET and consumer in (SHARED, PREDICTOR):
-                    marked += _papers(metric, scheme)
-            if curves:
-                x, y = Axis(scheme.label, scheme.log), Axis(label, label.endswith("(s)"))
-                chart = curves_chart(curves, x=x, y=y, across=across, marked=marked)
-                panels.append((f"{scheme.title}, {scheme.rule_text}", chart))
-                key |= {"paper (raw at the edge)": _PAPER_LOOK} if marked else {}
+            marked = [mark for one in metrics if one in papers for mark in _papers(one, scheme)]
+            marked = marked if run.dataset == DATASET else []
+            y = Axis(label, label.endswith("(s)"))
+            panels += _panel(scheme, some, key, y=y, across=_raw(some), marked=marked)
     title = f"Missed conflicts, PLR and exposure over the level: {known[0].title}"
-    said = "Dashed: raw."
-    yield Figure(name, "figures", title, panels, len(known), key, said)
+    return Figure(name, "figures", title, panels, len(known), key, "Dashed: raw.")
 
 
 def _papers(metric: str, scheme: picked.Scheme) -> list[tuple[Look, float, float, str]]:
@@ -132,20 +156,60 @@ def _attacked(run: picked.Results) -> Iterator[Figure]:
     looks |= {of: Look(place, hollow=True) for place, of in enumerate(oracle[: LOOKS - 1])}
     if not looks.keys() - {AS_SHARED}:
         return
-    of = {source: picked.of_source(rows, source) for source in looks}
-    panels, key = [], dict[str, Look]()
+    series = [
+        _Series("as shared" if of == AS_SHARED else of.label, look, found, EXPOSURE)
+        for of, look in looks.items()
+        if len(found := picked.of_source(rows, of))
+    ]
+    shared = [one for one in series if one.label == "as shared"]
+    panels, key = list[tuple[str, Chart]](), dict[str, Look]()
+    y = Axis("PLR, shared or attacked (%)")
     for scheme in picked.schemes(rows):
-        curves = []
-        for source, look in looks.items():
-            label = "as shared" if source == AS_SHARED else source.label
-            found = curve(of[source], scheme, label=label, look=look, metric=EXPOSURE)
-            curves += found
-            key |= {label: look} if found else {}
-        if curves:
-            raw = alone(of.get(AS_SHARED, rows[:0]), RAW, EXPOSURE)
-            x, y = Axis(scheme.label, scheme.log), Axis("PLR, shared or attacked (%)")
-            chart = curves_chart(curves, x=x, y=y, across=[("k6", one) for one in raw])
-            panels.append((f"{scheme.title}, {scheme.rule_text}", chart))
+        panels += _panel(scheme, series, key, y=y, across=_raw(shared))
     title = "PLR as shared and after each attack, over the level"
     said = "Dashed: raw as shared. Hollow: the oracle, a reference."
     yield Figure("after_attack", "after", title, panels, 2, key, said)
+
+
+def _linked(run: picked.Results) -> Figure:
+    """Return rank 1 over the level, a row for each task; at most six attacks, alike everywhere."""
+    of = {task: {one: _rank1_rows(task, one) for one in task.attacks} for task in run.tasks}
+    means = [{one: _mean(rows) for one, rows in each.items()} for each in of.values()]
+    ranked = [sorted(each, key=each.__getitem__, reverse=True) for each in means]
+    turns = (source for turn in zip_longest(*ranked) for source in turn if source is not None)
+    sources = list(dict.fromkeys(turns))[: LOOKS - 1]
+    known, y = picked.schemes(run.summary), Axis("rank 1 (%)")
+    panels, key = list[tuple[str, Chart]](), dict[str, Look]()
+    for task, rows in of.items():
+        every = [_Series(one.label, Look(LOOKS - 1), found, SUCCESS) for one, found in rows.items()]
+        best = [value for one in every for value in one.of(CLEAN)]
+        chance = [100.0 * one.rows["chance"].iloc[0] for one in every if len(one.rows)]
+        black = [("k6", one) for one in [*sorted(best)[-1:], *chance[:1]]]
+        series = [
+            _Series(one.label, Look(place), rows[one], SUCCESS)
+            for place, one in enumerate(sources)
+            if one in rows
+        ]
+        across = [*_raw(series), *black]
+        for scheme in known:
+            panels += _panel(scheme, series, key, y=y, task=f"{task.name}: ", across=across)
+    title = "Rank 1 of the strongest attacks over the level, task by task"
+    said = "Dashed: raw of each attack; in black chance, and above it no error at all."
+    columns, key = max(2, len(known)), dict(sorted(key.items(), key=lambda one: one[1]))
+    return Figure("linkability", "linkability", title, panels, columns, key, said)
+
+
+def _rank1_rows(task: LinkedTask, source: Source) -> pd.DataFrame:
+    """Return rank 1 of an attack where it is known, as a summary has metrics, and chance."""
+    rows = [
+        [mechanism, math.nan if level is None else level]
+        + [row[key] for key in ("rank1", "ci_low", "ci_high", "chance")]
+        for (mechanism, level), block in task.cells.items()
+        if (row := block.get(source)) is not None and math.isfinite(row["rank1"])
+    ]
+    return pd.DataFrame(rows, columns=["mechanism", "level", *picked.ENDS, "chance"])
+
+
+def _mean(rows: pd.DataFrame) -> float:
+    """Return mean rank 1 over the levels; neither raw nor the ceiling has one."""
+    return float(np.nan_to_num(rows.loc[rows["level"].notna(), "value"].mean(), nan=-1.0))

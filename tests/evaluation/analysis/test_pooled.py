@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import norm, t
 
-from evaluation.analysis.pooled import COLUMNS, POOLED, answered, pool, to_frame
+from evaluation.analysis.pooled import COLUMNS, FURTHER, POOLED, answered, pool, to_frame
 
 VALUES, ERRORS = [0.10, 0.30, 0.35, 0.65, 0.45], [0.05, 0.06, 0.04, 0.07, 0.05]
 
@@ -70,8 +70,12 @@ def test_five_real_recordings_are_pooled_and_a_crowd_is_none():
     assert 0.1 < pooled["value"] < 0.65
     assert pooled["n"] == 5
     assert pooled["tau2"] > 0
+    further = frame[frame["recording"] == FURTHER].iloc[0]
+    assert further["value"] == pooled["value"]
+    assert further["ci_low"] < pooled["ci_low"] < pooled["ci_high"] < further["ci_high"]
+    assert f", of a further recording [{100 * further['ci_low']:.1f}, " in five.sentence
     assert "same sign in 5 of 5" in five.sentence
-    assert "least +10.0 points (a), largest +65.0 (d)" in five.sentence
+    assert "least +10.0 points (a), largest +65.0 (d); pooled +3" in five.sentence
 
 
 def test_signs_that_differ_are_counted():
