@@ -9,7 +9,7 @@ import contextlib
 import math
 import shlex
 import textwrap
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -26,26 +26,7 @@ WIDTH: Final = 80  # Columns of the first screen.
 CONSUMERS: Final = ("predictor", "attack", "task")
 _COMMANDS = ("matrix.py", "isac-track", "__main__.py")
 _MOST_SECONDS = 120
-_MENDED: Final = {
-    "gap": "gaps bridged",
-    "split": "tracks split at a long gap",
-    "one-point": "single samples dropped",
-    "duplicate": "rows twice, dropped",
-    "unsorted": "rows sorted",
-    "fast-step": "steps over 12 m/s kept",
-    "fast-piece": "tracks with a step over 4 m/s kept",
-    "ignored-column": "columns not used",
-}
-"""What is told of repairs, by kind."""
 _TOLD_WHOLE: Final = ("header", "unit", "frame-clock")
-_NOTICES: Final = {
-    "without_rule": "{} does not say by `adding` how it adds its error: judged under both rules",
-    "untried_plugins": "{} took a minute for a few made-up people: its cells may take long",
-    "dropped_cells": "{} cells of another code version were dropped",
-    "exhausted_redraws": "{} background agents found no place with scenes.clearance_m",
-    "gallery_without": "track gallery without {}",
-}
-"""What is told of what a manifest has under a key: of each of several, or of a number."""
 _LARGE_GALLERY = 3000  # People, above which it is proposed to score some alone.
 _KINDS: tuple[Kind, ...] = ("mechanisms", "predictors", "attacks")
 
@@ -172,69 +153,41 @@ def plan_lines(ready: Plan) -> Iterator[str]:
         )
 
 
-def data_notices(dataset: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what was made of a recording: read, mended and left out, in numbers.
+def _said(part: str, **of: Any) -> list[str]:  # noqa: ANN401 - what a macro takes
+    from evaluation.reporting.markup import paragraphs  # noqa: PLC0415 - names alone need none
+
+    return paragraphs("run.txt.j2", part, {}, **of)
+
+
+def data_notices(dataset: Mapping[str, Any]) -> list[str]:
+    """Return what was made of a recording: read, mended and left out, in numbers.
 
     `dataset` is that part of a manifest.
     """
-    if helps := dataset.get("would_help"):
-        yield f"{dataset['tracks_used']} tracks in scenes are too few to decide by; {helps}"
     counts: Counter[str] = Counter()
     for one in dataset["repairs"]:
         counts[one["kind"]] += one["count"]
-        if one["kind"] in _TOLD_WHOLE:
-            yield one["detail"]
-    mended = [f"{counts[kind]:,} {words}" for kind, words in _MENDED.items() if counts[kind]]
-    left_out = dataset["too_short"] + dataset["no_future"]
-    mended += [f"{left_out:,} tracks too short for a scene"] if left_out else []
-    if mended:
-        yield f"{dataset['name']}: {', '.join(mended)}"
+    details = [one["detail"] for one in dataset["repairs"] if one["kind"] in _TOLD_WHOLE]
+    return _said("data_notices", dataset=dataset, counts=counts, details=details)
 
 
-def notices(manifest: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what a reader of a finished run must know."""
-    for spec, asked in manifest.get("granted", {}).items():
-        yield f"{spec} asked for {' and '.join(asked)}, which a robot does not have by default"
-    if damaged := manifest.get("damaged_cells"):
-        told = "cells were not as they had been written and are computed anew"
-        yield f"{len(damaged)} {told}, {damaged[0]} for one"
-    for key, words in _NOTICES.items():
-        found = manifest.get(key) or []
-        yield from map(words.format, found if isinstance(found, list) else [found])
-    for task, one in (manifest.get("linkage") or {}).get("tasks", {}).items():
-        if 2 * one.get("frozen", 0) > one["people"]:
-            yield f"{task}: {one['frozen']} of {one['people']} tracks are nearly frozen"
-        if told := approximation(manifest, task):
-            yield f"{task}: {told}"
-
-
-def who_is_linked(manifest: Mapping[str, Any]) -> Iterator[str]:
-    """Yield a line on how many people each task rests, and why others are out."""
+def notices(manifest: Mapping[str, Any]) -> list[str]:
+    """Return what a reader of a finished run must know."""
     tasks = (manifest.get("linkage") or {}).get("tasks", {})
-    people = (
-        f"{name} {one['people']:,}"
-        + f" ({one['too_short']:,} not there for long enough)" * bool(one["too_short"])
-        + f" ({one['not_drawn']:,} beyond linkage.most_people)" * bool(one["not_drawn"])
-        for name, one in tasks.items()
-    )
-    if tasks:
-        yield f"people linked: {'; '.join(people)}"
+    lost = {task: approximation(manifest, task) for task in tasks}
+    return _said("notices", of=defaultdict(dict, manifest), linked=tasks, tasks=lost)
+
+
+def who_is_linked(manifest: Mapping[str, Any]) -> list[str]:
+    """Return a line on how many people each task rests, and why others are out."""
+    return _said("who_is_linked", tasks=(manifest.get("linkage") or {}).get("tasks", {}))
 
 
 def approximation(manifest: Mapping[str, Any], task: str) -> str:
     """Return what `linkage.candidates` cost a task; nothing where every pair was scored."""
     found = (manifest.get("linkage") or {}).get("candidates", {}).get(task)
-    if not found:
-        return ""
     per_probe = manifest["settings"]["stages"]["linkage.candidates"]
-    attack = found["consumer"].partition("/")[2]
-    mean, most = (round(100 * found[name], 1) + 0.0 for name in ("loss", "most"))  # no -0.0
-    return (
-        f"linkers scored {per_probe} candidates of each probe. That cost {mean:.1f} points of rank "
-        f"1 on average, {most:.1f} at most ({attack} at {found['spec']}), by {found['probes']} "
-        f"probes in each of {found['cells']} cells that were "
-        "searched in full as well. Metrics of all pairs are refused."
-    )
+    return _said("approximation", found=found, per_probe=per_probe)[0] if found else ""
 
 
 def command(manifest: Mapping[str, Any]) -> str:

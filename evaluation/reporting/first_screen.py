@@ -124,7 +124,7 @@ def _doubts(run: Results, of: Headline) -> Iterator[str]:
         yield f"{_count(n, 'track')} frozen"
     if linkage.get("skipped"):
         yield f"{', '.join(linkage['skipped'])} left out"
-    if n := sum(1 for _ in notices(run.manifest)):
+    if n := len(notices(run.manifest)):
         yield _count(n, "notice")
 
 

@@ -49,6 +49,6 @@ def render(run: Results, *, figures: Sequence[Figure] = ()) -> str:
         failed_lines=failed_lines(run.failed),
         command=command(run.manifest),
         scenes=scenes_text(run.manifest["identity"]),
-        data_notices=list(data_notices(run.manifest["dataset"])),
+        data_notices=data_notices(run.manifest["dataset"]),
     )
     return re.sub(r">\n+<", "><", text)  # a line's end between two elements would be a node
