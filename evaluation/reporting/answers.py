@@ -15,18 +15,16 @@ from evaluation.analysis.strongest import BEYOND, by_task, strongest_of
 from evaluation.reporting.bounds import gap_text
 from evaluation.reporting.charts import share
 from evaluation.reporting.headline import TASKS, Headline, Shown, headline, robot_name
+from evaluation.reporting.markup import paragraphs
 from evaluation.reporting.rows import HEADLINE, Results
 from evaluation.verdict import rules
 from isac_track.intervals import Estimate
 
 LIMIT: Final = 0.5
 """Of PLR after attack: below it most positions are kept; what the last answer looks for."""
-_HELD: Final = "as far as these attacks go"
 _MATTERS: Final = 0.05
-_UNTESTED: Final = "not tested: "
 _UNDOES: Final = {"repeats": "repeats", "anchor": "a known position"}
 """Who undoes what a slow error hides: who sees a walk twice, or knows where it once was."""
-_EVIDENCE: Final = {"attacks": _HELD, "shown": "shown by linking more"}
 _LEADS: Final = {
     rules.DOES_NOT: "no",
     rules.TRACKS: "yes",
@@ -34,7 +32,13 @@ _LEADS: Final = {
     rules.NOT_TESTABLE: "not testable",
 }
 """What an item's decision answers: the first that any item has."""
-_PLURAL: Final = {rules.TRACKS: "track", rules.DOES_NOT: "do not track"}
+_QUESTIONS: Final = (
+    ("What does the robot lose?", "Robot"),
+    ("What still leaks?", "Leak"),
+    ("Can people be linked?", "Links"),
+    ("Do the descriptors tell?", "Tells"),
+    ("Which level do I choose?", "Level"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,18 +57,34 @@ def answers(run: Results, of: Headline | None = None) -> tuple[Answer, ...]:
     """
     if of is None:
         of = headline_of(run)
-    where = reference(of)
-    items = run.verdict.get("items", []) if run.verdict else []
-    found = (
-        ("What does the robot lose?", "Robot", _lost(of, where)),
-        ("What still leaks?", "Leak", _leaks(of, where)),
-        ("Can people be linked?", "Links", _linked(of, where)),
-        ("Do the descriptors tell?", "Tells", _told(items)),
-        ("Which level do I choose?", "Level", _chosen(of)),
+    where, choices = reference(of), list(_choices(of).items())
+    linked = [(one, value) for one in of.linked if (value := _both(of, where, one))]
+    is_headline = where[0] not in of.known or of.known[where[0]].family in (*SWEPT, CLEAN)
+    who = of.attacked.measure.source.label if of.attacked else ""
+    said = paragraphs(
+        "answers.txt.j2",
+        "sentences",
+        _WORDS,
+        of=of,
+        level=of.name(where),
+        lost=[
+            (robot_name(one.measure.consumer), value)
+            for one in of.robots
+            if (value := _both(of, where, one, is_raw_told=where[0] != RAW))
+        ],
+        shared=_both(of, where, of.shared),
+        attacked=of.attacked and _both(of, where, of.attacked),
+        other_law=of.attacked and of.at(where, of.attacked, other_law=True),
+        who=who if is_headline else "the strongest attack on it",
+        near=gap_text(of.gaps, where),
+        linked=linked,
+        told=_told(run.verdict.get("items", []) if run.verdict else []),
+        # Where both rules say the same, it is said once.
+        choices=choices if len({one for _, one in choices}) > 1 else choices[:1],
     )
     return tuple(
         Answer(question, topic, sentence[:1].upper() + sentence[1:])
-        for question, topic, sentence in found
+        for (question, topic), sentence in zip(_QUESTIONS, said, strict=True)
     )
 
 
@@ -87,75 +107,25 @@ def reference(of: Headline) -> Where:
     return max(costs, key=costs.__getitem__, default=plain)
 
 
-def _lost(of: Headline, where: Where) -> str:
-    """Return what noise costs the robots."""
-    parts = []
-    for one in of.robots:
-        raw = of.at((RAW, None), one) if where[0] != RAW else None
-        if value := _both(of, where, one, *[f"raw {100 * raw.value:.1f} %"] if raw else []):
-            parts.append(f"{robot_name(one.measure.consumer)} {value}")
-    told = f"missed conflicts at {of.name(where)}: {', '.join(parts)}."
-    return told if parts else f"{_UNTESTED}the run has no predictor."
+def _told(items: Sequence[Mapping[str, Any]]) -> tuple[Any, ...] | None:
+    """Return the item that tells most whether descriptors tell, and what the others say.
 
-
-def _leaks(of: Headline, where: Where) -> str:
-    """Return what is known of positions, as shared and after the strongest reconstruction."""
-    shared = _both(of, where, of.shared)
-    if not shared:
-        return f"{_UNTESTED}the run has no descriptors."
-    told = f"at {of.name(where)} {shared} of positions are known to 0.3 m as shared"
-    if of.attacked is None:
-        return f"{told}; what an attack makes of them was not tested."
-    other = of.at(where, of.attacked, other_law=True)
-    law = f" ({share(other)} if errors are isotropic)" if other else ""
-    is_headline = of.known[where[0]].family in (*SWEPT, CLEAN)
-    who = of.attacked.measure.source.label if is_headline else "the strongest attack on it"
-    held = ", ".join(filter(None, [_HELD, gap_text(of.gaps, where)]))
-    return f"{told}, {_both(of, where, of.attacked)}{law} after {who}, {held}."
-
-
-def _linked(of: Headline, where: Where) -> str:
-    """Return who is found again, beside chance."""
-    found = [(value, one) for one in of.linked if (value := _both(of, where, one))]
-    if not found:
-        return f"{_UNTESTED}nobody links in this run."
-    chances = ", ".join(f"{100 * one.chance:.1f}" for _, one in found)
-    parts = ", ".join(f"{value} {_how(one)}" for value, one in found)
-    return f"found again at {of.name(where)}: {parts}; chance {chances} %."
-
-
-def _told(items: Sequence[Mapping[str, Any]]) -> str:
-    """Return whether the descriptors tell how linkable people are."""
+    That is the one with the widest spread; how often each decision was made; the descriptors of
+    which the same was decided; the spread and both ends of it.
+    """
     mine = [
         one
         for one in items
         if one["section"] == rules.VALIDITY and one["descriptor"] in DESCRIPTORS
     ]
     if not mine:
-        return f"{_UNTESTED}that takes levels of fixed noise, and somebody who links."
+        return None
     counts = Counter(one["decision"] for one in mine)
-    count = ", ".join(f"{n} {_PLURAL.get(one, one)}" for one, n in counts.items())
-    decision = next(one for one in _LEADS if counts[one])
-    of = [one for one in mine if one["decision"] == decision]
+    of = [one for one in mine if one["decision"] == next(each for each in _LEADS if counts[each])]
     widest = max(of, key=lambda one: one["spread_low"] or 0.0)
     ends = ("spread", "spread_low", "spread_high")
-    spread, low, high = (f"{100.0 * (widest[name] or 0.0):.0f}" for name in ends)
-    heads = ", ".join(dict.fromkeys(rules.NAME[one["descriptor"]] for one in of))
-    head, needed = rules.NAME[widest["descriptor"]], widest["n_needed"]
-    equal, where = f"at equal {head} linkage differs by", f"{widest['task']}, {widest['adding']}"
-    if decision == rules.DOES_NOT:
-        said = f"{equal} {spread} of 100 people, at least {low} ({where})"
-        if widest["spread_low"] <= rules.SUCCESS_MARGIN:
-            said = f"linkage falls where {head} hardly changes ({where})"
-    elif decision == rules.NOT_TESTABLE:
-        said = f"{where}: {widest['why']}"
-    else:
-        said = f"{equal} {low} to {high} of 100 people ({where})"
-        if needed and decision == rules.BETWEEN:
-            said += f"; were it equal, about {needed:.0f} people would show it"
-    # What is so by construction decides nothing by itself.
-    rests = "".join(f", {_EVIDENCE[one]}" for one in widest["evidence"] if one in _EVIDENCE)
-    return f"{_LEADS[decision]} ({heads}): {said}{rests}; of {len(mine)} items {count}."
+    heads = dict.fromkeys(rules.NAME[one["descriptor"]] for one in of)
+    return widest, counts, [*heads], *(f"{100.0 * (widest[name] or 0.0):.0f}" for name in ends)
 
 
 class _Choice(NamedTuple):
@@ -198,44 +168,15 @@ def chosen_levels(of: Headline) -> list[Where]:
     return list(dict.fromkeys(one.at for one in _choices(of).values()))
 
 
-def _chosen(of: Headline) -> str:
-    """Return the level that costs a robot least while most positions stay unknown after attack."""
-    said = {rule: _choice(of, one) for rule, one in _choices(of).items()}
-    if not said:
-        return f"{_UNTESTED}that takes a predictor and a reconstruction attack."
-    texts = list(dict.fromkeys(said.values()))
-    ruled = texts if len(texts) == 1 else [f"{rule}: {one}" for rule, one in said.items()]
-    return f"{'; '.join(ruled)}; {_HELD}."
-
-
-def _choice(of: Headline, one: _Choice) -> str:
-    """Return what to choose, with what it costs and what is left to attacks."""
-    at, limit, left, cost = (
-        one.at,
-        f"attacked PLR below {100 * LIMIT:g} %",
-        *map(share, one[2:0:-1]),
-    )
-    few = "by the values alone, since so few people have no interval, "
-    by = "" if one.has_interval else few
-    if not one.is_kept:
-        least = f"{left} at {of.name(at)}, which misses {cost} of the conflicts"
-        return f"{by}no level keeps {limit}; the least is {least}"
-    again = [
-        f"; found again {_how(linked)}: {share(found)}"
-        for linked in of.linked[-1:]
-        if (found := of.at(at, linked))
-    ]
+def _beyond(of: Headline, at: Where) -> tuple[list[str], list[str]]:
+    """Return what who knows more gets at a level, and whom nobody tried."""
     everybody = by_task(of.found, metric=EXPOSURE)[""][at]
     more = {
         name: f"{name} {share(of.found[best.measure(EXPOSURE).at(*at)])}"
         for name in BEYOND
         if (best := strongest_of([everybody], among=(name,)))
     }
-    untried = ", ".join(words for name, words in _UNDOES.items() if name not in more)
-    known = ", ".join(more.values()), untried and f"not tried: {untried}"
-    beyond = "; ".join(filter(None, known))
-    fewest = f"{of.name(at)} misses fewest conflicts: {cost} at {left} ({beyond})"
-    return f"{by}of the levels that keep {limit}, {fewest}" + "".join(again)
+    return [*more.values()], [words for name, words in _UNDOES.items() if name not in more]
 
 
 def _how(one: Shown) -> str:
@@ -244,12 +185,26 @@ def _how(one: Shown) -> str:
     return TASKS[task][1] if task in TASKS else f"in {task}"
 
 
-def _both(of: Headline, where: Where, one: Shown, *beside: str) -> str:
-    """Return a number at a level; in brackets the other adding rule's if it is another, and more.
+_WORDS: dict[str, Any] = {
+    "share": share,
+    "how": _how,
+    "beyond": _beyond,
+    "head": lambda item: rules.NAME[item["descriptor"]],
+    # It does not tell because linkage falls where the descriptor does not.
+    "is_steep": lambda item: item["spread_low"] <= rules.SUCCESS_MARGIN,
+    "leads": _LEADS,
+    "limit": f"{100 * LIMIT:g}",
+}
+"""What the template calls."""
+
+
+def _both(of: Headline, where: Where, one: Shown, *, is_raw_told: bool = False) -> str:
+    """Return a number at a level; in brackets the other adding rule's if it is another, and raw's.
 
     It is another if the intervals are apart, by what matters at least.
     """
-    value, more = of.at(where, one), list(beside)
+    value, raw = of.at(where, one), of.at((RAW, None), one) if is_raw_told else None
+    more = [f"raw {100 * raw.value:.1f} %"] if raw else []
     if value is None:
         return ""
     mine = of.known[where[0]]
