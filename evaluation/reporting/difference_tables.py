@@ -17,6 +17,7 @@ from evaluation.analysis.paper import PUBLISHED
 from evaluation.experiment.variants import BASE
 from evaluation.reporting import table as make
 from evaluation.reporting import terminal
+from evaluation.reporting.markup import paragraphs
 from evaluation.reporting.table import Cell, Column, Table
 from evaluation.reporting.terminal import Part
 from evaluation.verdict import sensitivity
@@ -32,10 +33,6 @@ _PAIRED = {
 }
 _FINDINGS = comparing.DIFFERS, comparing.UNDECIDED, comparing.IDENTICAL, comparing.UNTESTED
 _MARKS = {comparing.PEOPLE: "~", comparing.NONE: "*"}  # Of a difference that is not paired in full.
-_ABOUT_ITEMS = (
-    "(Signs of decisions: base against the run's own verdict, all others against base. lost: "
-    "decided before, not now; gained: the reverse; missing: not tested there.)"
-)
 _ABOUT_CONSTANTS = (
     "rates and PLR in %, lengths in s; fitted: raw PLR, raw MEL and the PLR of fid:1000; the "
     "others (linear adding) were not fitted, but seen"
@@ -87,51 +84,33 @@ def show(
 
 
 def _printed(comparison: comparing.Comparison, *, every: bool, room: int) -> Iterator[Part]:
-    for name, about in (("A", comparison.a), ("B", comparison.b)):
-        mechanism = f", mechanism {about['mechanism']}" if "mechanism" in about else ""
-        text = f"{about['out']} ({about['dataset']}, {about['people']} clusters of people"
-        text += f", {about['scenes']} scenes, seed {about['seed']}{mechanism})"
-        yield f"{name}: {text}", "bold"
-    yield lead(comparison.lead)
-    yield ""
+    rows = comparison.rows if every else comparison.headline
+    other = rows[rows["finding"] != comparing.IDENTICAL]
+    shown = other if every else other.head(_MOST_SHOWN)
+    kinds = comparison.rows["pairing"].value_counts()
     changed = [
         [f"{kind}:", name, " -> ".join(map(_value, pair))]
         for kind, values in comparison.changed.items()
         for name, pair in values.items()
     ]
-    nothing = "Nothing changed in data, settings, code and libraries."
-    yield "What changed, A -> B" if changed else nothing, "bold"
-    yield from terminal.aligned(changed, left={0, 1, 2})
-    for axis, sides in comparison.only.items():
-        for side, names in zip("AB", sides, strict=True):
-            if names:
-                yield f"{axis} only in {side}: {comparing.short_list(names)}"
-    rows, headline, only = comparison.rows, comparison.headline, comparison.only_numbers
-    text = f"{comparing.counts(rows)[comparing.IDENTICAL]} of {len(rows)} numbers are identical"
-    yield ""
-    yield f"{text} ({only[0]} more are only in A, {only[1]} only in B)", "bold"
-    for name, of in (("headline", headline), ("others", rows[~rows["headline"]])):
-        differ, undecided, identical, untested = map(comparing.counts(of).get, _FINDINGS)
-        if len(of):
-            told = f"{differ} of {len(of)} differ (p <= {comparing.SIGNIFICANCE:g} after Holm)"
-            alone = f", {untested} without an interval" * bool(untested)
-            yield f"{name}: {told}, {undecided} undecided, {identical} identical{alone}"
-    kinds = rows["pairing"].value_counts()
-    text = "; ".join(f"{kinds[kind]} {note}" for kind, note in _PAIRED.items() if kind in kinds)
-    yield f"({text})"
-    rows = rows if every else headline
-    other = rows[rows["finding"] != comparing.IDENTICAL]
-    shown = other if every else other.head(_MOST_SHOWN)
-    yield differences(shown, of=len(other), room=room)
-    if len(shown) < len(other):
-        yield "(all of them: --all, or --csv FILE)"
-    verdicts = comparison.verdicts
-    if verdicts is not None and any(verdicts.values()):
-        text = f"Verdict: {len(verdicts['changed'])} of {verdicts['in_both']} decisions changed"
-        either = [f"{len(verdicts[f'only_{side}'])} only in {side.upper()}" for side in "ab"]
-        yield from ("", (f"{text} ({', '.join(either)})", "bold"))
-        for item in verdicts["changed"]:
-            yield f"{item['id']}: {item['a']} -> {item['b']}"
+    said = paragraphs(
+        "compare.txt.j2",
+        "compared",
+        {"short_list": comparing.short_list, "significance": f"{comparing.SIGNIFICANCE:g}"},
+        of=comparison,
+        others=comparison.rows[~comparison.rows["headline"]],
+        is_changed=bool(changed),
+        findings=lambda of: [comparing.counts(of)[one] for one in _FINDINGS],
+        paired=[f"{kinds[kind]} {note}" for kind, note in _PAIRED.items() if kind in kinds],
+        shown=len(shown),
+        other=len(other),
+    )
+    yield from terminal.laid_out(
+        said,
+        lead=[lead(comparison.lead)],
+        changed=terminal.aligned(changed, left={0, 1, 2}),
+        differences=[differences(shown, of=len(other), room=room)],
+    )
 
 
 def _value(setting: object) -> str:
@@ -243,24 +222,20 @@ def show_variants(rows: pd.DataFrame, *, left_out: Mapping[str, str]) -> None:
         for variant, of in sensitivity.counts(rows).items()
     ]
     columns = [make.said(name) for name in ("variant", *shown)]
-    lines = turned(rows)
     found = rows.loc[rows["variant"] != BASE, "changed"].value_counts()
     rest = [one for one in found.index if one not in (sensitivity.SAME, sensitivity.TURNED)]
-    others = "".join(f", {found[one]} {one}" for one in sensitivity.CHANGES if one in rest)
-    same = found.get(sensitivity.SAME, 0)
-    ended = f"{same} items decided alike{others}, {len(lines)} {sensitivity.TURNED}"
-    terminal.show(
-        [
-            make.built("sensitivity", "Items of the verdict, by section", records, columns),
-            *("", _ABOUT_ITEMS),
-            *(
-                f"left out: {name}: {why}; name it with --variant to run it"
-                for name, why in left_out.items()
-            ),
-            *("", (f"{ended}{':' if lines else '.'}", "bold")),
-            *(f"- {line}" for line in lines),
-        ]
+    said = paragraphs(
+        "compare.txt.j2",
+        "varied",
+        {},
+        left_out=left_out,
+        same=found.get(sensitivity.SAME, 0),
+        others="".join(f", {found[one]} {one}" for one in sensitivity.CHANGES if one in rest),
+        turned=sensitivity.TURNED,
+        lines=turned(rows),
     )
+    items = make.built("sensitivity", "Items of the verdict, by section", records, columns)
+    terminal.show(terminal.laid_out(said, items=[items]))
 
 
 def show_constants(found: Mapping[str, Calibration]) -> None:

@@ -5,7 +5,7 @@ At most 40 lines of 80 columns, with what was said before it; all else is in `ta
 
 import math
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import Any, Final
 
@@ -14,6 +14,7 @@ from evaluation.analysis.families import RAW
 from evaluation.reporting.announcements import WIDTH, near, notices, scenes_text, wrapped
 from evaluation.reporting.answers import LIMIT, answers, chosen_levels, headline_of
 from evaluation.reporting.headline import MOST_LEVELS, Headline, levels_of, screen_table
+from evaluation.reporting.markup import paragraphs
 from evaluation.reporting.result_tables import control_tests
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import Table, printable, shortened
@@ -90,46 +91,37 @@ def _grid(table: Table, rooms: Sequence[int] = _HEADS) -> list[str]:
     return lines if max(map(len, lines)) <= WIDTH or not rooms[1:] else _grid(table, rooms[1:])
 
 
-def _doubts(run: Results, of: Headline) -> Iterator[str]:
-    """Yield what speaks against believing the numbers, in numbers."""
-    if n := len(run.failed):
-        yield f"{_count(n, 'cell')} FAILED"
+def _doubts(run: Results, of: Headline) -> list[str]:
+    """Return what speaks against believing the numbers, in numbers."""
     bare = [
         one.above
         for one in of.columns
         if (found := [value for where in of.wheres if (value := of.at(where, one))])
         and not any(math.isfinite(value.ci_low) for value in found)
     ]
-    if bare:
-        few = f"too few people (it takes {LEAST_CLUSTERS:.0f})"
-        yield f"{', '.join(dict.fromkeys(bare))}: {few} for an interval"
-    if n := len(weak_attacks.lines(run.flags)):
-        yield f"{_count(n, 'flag')} of weak attacks"
-    linked = run.linkability[
-        (run.linkability["cohort"] == "all") & (run.linkability["knowledge"] != "")
-    ]
-    shortcuts = [one for one in linked["invalid"].fillna("") if one]
-    if shortcuts:
-        names = sorted({name for one in shortcuts for name in one.split(", ")})
-        away = f"{', '.join(names)} give{'s' * (len(names) == 1)} away"
-        yield f"{len(shortcuts)} of {len(linked)} linkage cells invalid ({away})"
-    tests = [one for task in run.tasks for found in control_tests(task).values() for one in found]
-    if tests:
-        yield f"{sum(tests)} of {len(tests)} controls link ({LEVEL * len(tests):.0f} expected)"
-    if n := sum(one["decision"] == DOES_NOT for one in (run.verdict or {}).get("controls", ())):
-        yield f"{_count(n, 'positive control')} of the descriptors FAILED"
+    is_linked = (run.linkability["cohort"] == "all") & (run.linkability["knowledge"] != "")
+    linked = run.linkability.loc[is_linked, "invalid"].fillna("")
+    controls = (run.verdict or {}).get("controls", ())
     linkage = run.manifest.get("linkage") or {}
     tasks = linkage.get("tasks", {}).values()
-    if n := max((one.get("frozen", 0) for one in tasks), default=0):
-        yield f"{_count(n, 'track')} frozen"
-    if linkage.get("skipped"):
-        yield f"{', '.join(linkage['skipped'])} left out"
-    if n := len(notices(run.manifest)):
-        yield _count(n, "notice")
-
-
-def _count(n: int, what: str) -> str:
-    return f"{n} {what}{'s' * (n > 1)}"
+    return paragraphs(
+        "run.txt.j2",
+        "doubts",
+        {},
+        n_failed=len(run.failed),
+        bare=list(dict.fromkeys(bare)),
+        least=f"{LEAST_CLUSTERS:.0f}",
+        n_flags=len(weak_attacks.lines(run.flags)),
+        n_linked=len(linked),
+        n_invalid=int((linked != "").sum()),
+        shortcuts=sorted({name for one in linked if one for name in one.split(", ")}),
+        tests=[one for task in run.tasks for some in control_tests(task).values() for one in some],
+        level=LEVEL,
+        n_controls=sum(one["decision"] == DOES_NOT for one in controls),
+        n_frozen=max((one.get("frozen", 0) for one in tasks), default=0),
+        skipped=[*linkage.get("skipped", ())],
+        n_notices=len(notices(run.manifest)),
+    )
 
 
 def _next(run: Results, of: Headline) -> list[str]:
