@@ -96,7 +96,7 @@ def _printed(comparison: comparing.Comparison, *, every: bool, room: int) -> Ite
     said = paragraphs(
         "compare.txt.j2",
         "compared",
-        {"short_list": comparing.short_list, "significance": f"{comparing.SIGNIFICANCE:g}"},
+        {},
         of=comparison,
         others=comparison.rows[~comparison.rows["headline"]],
         is_changed=bool(changed),
@@ -104,6 +104,8 @@ def _printed(comparison: comparing.Comparison, *, every: bool, room: int) -> Ite
         paired=[f"{kinds[kind]} {note}" for kind, note in _PAIRED.items() if kind in kinds],
         shown=len(shown),
         other=len(other),
+        short_list=comparing.short_list,
+        significance=f"{comparing.SIGNIFICANCE:g}",
     )
     yield from terminal.laid_out(
         said,
