@@ -70,6 +70,7 @@ def latex(tables: Iterable[Table]) -> str:
 def paragraphs(template: str, part: str, words: dict[str, Any], **of: Any) -> list[str]:  # noqa: ANN401 - see jinja2
     """Return the paragraphs of a macro of a text template, a line each; none is empty.
 
+    Behind a tag, which takes the end of its line, two empty lines stand between them.
     `words` are names that the whole template knows, always the same for one.
     """
     said = getattr(_TEXT.get_template(template, globals=words).module, part)(**of)
