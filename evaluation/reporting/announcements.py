@@ -6,7 +6,6 @@ Nothing heavy is imported: `--list` answers at once.
 from __future__ import annotations
 
 import contextlib
-import math
 import shlex
 import textwrap
 from collections import Counter, defaultdict
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
 WIDTH: Final = 80  # Columns of the first screen.
 CONSUMERS: Final = ("predictor", "attack", "task")
 _COMMANDS = ("matrix.py", "isac-track", "__main__.py")
-_MOST_SECONDS = 120
 _TOLD_WHOLE: Final = ("header", "unit", "frame-clock")
 _LARGE_GALLERY = 3000  # People, above which it is proposed to score some alone.
 _KINDS: tuple[Kind, ...] = ("mechanisms", "predictors", "attacks")
@@ -116,41 +114,27 @@ def plan_lines(ready: Plan) -> Iterator[str]:
         f"{ready.dataset.name}: {len(ready.tracks)} of {len(ready.dataset.tracks)} tracks used, "
         f"{scenes_text(ready.identity)}; {ready.n_cells} cells{so_far}, in {near(ready.out)}"
     )
-    if ready.settings.pilot_half_width is not None:
-        yield (
-            f"missed conflicts to +- {ready.settings.precision:g}: {BLOCK_SCENES} scenes of a "
-            f"pilot have +- {ready.settings.pilot_half_width:.3f}"
-        )
-    if ready.dataset.notice:
-        yield f"notice: {ready.dataset.notice}"
-    if ready.dataset.name not in KNOWN:  # of the others docs/data.md tells
-        yield from (f"notice: {one}" for one in data_notices(about_data(ready)))
-    for why in ready.axes.skipped.values():
-        yield f"notice: left out: {why}"
     sizes = {
         one.task.name: max(Counter(one.gallery.search.tolist()).values()) for one in ready.sessions
     }
-    large = [name for name, size in sizes.items() if size > _LARGE_GALLERY]
-    if large and not ready.settings.stages.linkage.candidates:
-        yield (
-            f"notice: {', '.join(large)}: galleries of up to {max(sizes.values()):,} people, and "
-            "time and memory grow with the square; --set linkage.candidates=100 scores the "
-            "likeliest 100 alone and says what that loses"
-        )
     slow = [one for one in ready.axes.consumers if one.is_slow]
-    n_levels = len(ready.axes.mechanisms)
+    n_levels, costs = len(ready.axes.mechanisms), list[tuple[str, int, float]]()
     for spec in dict.fromkeys(one.spec for one in slow):
         from evaluation.cells.reconstruction import slow_cost_s  # noqa: PLC0415 - seldom needed
 
         rows = [one for one in slow if one.spec == spec]
         cost_s = slow_cost_s(rows, tracks=ready.tracks, n_levels=n_levels)
-        is_short = cost_s < _MOST_SECONDS
-        about = f"about {cost_s:.0f} s" if is_short else f"about {cost_s / 60:.0f} min"
-        about = "it does not say how" if math.isnan(cost_s) else about
-        yield (
-            f"notice: attack {spec} is slow: {about} for {len(rows)} adversaries at {n_levels} "
-            "levels in one process; it runs on one release of each source track"
-        )
+        costs.append((spec, len(rows), cost_s))
+    yield from _said(
+        "plan",
+        of=ready,
+        n_pilot=BLOCK_SCENES,
+        # Of those that are known docs/data.md tells.
+        read=[] if ready.dataset.name in KNOWN else data_notices(about_data(ready)),
+        large=[name for name, size in sizes.items() if size > _LARGE_GALLERY],
+        largest=max(sizes.values(), default=0),
+        slow=costs,
+    )
 
 
 def _said(part: str, **of: Any) -> list[str]:  # noqa: ANN401 - what a macro takes
