@@ -14,17 +14,7 @@ from isac_track.conflict import is_conflict, minimum_separation, prediction_grid
 from isac_track.errors import DataError
 from isac_track.resample import resample, walk
 from isac_track.rng import stream
-from isac_track.types import (
-    TRACK,
-    Floats,
-    Ints,
-    Scenes,
-    Tracks,
-    end_to_end,
-    runs_of,
-    squared_lengths,
-    stretches,
-)
+from isac_track.types import TRACK, Floats, Ints, Scenes, Tracks, end_to_end, runs_of, stretches
 
 _FEW_REDRAWS = 16
 FEW_PEOPLE = 20  # With fewer nothing is decided.
@@ -258,7 +248,7 @@ def _around_the_robot(
         angle = 2.0 * np.pi * draws[:, 1]
         now = robot[0] + radius_m[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         gap = now[:, None, :] + relative
-        clear = squared_lengths(gap).min(axis=1) >= place.clearance_m**2
+        clear = (gap * gap).sum(axis=2).min(axis=1) >= place.clearance_m**2
         found = bool(clear.any())
         if found or not left:
             choice = int(clear.argmax()) if found else -1

@@ -35,17 +35,7 @@ from isac_track.protocols import OF_WALKS, AttackContext, TrainingSet
 from isac_track.rng import stream
 from isac_track.scenes import Cut, make_scenes
 from isac_track.sensing import draw_channel, sense, sense_scenes, walk_numbers
-from isac_track.types import (
-    Floats,
-    Ints,
-    Knowledge,
-    Release,
-    Scenes,
-    Sensed,
-    derived,
-    end_to_end,
-    runs_of,
-)
+from isac_track.types import Floats, Ints, Knowledge, Release, Scenes, Sensed, derived
 
 if TYPE_CHECKING:
     from evaluation.experiment.axes import Consumer
@@ -181,7 +171,7 @@ def attacked_block(
 
 
 def _victims(scenes: Scenes, tracks: Ints) -> Victims:
-    return Victims(tracks, end_to_end(scenes.xy, runs_of(scenes.offsets, tracks)[0]))
+    return Victims(tracks, scenes.xy[sharing.samples_of(scenes.offsets, tracks).rows])
 
 
 def _people(half: Ints, *, fold: int, seed: int) -> Ints:
