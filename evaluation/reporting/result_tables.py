@@ -26,6 +26,7 @@ from evaluation.experiment.presets import IDENTITY, SHARED
 from evaluation.reporting import rows as picked
 from evaluation.reporting import table as make
 from evaluation.reporting.announcements import approximation
+from evaluation.reporting.markup import paragraphs
 from evaluation.reporting.table import Cell, Column, Table
 from isac_track.linkability import LEVEL
 from isac_track.protection import Laplace
@@ -197,15 +198,27 @@ def rank_table(run: picked.Results, task: LinkedTask) -> Table:
     ]
     some = [next(iter(task.cells[where].values())) for where in wheres]
     records.append(["chance", *(make.amount(SUCCESS, row["chance"]) for row in some)])
-    about = "Unmarked cells link, by the ranks of all mates."
-    if (CLEAN, None) in wheres:
-        about += " clean: no error at all, the ceiling."
-    people = (run.manifest.get("linkage") or {}).get("tasks", {}).get(task.name, {}).get("people")
-    size, loss = _size(some[0], people=people), approximation(run.manifest, task.name)
-    notes = size, loss, _controls(task), about
+    tests = control_tests(task)
+    invalid = (",".join(row[INVALID] for row in block.values()) for block in task.cells.values())
+    linked = (run.manifest.get("linkage") or {}).get("tasks", {})
+    notes = paragraphs(
+        "run.txt.j2",
+        "ranked",
+        {},
+        row=some[0],
+        people=linked.get(task.name, {}).get("people"),
+        usual=_USUAL,
+        lost=approximation(run.manifest, task.name),
+        tests=[one for found in tests.values() for one in found],
+        beaten=[(name, sum(of), len(of)) for name, of in tests.items() if sum(of) > len(of) / 2],
+        level=LEVEL,
+        leaks=Counter(one for of in invalid for one in sorted({*re.split(", *", of)}) if one),
+        n_levels=len(task.cells),
+        has_ceiling=(CLEAN, None) in wheres,
+    )
     title = f"{task.name}: {task.about}; rank 1 in %, 95 % intervals"
-    options = {"notes": list(filter(None, notes)), "marks": MEANING}
-    return make.built(f"linkage-{task.name}", title, records, columns, **options)
+    name = f"linkage-{task.name}"
+    return make.built(name, title, records, columns, notes=notes, marks=MEANING)
 
 
 def doubt_table(run: picked.Results) -> Table:
@@ -235,18 +248,6 @@ def _rank(row: Mapping[str, Any] | None) -> Cell:
     return make.amount(SUCCESS, row["rank1"], row["ci_low"], row["ci_high"], mark=mark)
 
 
-def _size(row: Mapping[str, Any], *, people: int | None) -> str:
-    """Return how many people and candidates there are."""
-    keys = ("gallery_min", "gallery_max", "n_probes", "n_mated")
-    low, high, probes, mated = (int(row[key]) for key in keys)
-    candidates = str(low) if low == high else f"{low} to {high} (mean {row['gallery_mean']:.1f})"
-    who = "" if people is None else f"{people} people; "
-    return (
-        f"{who}{'all' if probes == mated else f'{mated} of'} {probes} releases have a mate among "
-        f"{candidates} candidates. The adversary is {_USUAL} where none is named."
-    )
-
-
 def control_tests(task: LinkedTask) -> dict[str, list[bool]]:
     """Return of each control whether it beats chance, at every level where that may differ."""
     tests: dict[str, list[bool]] = {}
@@ -257,20 +258,3 @@ def control_tests(task: LinkedTask) -> dict[str, list[bool]]:
         if not (found and name in CONTROLS and CONTROLS[name].sees_times_only):
             found.append(row["p_value"] <= LEVEL)
     return tests
-
-
-def _controls(task: LinkedTask) -> str:
-    """Return how many controls beat chance, and which audits leak at how many levels."""
-    tests = control_tests(task)
-    every = [one for found in tests.values() for one in found]
-    beaten = {name: (sum(found), len(found)) for name, found in tests.items()}
-    often = [f"{name} {n} of {of}" for name, (n, of) in beaten.items() if n > of / 2]
-    told = "; ".join([f"{LEVEL * len(every):.1f} expected", *often])
-    count = f"controls: {sum(every)} of {len(every)} beat chance"
-    parts = [f"{count} at {100 * LEVEL:g} % ({told})"] * bool(tests)
-    said = (",".join(row[INVALID] for row in block.values()) for block in task.cells.values())
-    leaks = Counter(name for of in said for name in sorted({*re.split(", *", of)}) if name)
-    leaky = [f"{name} at {count} of {len(task.cells)} levels" for name, count in leaks.items()]
-    if leaky or tests:
-        parts.append(f"audits that leak: {', '.join(leaky) or 'none'}")
-    return "; ".join(parts)
