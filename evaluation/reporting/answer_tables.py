@@ -1,6 +1,6 @@
 """Tables of answers: the paper's numbers and claims, equal costs, weak attacks, and the verdict."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, Final
@@ -21,6 +21,7 @@ from evaluation.analysis.metrics import (
 )
 from evaluation.analysis.strongest import HEADLINE
 from evaluation.reporting import table as make
+from evaluation.reporting.markup import paragraphs
 from evaluation.reporting.result_tables import laplace_notes
 from evaluation.reporting.rows import Results, family_of, mechanism_columns
 from evaluation.reporting.table import Cell, Column, Table
@@ -62,11 +63,6 @@ def paper_table(run: Results) -> Table:
         make.measured("ours - paper", "bias", sign="+"),
         make.measured("paper's own error", "paper_error"),
     ]
-    scenes = run.manifest["identity"]
-    every = scenes.get("scenes_utility", scenes["scenes"])
-    rests = f"Missed rates rest on {every:,} scenes, the others on {scenes['scenes']:,}."
-    other = f"The paper used {paper.DATASET}; ours are of {run.dataset}, so they need not agree."
-    notes = [rests, other]
     judged = "paper in our interval", "tolerance at 5,000 scenes"
     frame = run.paper_table
     records = frame.assign(bias=frame["ours"] - frame["paper"]).to_dict("records")
@@ -82,31 +78,25 @@ def paper_table(run: Results) -> Table:
         met = "yes" if abs(row["bias"]) <= allowed + 1e-12 else "no"
         text = f"{met} ({make.amount(metric, allowed).text})"
         row[judged[1]] = text if np.isfinite(row["ours"]) else ""
-    if run.dataset == paper.DATASET:
-        notes = [rests, *_about_matches(records, met=judged[1])]
-        columns += [replace(make.decided(name), align="right") for name in judged]
-    title = "The paper's numbers beside ours, privacy as shared; 95 % intervals"
-    return make.built("paper", title, records, columns, notes=notes, n_headings=2, n_keys=4)
-
-
-def _about_matches(records: Sequence[Mapping[Any, Any]], *, met: str) -> Iterator[str]:
-    """Yield what the numbers rest on, how many match, and which missed rates surely differ."""
     linear = [row for row in records if "adding=" not in row["mechanism"]]
     seen = [row for row in linear if not paper.is_fitted(row)]
-    n_met = sum(row[met].startswith("yes") for row in seen)
-    yield (
-        f"Of {len(linear)} numbers under linear adding {len(linear) - len(seen)} are fitted; "
-        f"{len(seen)} are not fitted, but were seen when the readings were chosen: {n_met} of them "
-        "are within the tolerance."
-    )
     rates = [row for row in records if row["metric"] == MISSED_RATE]
     far = [row for row in rates if paper.differs(row)]
-    names = [f"{row['mechanism']} {level_text(row['level'])}".strip() for row in far]
-    yield (
-        f"The paper's own error: that of a share of {paper.CONFLICTS} conflicts. Missed rates that "
-        f"differ at 5 % by both errors: {', '.join(names) or 'none'} (of {len(rates)}, each by "
-        "itself)."
+    is_own = run.dataset == paper.DATASET
+    notes = paragraphs(
+        "run.txt.j2",
+        "paper_notes",
+        {},
+        identity=run.manifest["identity"],
+        paper=paper,
+        dataset=run.dataset,
+        n=(len(linear), len(seen), sum(row[judged[1]].startswith("yes") for row in seen)),
+        far=[f"{row['mechanism']} {level_text(row['level'])}".strip() for row in far],
+        n_rates=len(rates),
     )
+    columns += [replace(make.decided(name), align="right") for name in judged if is_own]
+    title = "The paper's numbers beside ours, privacy as shared; 95 % intervals"
+    return make.built("paper", title, records, columns, notes=notes, n_headings=2, n_keys=4)
 
 
 def claims_table(run: Results) -> Table:
