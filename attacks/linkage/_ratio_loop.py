@@ -11,9 +11,10 @@ import numpy as np
 from isac_track.compiling import compiled, part_of_loop, read, together, written
 from isac_track.types import Floats, Ints
 
-_NEAR = 128  # Gallery walks at a time: all that is made of them stays in the cache.
+_NEAR = 64  # Gallery walks at a time: all that is made of them stays in the cache.
 _Walks: TypeAlias = tuple[Floats, Floats, Floats, Ints]
-_NOTHING = 40.0  # A lag less likely by this factor's exponential adds nothing to a double.
+_NOTHING = 64.0  # A lag less likely by this factor's exponential adds nothing to a double.
+_MIDDLE = exp(-0.5)
 _BESSEL = 3.75  # Where one approximation gives way to the other.
 _Told: TypeAlias = tuple[Floats, Floats, Floats]
 _WALKS, _TOLD = together(read(1), read(2), read(1), read(1, "int64")), together(*[read(3)] * 3)
@@ -142,8 +143,23 @@ def _average_over_turns(turned: Floats, factor: Floats, exponent: Floats, n: int
         exponent[j] += 0.0 if is_small else x
 
 
+@part_of_loop
+def _fading(x: float) -> float:
+    """Return exp(-x) of x >= 0, or 0 where that adds nothing; unlike libm's, for many at a time.
+
+    The series about half of `_NOTHING`, of a 64th of x, to the 64th power.
+    """
+    at, value = 0.5 - min(x, _NOTHING) / _NOTHING, 1.0
+    for n in range(14, 0, -1):
+        value = 1.0 + at * (1.0 / n) * value
+    value *= _MIDDLE
+    for _ in range(6):
+        value *= value
+    return value if x < _NOTHING else 0.0
+
+
 @compiled(_TOLD, _TOLD, read(2), read(1), written(2))
-def ratios(  # noqa: C901, PLR0912 - a Cholesky factor of many pairs at a time
+def ratios(  # noqa: C901, PLR0912, PLR0915 - an elimination of many pairs at a time
     probe: _Told, gallery: _Told, prior: Floats, log_lag: Floats, out: Floats
 ) -> None:
     """Fill `out` (P, G) with log likelihood ratios; see `likelihood_ratio.LikelihoodRatio`.
@@ -154,66 +170,75 @@ def ratios(  # noqa: C901, PLR0912 - a Cholesky factor of many pairs at a time
     """
     (p_known, p_pull, p_alone), (g_known, g_pull, g_alone) = probe, gallery
     n_lags, rank = prior.shape
-    # M = L D L', of which is kept L and, beside it, L D.
-    lower, scaled = np.empty((2, rank, rank, _NEAR))
-    inverse, pulls = np.empty((rank, _NEAR)), np.empty((4, rank, _NEAR))
-    turned, factor, exponent, best, total = np.empty((5, _NEAR))
-    along, across = np.empty((2, _NEAR))
-    for i in range(out.shape[0]):
-        for begin in range(0, out.shape[1], _NEAR):
-            n = min(_NEAR, out.shape[1] - begin)
-            best[:], total[:] = -np.inf, 0.0
-            for at in range(n_lags):
-                factor[:] = 1.0
-                for a in range(rank):
-                    for b in range(a + 1):
-                        entry = a * (a + 1) // 2 + b
-                        mine = p_known[at, entry, i] + (prior[at, a] if a == b else 0.0)
-                        for j in range(n):
-                            scaled[a, b, j] = mine + g_known[at, entry, begin + j]
-                        for c in range(b):
-                            for j in range(n):
-                                scaled[a, b, j] -= scaled[a, c, j] * lower[b, c, j]
-                        if a > b:
-                            for j in range(n):
-                                lower[a, b, j] = scaled[a, b, j] * inverse[b, j]
+    # The lower triangle of M, and below it both pulls, in blocks of 2 x 2. When M is eliminated,
+    # what is left below are minus the products h* M^-1 h.
+    k = (rank + 1) // 2
+    left = k * (k + 1) // 2 + k  # Of the blocks that are left, the first.
+    blocks = np.zeros((left + k + 3, 4, _NEAR))
+    if rank % 2:  # a row and a column of the unit matrix
+        blocks[left - k - 1, 3] = 1.0
+    column, pivot, times = np.empty((k + 2, 4, _NEAR)), np.empty((3, _NEAR)), np.empty((4, _NEAR))
+    turned, factor, exponent = np.empty((3, _NEAR))
+    best, total = np.empty((2, len(out), _NEAR))
+    for begin in range(0, out.shape[1], _NEAR):
+        n = min(_NEAR, out.shape[1] - begin)
+        best[:], total[:] = -np.inf, 0.0
+        for at, i in np.ndindex(n_lags, len(out)):
+            for a in range(rank):
+                for b in range(a + 1):
+                    entry = a * (a + 1) // 2 + b
+                    mine = p_known[at, entry, i] + (prior[at, a] if a == b else 0.0)
+                    to = blocks[(a // 2) * (a // 2 + 1) // 2 + b // 2, a % 2 * 2 + b % 2]
                     for j in range(n):
-                        inverse[a, j] = 1.0 / scaled[a, a, j]
+                        to[j] = mine + g_known[at, entry, begin + j]
+                for axis in range(2):
+                    mine, to = p_pull[at, 2 * a + axis, i], blocks[left - k + a // 2]
+                    too = blocks[left + 1 + a // 2]
                     for j in range(n):
-                        factor[j] *= inverse[a, j]
-                    for axis in range(2):
-                        mine = p_pull[at, 2 * a + axis, i]
-                        for j in range(n):
-                            pulls[axis, a, j] = mine
-                        for j in range(n):
-                            pulls[2 + axis, a, j] = g_pull[at, 2 * a + axis, begin + j]
-                        for c in range(a):
-                            for j in range(n):
-                                pulls[axis, a, j] -= lower[a, c, j] * pulls[axis, c, j]
-                            for j in range(n):
-                                pulls[2 + axis, a, j] -= lower[a, c, j] * pulls[2 + axis, c, j]
+                        to[2 * axis + a % 2, j] = mine
+                    for j in range(n):
+                        too[2 * axis + a % 2, j] = g_pull[at, 2 * a + axis, begin + j]
+            blocks[left], blocks[left + k + 1 :], factor[:] = 0.0, 0.0, 1.0
+            for c in range(k):
+                own = blocks[c * (c + 1) // 2 + c]
                 for j in range(n):
-                    exponent[j] = log_lag[at] + p_alone[at, 0, i] + g_alone[at, 0, begin + j]
-                along[:n], across[:n] = 0.0, 0.0
-                for a in range(rank):
-                    for j in range(n):
-                        x, y, u, v = pulls[0, a, j], pulls[1, a, j], pulls[2, a, j], pulls[3, a, j]
-                        exponent[j] += 0.5 * inverse[a, j] * (x * x + y * y + u * u + v * v)
-                    for j in range(n):
-                        x, y, u, v = pulls[0, a, j], pulls[1, a, j], pulls[2, a, j], pulls[3, a, j]
-                        along[j] += inverse[a, j] * (x * u + y * v)
-                    for j in range(n):
-                        x, y, u, v = pulls[0, a, j], pulls[1, a, j], pulls[2, a, j], pulls[3, a, j]
-                        across[j] += inverse[a, j] * (x * v - y * u)
-                for j in range(n):
-                    turned[j] = sqrt(along[j] * along[j] + across[j] * across[j])
-                _average_over_turns(turned, factor, exponent, n)
-                for j in range(n):
-                    less = exponent[j] - best[j]
-                    if less > 0.0:
-                        total[j] = total[j] * exp(-less) + factor[j]
-                        best[j] = exponent[j]
-                    elif less > -_NOTHING or factor[j] > total[j]:
-                        total[j] += factor[j] * exp(less)
+                    first = 1.0 / own[0, j]
+                    slope = own[2, j] * first
+                    second = 1.0 / (own[3, j] - slope * own[2, j])
+                    factor[j] *= first * second
+                    pivot[0, j] = first
+                    pivot[1, j] = second
+                    pivot[2, j] = slope
+                for a in range(c + 1, k + 2):
+                    own, below = blocks[a * (a + 1) // 2 + c], column[a]
+                    for row in (0, 2):
+                        for j in range(n):
+                            below[row, j] = own[row, j]
+                            below[row + 1, j] = own[row + 1, j] - pivot[2, j] * own[row, j]
+                            times[row, j] = pivot[0, j] * below[row, j]
+                            times[row + 1, j] = pivot[1, j] * below[row + 1, j]
+                    for b in range(c + 1, a + 1):
+                        to, by = blocks[a * (a + 1) // 2 + b], column[b]
+                        for j in range(n):
+                            to[0, j] -= times[0, j] * by[0, j] + times[1, j] * by[1, j]
+                            to[1, j] -= times[0, j] * by[2, j] + times[1, j] * by[3, j]
+                            to[2, j] -= times[2, j] * by[0, j] + times[3, j] * by[1, j]
+                            to[3, j] -= times[2, j] * by[2, j] + times[3, j] * by[3, j]
+            own, both, other = blocks[left], blocks[left + k + 1], blocks[left + k + 2]
+            evidence = log_lag[at] + p_alone[at, 0, i]
             for j in range(n):
-                out[i, begin + j] = best[j] + log(total[j])
+                square = own[0, j] + own[3, j] + other[0, j] + other[3, j]
+                exponent[j] = evidence + g_alone[at, 0, begin + j] - 0.5 * square
+            for j in range(n):
+                along, across = both[0, j] + both[3, j], both[2, j] - both[1, j]
+                turned[j] = sqrt(along * along + across * across)
+            _average_over_turns(turned, factor, exponent, n)
+            most, sums = best[i], total[i]
+            for j in range(n):
+                more = exponent[j] - most[j]
+                less = _fading(abs(more))
+                sums[j] = sums[j] * less + factor[j] if more > 0.0 else sums[j] + factor[j] * less
+                most[j] = max(most[j], exponent[j])
+        for i in range(len(out)):
+            for j in range(n):
+                out[i, begin + j] = best[i, j] + log(total[i, j])
