@@ -134,10 +134,8 @@ def _key(of: Headline, curves: Sequence[Sequence[Point]]) -> dict[str, Look]:
 
 
 def _left(one: Shown) -> tuple[str, str]:
-    source = one.measure.source
+    source, others = one.measure.source, "of other families"
     if source.task:
-        return f"{source.task}: found again by {source.attack.label}", "found again (rank 1, %)"
-    return (
-        f"PLR after {source.label}; of other families after the strongest",
-        "PLR after attack (%)",
-    )
+        who = f"found again by {source.attack.label}; {others} by the strongest"
+        return f"{source.task}: {who}", "found again (rank 1, %)"
+    return f"PLR after {source.label}; {others} after the strongest", "PLR after attack (%)"
