@@ -137,7 +137,7 @@ def cluster_weights(
     """
     rng = stream(seed, "bootstrap", *of)
     counts = rng.multinomial(n_clusters, np.full(n_clusters, 1.0 / n_clusters), n_replicates)
-    return counts.astype(np.float64)
+    return counts.astype(np.float64, order="F")  # whoever reads some clusters has them in one piece
 
 
 def cluster_sums(*, values: Floats, cluster: Ints, n_clusters: int) -> Floats:

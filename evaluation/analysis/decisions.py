@@ -6,13 +6,13 @@ the probability of a conflict (above p): two scores, two curves over a threshold
 bootstrap needs, so that its cost does not grow with the scenes.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.sparse import csr_array
 
 from evaluation.analysis.keys import Key, Measure, Where
 from evaluation.analysis.metrics import EQUAL_ALARMS
@@ -29,7 +29,6 @@ DECISION_COLUMNS = [
     *("difference", "ci_low", "ci_high"),
 ]
 _SEPARATION = "separation"
-_MOST_COUNTED = 2.0**24  # Of whole numbers in single precision.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -83,18 +82,15 @@ def curve(*, score: Floats, conflict: Bools, cluster: Ints, weights: Floats) -> 
         distinct = np.unique(np.quantile(score, np.linspace(0, 1, N_BINS), method="lower"))
     # Bin 0 holds the highest scores; a scene counts as soon as the threshold reaches its bin.
     bins = distinct.size - np.searchsorted(distinct, score, side="right")
-    n_clusters = weights.shape[1]
-    shape = (2, n_clusters, distinct.size)
-    cells = np.ravel_multi_index((conflict.astype(int), cluster, bins), shape)
-    counts = np.bincount(cells, minlength=math.prod(shape)).reshape(shape)
-    everyone = np.concatenate([np.ones((1, n_clusters)), weights])
-    # Single precision is exact as long as no number of scenes is larger than it can count.
-    is_small = score.size * float(weights.max(initial=1.0)) < _MOST_COUNTED
-    kind = np.float32 if is_small else np.float64
-    drawn = everyone.astype(kind) @ np.cumsum(counts, axis=2).astype(kind)
+    rows = np.where(conflict, distinct.size, 0) + bins
+    # Sparse: of thousands of people few are in a bin.
+    shape = 2 * distinct.size, weights.shape[1]
+    counts = csr_array((np.ones(score.size), (rows, cluster)), shape=shape)
+    drawn = np.column_stack([counts.sum(axis=1), np.asarray(counts @ weights.T)])
+    drawn = drawn.reshape(2, distinct.size, -1).cumsum(axis=1).transpose(0, 2, 1)
     rates: Floats = np.zeros((*drawn.shape[:2], distinct.size + 1))
     with np.errstate(invalid="ignore"):  # a replicate without a label has no rate: NaN
-        np.divide(drawn, drawn[:, :, -1:], out=rates[:, :, 1:], dtype=np.float64)
+        np.divide(drawn, drawn[:, :, -1:], out=rates[:, :, 1:])
     return Curve(missed=1.0 - rates[1], false_alarm=rates[0])
 
 

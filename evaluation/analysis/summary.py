@@ -5,6 +5,7 @@ clusters, the same ones for every mechanism, so that differences are paired.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
@@ -21,7 +22,7 @@ from evaluation.analysis.metrics import BOUNDS, DESCRIPTORS, GAP, METRICS, OF_RO
 from evaluation.experiment.constants import MODEL
 from evaluation.runs.cell_files import Summed, read_rows
 from isac_track.intervals import Estimate, cluster_sums, cluster_weights, ratio_estimates
-from isac_track.types import Floats, Ints
+from isac_track.types import Floats, Ints, read_only
 
 N_REPLICATES = 1000
 COLUMNS = [
@@ -125,8 +126,13 @@ def linkage_sums(read: Cards) -> dict[Key, Summed]:
 
 def weights_of(manifest: Mapping[str, Any]) -> Floats:
     """Return the bootstrap weights of a run, (B, C): the same for everything in it."""
-    n, seed = len(manifest["groups"]), manifest["identity"]["seed"]
-    return cluster_weights(n_clusters=n, n_replicates=N_REPLICATES, seed=seed)
+    return _weights(len(manifest["groups"]), manifest["identity"]["seed"])
+
+
+@lru_cache(maxsize=1)  # of thousands of people they take 60 MB
+def _weights(n_clusters: int, seed: int) -> Floats:
+    drawn = cluster_weights(n_clusters=n_clusters, n_replicates=N_REPLICATES, seed=seed)
+    return read_only(drawn)
 
 
 def clusters(table: pa.Table, manifest: Mapping[str, Any]) -> Ints:
