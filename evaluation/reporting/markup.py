@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterable
 from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -57,7 +58,7 @@ def latex(tables: Iterable[Table]) -> str:
     for table in tables:
         shown = [place for place, column in enumerate(table.columns) if not column.is_long]
         keys, others = shown[: table.n_keys], shown[table.n_keys :]
-        groups = groupby(table.rows, key=lambda row, n=table.n_headings: row[:n])  # type: ignore[misc]
+        groups = groupby(table.rows, key=itemgetter(slice(table.n_headings)))
         options = {"table": table, "groups": [list(rows) for _, rows in groups]}
         for start in range(0, max(1, len(others)), _MOST_COLUMNS):
             places = [*keys, *others[start : start + _MOST_COLUMNS]]
