@@ -236,7 +236,7 @@ def axes(settings: Settings) -> Axes:
         },
     )
     rows = (found.consumers, *map(found.readers, found.tasks))
-    for name in {*asked} - {one.knowledge for some in rows for one in some}:
+    for name in sorted({*asked} - {one.knowledge for some in rows for one in some}):
         raise SettingsError(
             f"adversary {name}: no attack of the run does more with what it knows; name one "
             f"that does, such as --attack {BREAKER}"
