@@ -116,9 +116,10 @@ def cross_fitted(
     choices = []
     for half in (is_first, ~is_first):
         levels: Levels = {}
-        for key, ((over, under), _) in sums.items():
-            if key.metric == by and under[half].any():
-                value = float(over[half].sum() / under[half].sum())
+        for key, one in sums.items():
+            over, under = one.whole()[:, half].sum(axis=1) if key.metric == by else (0.0, 0.0)
+            if under > 0.0:
+                value = float(over / under)
                 levels.setdefault(key.where, {})[key.measure.source] = value
         choices.append(strongest_of(_choosing(levels, known, families), among=among))
     of_first, of_second = choices
@@ -129,7 +130,7 @@ def cross_fitted(
         first = sums.get(of_second.measure(key.metric).at(*key.where))
         if key.measure.source == of_first and first is not None:
             keys.append(headline.measure(key.metric).at(*key.where))
-            mixed.append(np.where(is_first, first.sums, second.sums))
+            mixed.append(np.where(is_first, first.whole(), second.whole()))
     found = ratio_estimates(
         numerator=np.array([over for over, _ in mixed]),
         denominator=np.array([under for _, under in mixed]),

@@ -82,10 +82,13 @@ def estimates(
                 sums.append(
                     [cluster_sums(values=one, cluster=cluster, n_clusters=n) for one in ratio]
                 )
-        metrics, of_clusters = [key.metric for key in keys], np.array(sums)
-        found |= zip(keys, _estimates(metrics, of_clusters, weights), strict=True)
+        of_clusters = np.array(sums)
+        used = np.flatnonzero(of_clusters.any(axis=(0, 1)))  # of thousands, hundreds are in scenes
+        of_clusters, drawn = of_clusters[:, :, used], weights[:, used]
+        metrics = [key.metric for key in keys]
+        found |= zip(keys, _estimates(metrics, of_clusters, drawn), strict=True)
         attacked |= {
-            key: Summed(one, weights)
+            key: Summed(one, weights, used)
             for key, one in zip(keys, of_clusters, strict=True)
             if key.knowledge and key.metric in DESCRIPTORS
         }

@@ -84,8 +84,15 @@ class Index(NamedTuple):
 class Summed(NamedTuple):
     """A metric that is a ratio of sums over people."""
 
-    sums: Floats  # (2, C) numerator and denominator within each cluster
+    sums: Floats  # (2, U) numerator and denominator within each cluster that has any
     weights: Floats  # (B, C) how often each cluster is drawn
+    used: Ints | slice = slice(None)  # (U,) which of these it is
+
+    def whole(self) -> Floats:
+        """Return the sums of all clusters, (2, C)."""
+        whole = np.zeros((2, self.weights.shape[1]))
+        whole[:, self.used] = self.sums
+        return whole
 
 
 @dataclass(frozen=True, eq=False, slots=True)

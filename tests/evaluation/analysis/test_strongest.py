@@ -62,23 +62,24 @@ def test_what_one_half_chose_is_scored_on_the_other():
     rng = np.random.default_rng(0)
     n, first, second = 60, Source("kalman_rts", "blind"), Source("radial_rts", "blind")
     weights = cluster_weights(n_clusters=n, n_replicates=50, seed=0)
-    tracks = rng.integers(1, 5, n).astype(float)
+    tracks = rng.integers(0, 5, n).astype(float)
+    used = np.flatnonzero(tracks)  # the others are in no scene, and are not kept
+    assert used.size < n
     is_first = stream(7, "strongest", "halves").permutation(n) < n / 2
     own = {first: np.where(is_first, 0.9, 0.1), second: np.where(is_first, 0.2, 0.8)}
     shares = {source: share * tracks for source, share in own.items()}
-    sums = {
-        source.measure(metric).at(*where): Summed(
-            np.stack([share * rng.random(n), tracks]), weights
-        )
+    every = {
+        source.measure(metric).at(*where): np.stack([share * rng.random(n), tracks])
         for where in LEVELS
         for source, share in shares.items()
         for metric in ("plr", "mel")
     }
+    sums = {key: Summed(one[:, used], weights, used) for key, one in every.items()}
     found, halves = cross_fitted(sums, known := families_of(sums), first, seed=7)
     assert halves == [first, second]
     for key in (first.measure(metric).at(*where) for where in LEVELS for metric in ("plr", "mel")):
-        theirs = sums[second.measure(key.metric).at(*key.where)].sums[0]
-        scored = np.where(is_first, theirs, sums[key].sums[0])
+        theirs = every[second.measure(key.metric).at(*key.where)][0]
+        scored = np.where(is_first, theirs, every[key][0])
         assert found[key].value == pytest.approx(scored.sum() / tracks.sum())
         assert found[key].replicates == pytest.approx(weights @ scored / (weights @ tracks))
     assert found[first.measure("plr").at("raw", None)].value < 0.2
