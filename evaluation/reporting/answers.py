@@ -61,6 +61,7 @@ def answers(run: Results, of: Headline | None = None) -> tuple[Answer, ...]:
     linked = [(one, value) for one in of.linked if (value := _both(of, where, one))]
     is_headline = where[0] not in of.known or of.known[where[0]].family in (*SWEPT, CLEAN)
     who = of.attacked.measure.source.label if of.attacked else ""
+    told = _told(run.verdict.get("items", []) if run.verdict else [])
     said = paragraphs(
         "answers.txt.j2",
         "sentences",
@@ -78,7 +79,8 @@ def answers(run: Results, of: Headline | None = None) -> tuple[Answer, ...]:
         who=who if is_headline else "the strongest attack on it",
         near=gap_text(of.gaps, where),
         linked=linked,
-        told=_told(run.verdict.get("items", []) if run.verdict else []),
+        told=told,
+        linked_near=gap_text(of.gaps, where, told[0]["task"]) if told else "",
         # Where both rules say the same, it is said once.
         choices=choices if len({one for _, one in choices}) > 1 else choices[:1],
     )

@@ -81,12 +81,16 @@ def _table(run: Results, title: str, columns: Sequence[Column], *, note: str) ->
     return make.built(name, title, records, columns, notes=[_MODEL, note], n_headings=2, n_keys=4)
 
 
-def gap_text(known: Sequence[Gap], where: Where) -> str:
-    """Return in words how far the attacks are from the optimum at a level; empty if unknown."""
+def gap_text(known: Sequence[Gap], where: Where, task: str = "") -> str:
+    """Return in words how far the attacks are from the optimum at a level; empty if unknown.
+
+    Those who link in a task, or those who rebuild.
+    """
     own, *others = [
         f"{'' if one.is_exact else 'at most '}{max(100 * one.gap.value, 0.0):.1f}"
         for one in known
-        if one.where == where and not one.attack.task
+        if one.where == where and one.attack.task == task
     ] or [""]
     other = "".join(f" ({one} if errors are isotropic)" for one in others)
-    return f"in the model world {own} points below the optimum{other}" * bool(own)
+    unit = "of 100 people" if task else "points"
+    return f"in the model world {own} {unit} below the optimum{other}" * bool(own)

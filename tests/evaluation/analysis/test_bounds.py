@@ -78,6 +78,11 @@ def test_linkers_stand_beside_the_optimal_ratio_where_errors_are_gaussian(tmp_pa
     assert gap["ci_low"] < gap["value"] < gap["ci_high"]
     assert gap["ci_high"] > 0.0  # nobody surely beats the optimum
     assert not (rows["dataset"] == "plaza:model").any()  # nobody rebuilds, and these are radial
+    said = gap_text(gaps(found.summary), ("fixed", 0.5), "rerelease")
+    assert (
+        said
+        == f"in the model world {max(100 * gap['value'], 0):.1f} of 100 people below the optimum"
+    )
     table = linked_bound_table(found)
     assert len(table.rows) == 1
     assert (found.out / "report.html").read_text(encoding="utf-8").count(

@@ -110,6 +110,28 @@ def test_the_fourth_answer_says_what_was_decided_and_how_wide_it_is(decision, ev
     assert sentence.endswith("1 not testable.") or decision == "not testable"
 
 
+def test_what_attacks_find_is_held_against_the_optimum_where_that_is_known():
+    shown = {"rank1": 0.47, "rank1_gap": 0.04, "rank1_optimum": 0.51}
+    rows = [
+        {
+            "consumer": "rerelease/" + ("bound" if name == "rank1_optimum" else "shape"),
+            "value": value,
+        }
+        | {
+            "knowledge": "" if name == "rank1_optimum" else "blind",
+            "metric": name,
+            "unit": "fraction",
+        }
+        for name, value in shown.items()
+    ]
+    world = pd.DataFrame(rows).assign(dataset="students03:model,law=isotropic", mechanism="fid")
+    world = world.assign(level=1.0, ci_low=0.0, ci_high=0.6, n=84, family="fid", adding="linear")
+    item = ITEM | SPREAD | {"decision": "tracks", "evidence": ["attacks"]}
+    run = make_run(summary=pd.concat([make_summary(), world]), verdict={"items": [item]})
+    beside = f"{SO_FAR} (in the model world 4.0 of 100 people below the optimum at fid:1);"
+    assert beside in answers(run)[3].sentence
+
+
 def test_a_run_without_errors_is_answered_with_what_it_has():
     run = make_run(at=[("clean", np.nan)])
     assert answers(run)[0].sentence.startswith("Missed conflicts at clean: the paper's line ")
