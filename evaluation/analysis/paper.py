@@ -107,10 +107,10 @@ def paper_table(sweeps: Sweeps, *, dataset: str) -> pd.DataFrame:
 def claims(
     sweeps: Sweeps, matched: pd.DataFrame, *, dataset: str, history: Mapping[str, float]
 ) -> pd.DataFrame:
-    """Return the paper's claims, each as `holds`, `does not hold` or `undecided`.
+    """Return the paper's claims: `holds`, `does not hold`, `between` or `not testable`.
 
     The rules, set beforehand, with 95 % intervals of paired differences; fewer than 20 clusters
-    decide nothing:
+    decide nothing (not testable):
 
     - *close to raw*: the rise of the missed-conflict rate over raw at 0.1 and 0.2 m of fixed error;
       holds if its interval lies below 4 points, does not if it lies above.
@@ -144,7 +144,10 @@ def claims(
         claim = "history of about 366 points at 0.083 s", "holds" if is_so else "does not hold"
         evidence = f"{points:.1f} points at {interval_s:.4f} s"
         rows.append(("", *claim, points, np.nan, np.nan, "points", evidence))
-    return pd.DataFrame(rows, columns=CLAIM_COLUMNS)
+    found = pd.DataFrame(rows, columns=CLAIM_COLUMNS)
+    few = (found["answer"] == "not testable") & found["effect"].notna()
+    found.loc[few, "evidence"] = f"fewer than {FEWEST_EFFECTIVE} people; " + found["evidence"]
+    return found
 
 
 def _measure(metric: str) -> Measure:
@@ -228,7 +231,7 @@ def _better_at_every_rate(matched: pd.DataFrame, *, n: int) -> Iterator[tuple[ob
         left_out = len(every) - len(reached)
         if reached.empty:
             why = f"none of {left_out} rates is reached by enough replicates"
-            yield claim, "undecided", np.nan, np.nan, np.nan, metric.summary_unit, why
+            yield claim, "not testable", np.nan, np.nan, np.nan, metric.summary_unit, why
             continue
         better, worse = int((reached["ci_high"] < 0).sum()), int((reached["ci_low"] > 0).sum())
         # The rate shown is the one that speaks most against the claim.
@@ -246,7 +249,7 @@ def _better_at_every_rate(matched: pd.DataFrame, *, n: int) -> Iterator[tuple[ob
 
 def _answer(*, holds: bool, fails: bool, n: int) -> str:
     if n < FEWEST_EFFECTIVE:
-        return "undecided"
+        return "not testable"
     if fails:
         return "does not hold"
-    return "holds" if holds else "undecided"
+    return "holds" if holds else "between"

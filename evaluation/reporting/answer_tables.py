@@ -195,8 +195,22 @@ def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
                 make.counted("prediction error", "points", *ends, scale=100.0),
             ]
         name, n_keys = f"verdict-{section}", 1 + len(aspects)
-        found[section] = make.built(name, section.capitalize(), records, columns, n_keys=n_keys)
+        shape: dict[str, Any] = {"n_keys": n_keys, "notes": _untestable(records)}
+        found[section] = make.built(name, section.capitalize(), records, columns, **shape)
     return found
+
+
+def _untestable(records: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return why some items could not be tested: a note for each reason, and whom it concerns."""
+    reasons: dict[str, list[str]] = {}
+    for row in records:
+        if row["decision"] == rules.NOT_TESTABLE:
+            about = " ".join(filter(None, (row[key] for key in ("task", "adding", "mechanism"))))
+            reasons.setdefault(row["why"], []).append(about)
+    return [
+        f"Not testable, {len(of)} of {len(records)} ({', '.join(dict.fromkeys(of))}): {why}."
+        for why, of in reasons.items()
+    ]
 
 
 def _power(item: Mapping[str, Any]) -> str:

@@ -23,7 +23,7 @@ _SIGNS = (
     ("✗", "bad", ("does not track", "does not hold", "no", "differs")),
     ("⇄", "bad", ("reversed",)),
     ("▲", "bad", ("inflated",)),
-    ("·", "open", ("undecided", "between", "not testable")),
+    ("·", "open", ("between", "not testable")),
 )
 SYMBOLS: Final = {text: (sign, tone) for sign, tone, texts in _SIGNS for text in texts}
 """Of a decision: the sign that says the same without colour, and its tone."""

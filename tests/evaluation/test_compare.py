@@ -355,8 +355,8 @@ class TestVerdicts:
             (out / "verdict.json").write_text(json.dumps({"items": items}))
 
     def test_decisions_that_changed_are_listed(self, pair, command):
-        first = {"x": "tracks", "y": "undecided", "z": "holds"}
-        self.write(pair, first, {"x": "does not track", "y": "undecided", "w": "holds"})
+        first = {"x": "tracks", "y": "between", "z": "holds"}
+        self.write(pair, first, {"x": "does not track", "y": "between", "w": "holds"})
         assert compared(*pair).verdicts == {
             "in_both": 2,
             "only_a": ["z"],

@@ -119,13 +119,13 @@ class TestChanges:
         [
             (("holds", 1), ("holds", 1), "same"),
             (("tracks", 1), ("tracks weakly", 1), "same"),
-            (("undecided", 0), ("undecided", 0), "not decided before and after"),
+            (("between", 0), ("between", 0), "not decided before and after"),
             (("holds", 1), ("reversed", -1), "changed sign"),
             (("does not track", -1), ("tracks", 1), "changed sign"),
-            (("reversed", -1), ("undecided", 0), "lost"),
-            (("undecided", 0), ("inflated", 1), "gained"),
+            (("reversed", -1), ("between", 0), "lost"),
+            (("between", 0), ("inflated", 1), "gained"),
             (("holds", 1), (None, None), "missing"),
-            (("undecided", 0), (None, None), "missing"),
+            (("between", 0), (None, None), "missing"),
         ],
     )
     def test_of_one_item(self, before, after, change):
@@ -140,13 +140,13 @@ class TestChanges:
     def test_are_counted_and_told_in_words(self):
         nothing = dict.fromkeys(("effect", "ci_low", "ci_high"))
         same = [
-            item("claim/c", "undecided", 0, **nothing),
+            item("claim/c", "between", 0, **nothing),
             item("inflation/a", "inflated", 1, unit="s"),
         ]
         before = [item("claim/a", "holds", 1), item("claim/b", "holds", 1)]
         after = [
             item("claim/a", "reversed", -1, effect=-0.25, ci_low=-0.5, ci_high=-0.125),
-            item("claim/b", "undecided", 0),
+            item("claim/b", "between", 0),
         ]
         found = held.changes("law=x", base={"items": before + same}, said={"items": after + same})
         rows = pd.DataFrame(found, columns=list(COLUMNS))

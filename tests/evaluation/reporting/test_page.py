@@ -81,12 +81,7 @@ class TestWhatItSays:
             ("MEL", "maximum exposure length"),
         ):
             assert text.index(long) < text.index(short), short
-        told = [
-            "▲ inflated",
-            "· undecided",
-            "split: too few [red]people[/red]",
-            "18.7 [18.4, 19.1]",
-        ]
+        told = ["▲ inflated", "· between", "split: too few [red]people[/red]", "18.7 [18.4, 19.1]"]
         assert all(text in made for text in told)
         contents = re.findall(r'<li><a href="#(\w+)">([^<]+)</a></li>', made)
         assert len(contents) == made.count("<section id=")
