@@ -153,10 +153,11 @@ def _item(one: Tested, section: Floats) -> dict[str, Any]:
     compared, beside = _contrasts(of, of.compared, found, wide), []
     if one.beside is not None:
         beside = _contrasts(of, of.beside, one.beside, spread.widths(one.beside, section))
-    sure = [gap for gap in compared if gap["reading"] == rules.DIFFERS]
     is_flat = decision == rules.DOES_NOT and low <= rules.SUCCESS_MARGIN
-    # What is equal, and what a flat descriptor misses, is so as far as these attacks go.
-    kinds = sorted({gap["evidence"] for gap in sure}) if sure and not is_flat else [ATTACKS]
+    # What is so by construction decided nothing. What is equal, and what a flat descriptor misses,
+    # is so as far as these attacks go.
+    sure = {gap["evidence"] for gap in compared if gap["reading"] == rules.DIFFERS}
+    kinds = sorted(sure - {CONSTRUCTION}) if sure and not is_flat else [ATTACKS]
     answers = power.answers(found, wide, [of.families[place] for place in of.compared])
     needed = None if is_flat else power.clusters_needed(found, wide, one.n)
     why = f"between {_points(low)} and {_points(high)} of 100 people" * (decision == BETWEEN)

@@ -103,6 +103,9 @@ def test_a_decision_names_its_kind_of_evidence(
     gap = gaps(found)[mechanism]
     assert gap["reading"] == "differs"
     assert gap["evidence"] == (evidence or [CONSTRUCTION])[0]
+    # What decides nothing is no evidence of what others decide.
+    both = shifted(shifted(equal, mechanism, points), "offset", 0.4)
+    assert item(said_of(worlds, both))["evidence"] == evidence
 
 
 def test_a_mechanism_of_somebody_elses_is_beside_the_panel(worlds, equal):
