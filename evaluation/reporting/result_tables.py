@@ -19,6 +19,7 @@ from evaluation.analysis.metrics import (
     METRICS,
     RECONSTRUCTION,
     SUCCESS,
+    SUCCESS_OF_100,
     UTILITY,
 )
 from evaluation.analysis.strongest import most_knowing
@@ -219,6 +220,36 @@ def rank_table(run: picked.Results, task: LinkedTask) -> Table:
     title = f"{task.name}: {task.about}; rank 1 in %, 95 % intervals"
     name = f"linkage-{task.name}"
     return make.built(name, title, records, columns, notes=notes, marks=MEANING)
+
+
+def strength_table(run: picked.Results) -> Table:
+    """Return what each task's headline linker finds at the levels that tell: ranks and scores."""
+    ranks, told = (SUCCESS, SUCCESS_OF_100), "1 - Cllr_min"
+    records: list[dict[str, Any]] = []
+    for task, (consumer, knowledge) in run.strongest.items():
+        source = Source(f"{task}/{consumer}", knowledge)
+        found = picked.by_level(picked.of_source(run.ours, source)) if task else {}
+        for where in picked.telling(found, run.families, controls=False) if found else ():
+            of = found[where][source]
+            row = {name: make.estimated(name, of[name]) for name in ranks if name in of}
+            if lost := of.get("cllr_min"):
+                ends = (1.0 - one for one in (lost.value, lost.ci_high, lost.ci_low))
+                row[told] = make.amount("cllr_min", *ends)
+            row["chance"] = make.amount("chance", of["chance"].value)
+            about = dict(zip(("mechanism", "level"), where, strict=True))
+            records.append({"task": task, "linker": source.attack.label, **about, **row})
+    columns = [
+        *map(make.said, ("task", "linker")),
+        *picked.mechanism_columns(run.families),
+        *(make.held(METRICS[one].head, one, unit="%") for one in (*ranks, "chance")),
+        make.held(told, unit=METRICS["cllr_min"].unit),
+    ]
+    title = "What the headline linker of each task tells, by ranks and by scores; 95 % intervals"
+    notes = [
+        "1 - Cllr_min: what its scores tell of a pair at best, 0 nothing, 1 bit all.",
+        "Rank 1 of 100 is empty with fewer candidates.",
+    ]
+    return make.built("strength", title, records, columns, notes=notes, n_headings=2, n_keys=5)
 
 
 def doubt_table(run: picked.Results) -> Table:

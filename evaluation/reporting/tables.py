@@ -75,6 +75,7 @@ def _everything(run: Results) -> Iterator[Part]:
     yield measured.attack_table(run.ours)
     yield from (bound_table(run), linked_bound_table(run))
     yield from (measured.rank_table(run, task) for task in run.tasks)
+    yield measured.strength_table(run)
     yield answers.paper_table(run)
     yield answers.claims_table(run)
     for name, why in run.manifest.get("linkage", {}).get("skipped", {}).items():
@@ -107,6 +108,7 @@ def page_tables(run: Results) -> dict[str, Table]:
         bound_table(run),
         linked_bound_table(run),
         *(measured.rank_table(run, task) for task in run.tasks),
+        measured.strength_table(run),
         answers.flag_table(run),
         measured.doubt_table(run),
         *answers.item_tables(items).values(),

@@ -16,6 +16,7 @@ from helpers.finished_runs import (
     make_run,
     make_summary,
     rows_where,
+    with_links,
 )
 from helpers.pages import assert_as_approved, tells_rows_apart
 
@@ -28,6 +29,7 @@ from evaluation.reporting.result_tables import (
     attack_table,
     exposure_table,
     rank_table,
+    strength_table,
     sweep_tables,
 )
 from evaluation.reporting.rows import telling
@@ -248,3 +250,15 @@ def test_what_laplace_promises_stands_where_its_level_does():
     frame = make_summary(predictors=()).assign(family="laplace", level=1.5)
     (table,) = sweep_tables(frame)
     assert list(table.notes[1:]) == ["laplace 1.5: epsilon 1.15 1/m a report, 423 1/m over 366."]
+
+
+def test_what_scores_tell_stands_beside_ranks_with_its_ends_turned_round():
+    run = with_links(make_run())
+    linked = run.summary[run.summary["metric"] == "rank1"]
+    lost = linked.assign(metric="cllr_min", value=0.3, ci_low=0.1, ci_high=0.4, unit="bit")
+    table = strength_table(replace(run, summary=pd.concat([run.summary, lost])))
+    heads = [one.name for one in table.columns]
+    assert heads[-4:] == ["rank 1", "rank 1 of 100", "chance", "1 - Cllr_min"]
+    assert {row[-1].full for row in table.rows} == {"0.700 [0.600, 0.900]"}
+    assert {row[0].text for row in table.rows} == {one for one in run.strongest if one}
+    assert not any(row[-3].full for row in table.rows)  # fewer than 100 candidates
