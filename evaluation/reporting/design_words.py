@@ -190,8 +190,7 @@ def _failing(schemes: Sequence[design.Scheme]) -> str:
     found: dict[str, str] = {}
     for status, text in _UNMET.items():
         for check in (check for one in schemes for check in one.checks):
-            close = "scenes" if check.scenes else "people"
-            if status == (check.status if math.isnan(check.times_more) else close):
+            if status == (check.status if math.isnan(check.times_more) else check.asks):
                 found.setdefault(METRICS[_metric(check)].head, text)
     for text in _UNMET.values():
         heads = [head for head, its in found.items() if its == text]

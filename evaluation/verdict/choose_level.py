@@ -45,6 +45,8 @@ METRIC_OF: Final = {
 ASKED: Final = METRIC_OF | {SUCCESS: SUCCESS}  # What may be limited.
 UNKNOWN: Final = Estimate(math.nan)
 WEAK: Final = "attack too weak"
+MOST_TIMES: Final = 10.0
+"""So many times the scenes of a run still bring people who were in none."""
 _SWEEPS: Final = {FID: "fid:1..1000/10", FIXED: "fixed:0.1..1/10"}
 _ENDS = ("ci_low", "ci_high")
 
@@ -163,6 +165,11 @@ class Check:
             return math.nan
         side = high - value if value <= self.limit else value - low
         return (side / gap) ** 2 if (gap := abs(self.limit - value)) > 0.0 else math.inf
+
+    @property
+    def asks(self) -> str:
+        """Of what more would tell: ever more scenes of the same people would not."""
+        return "scenes" if self.scenes and self.times_more <= MOST_TIMES else "people"
 
 
 @dataclass(frozen=True, slots=True)

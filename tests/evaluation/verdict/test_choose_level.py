@@ -178,6 +178,7 @@ class TestLimits:
         [
             (0.21, 0.02, "about 8,000 scenes would tell"),  # 2,000 (0.02 / 0.01)^2, to show it
             (0.18, 0.03, "about 4,500 scenes would tell"),  # 2,000 (0.03 / 0.02)^2: it is not
+            (0.205, 0.02, "about 16 times as many people would tell"),  # not 32,000 scenes of them
             (0.20, 0.02, "the value at the limit: no more data would tell"),
             (0.17, 0.02, "points too high)"),  # surely above it
         ],
