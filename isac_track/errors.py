@@ -59,7 +59,16 @@ def raised_at(error: BaseException) -> str:
         is_ours = str(frame.f_globals.get("__name__", "")).partition(".")[0] in _NOT_STRANGE
         if name == file or not (file or is_ours):
             file, line = name, number
-    return f" ({Path(file).name}, line {line})" if file else ""
+    return code_at(file, line) if file else ""
+
+
+def code_at(file: str, line: int) -> str:
+    """Return a place in a stranger's code, as ` (file.py, line 3)`.
+
+    What a session defines travels without the name of its file.
+    """
+    where = "where it is defined" if file.startswith("<") else Path(file).name
+    return f" ({where}, line {line})"
 
 
 def quoted(value: object) -> str:

@@ -87,8 +87,7 @@ def _noise(release: Release) -> Floats:
 
     How far it ranges within a track tells how far the person walked, which is no shortcut.
     """
-    if release.sigma is None:
-        return np.zeros((len(release), 1))
+    assert release.sigma is not None  # a control sees all that is declared
     return _means(np.log(np.maximum(release.sigma, _NO_SIGMA_M)), release)[:, None]
 
 

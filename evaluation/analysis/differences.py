@@ -350,13 +350,16 @@ def _unequal(a: Manifest, b: Manifest) -> Apart:
     return {name: pair for name, pair in both.items() if pair[0] != pair[1]}
 
 
+_ABOUT = ("scenes", "scenes_utility", "seed")
+
+
 def about(out: Path, manifest: Manifest, *, mechanism: str | None) -> dict[str, Any]:
     """Return what a run is, with the mechanism if one was named."""
     return {
         "out": str(out),
         "dataset": manifest["dataset"]["name"],
         "people": len(manifest["groups"]),
-        **{name: manifest["identity"][name] for name in ("scenes", "seed")},
+        **{name: of for name, of in manifest["identity"].items() if name in _ABOUT},
         "preset": manifest["settings"]["preset"],
         **({} if mechanism is None else {"mechanism": mechanism}),
     }

@@ -17,7 +17,6 @@ from isac_track.errors import PluginError
 from isac_track.types import Complexes, Floats, Ints, Knowledge, Reconstruction, Release
 
 if TYPE_CHECKING:
-    from evaluation.experiment.axes import Consumer
     from isac_track.plugins import Plugin
 
 SHOWS = frozenset({Knowledge.SIGMA, Knowledge.SCENE})  # Knowledge that shows in the release itself.
@@ -69,24 +68,6 @@ def showing(release: Release, granted: frozenset[Knowledge]) -> Release:
 def declared(plugin: Plugin) -> frozenset[Knowledge]:
     """Return what a plug-in says that it needs or takes."""
     return frozenset(plugin.instance.requires | plugin.instance.uses)
-
-
-def granted_at(
-    consumer: Consumer, plugin: Plugin, *releases: Release, who: str, mechanism: Plugin
-) -> frozenset[Knowledge]:
-    """Return what a consumer's attack gets of releases: no SIGMA where none is declared.
-
-    Raises PluginError if the attack cannot do without.
-    """
-    granted = consumer.granted & declared(plugin)
-    if all(one.sigma is not None for one in releases):
-        return granted
-    if Knowledge.SIGMA in granted & plugin.instance.requires:
-        raise PluginError(
-            f"{who} requires SIGMA, but mechanism {mechanism.spec!r} declares none; leave one of "
-            "the two out"
-        )
-    return granted - {Knowledge.SIGMA}
 
 
 def reconstructed(

@@ -19,7 +19,7 @@ from attacks.linkage.alignment import Shape
 from attacks.remembered import part
 from attacks.tasks.controls import CONTROLS, closeness
 from evaluation.cells import sharing
-from evaluation.cells.adversary import declared, granted_at, reconstructed, showing
+from evaluation.cells.adversary import declared, reconstructed, showing
 from evaluation.cells.candidates import (
     AT_ONCE,
     CHECKED,
@@ -309,7 +309,7 @@ def _smoothed(
     name = f"attack {behind.spec}"
     who = f"{name} (behind {consumer.label})"
     known = level.known
-    granted = granted_at(consumer, behind, *level.shared, who=name, mechanism=level.mechanism)
+    granted = consumer.granted & declared(behind)
     sides = level.showing(granted)
     train, rows = None, known.halves[fold].learns.probe
     if rows.size:
@@ -346,8 +346,7 @@ def _fitted(
     assert consumer.plugin is not None
     plugin, known, who = consumer.plugin, level.known, f"attack {consumer.label}"
     sides = _sides(consumer, level, fold)
-    name = f"attack {plugin.spec}"
-    granted = granted_at(consumer, plugin, *level.shared, who=name, mechanism=level.mechanism)
+    granted = consumer.granted & declared(plugin)
     learns = known.halves[fold].learns
     train = None
     if Knowledge.TRAIN in granted:
@@ -399,9 +398,9 @@ def window_tables(consumer: Consumer, level: LinkedLevel) -> Tables:
     """Return the table of a cell of windows: a row for each of both sides, `WINDOW_COLUMNS`.
 
     `side` (probe or gallery), `search` (a half, or the instant of a handover), `source`, `group`;
-    of what was shared `n_samples`, `sigma_m` (mean declared standard deviation, NaN where none is
-    declared) and `DESCRIPTORS`; of the true walk, alike at all levels, `duration_s` and `speed_mps`
-    (NaN for a window of one sample); after the reconstruction that the consumer stands behind,
+    of what was shared `n_samples`, `sigma_m` (mean declared standard deviation) and `DESCRIPTORS`;
+    of the true walk, alike at all levels, `duration_s` and `speed_mps` (NaN for a window of one
+    sample); after the reconstruction that the consumer stands behind,
     whatever else is in the run, `ON_TRIAL`: the descriptors, `privacy.alignment_error`, and the
     mean standard deviation that it claims.
     """
@@ -411,6 +410,7 @@ def window_tables(consumer: Consumer, level: LinkedLevel) -> Tables:
     for number, side in enumerate(SIDES):
         release, attacked = level.shared[number], smooth.both[number].xy
         whole: Windows = getattr(sessions, side)
+        assert release.sigma is not None  # `share` refuses what declares none
         truth, walked = getattr(known.sessions, side).xy, _true_walks(level, number)
         exposed, left = (
             descriptors(
@@ -424,7 +424,6 @@ def window_tables(consumer: Consumer, level: LinkedLevel) -> Tables:
             privacy.alignment_error(xy=attacked, truth=walked, offsets=release.offsets),
             track_means(np.full(release.t.size, np.nan) if std is None else std, release.offsets),
         )
-        sigma_m = np.full(release.t.size, np.nan) if release.sigma is None else release.sigma
         columns = {
             "side": [side] * len(whole),
             "search": names_column(whole.search, sessions.searches),
@@ -433,7 +432,7 @@ def window_tables(consumer: Consumer, level: LinkedLevel) -> Tables:
             "n_samples": np.diff(release.offsets),
             # What the walk was does not depend on which samples were shared.
             **_walked(whole),
-            "sigma_m": track_means(sigma_m, release.offsets),
+            "sigma_m": track_means(release.sigma, release.offsets),
             **{name: exposed[name] for name in DESCRIPTORS},
             **dict(zip(ON_TRIAL, on_trial, strict=True)),
         }

@@ -16,15 +16,7 @@ import numpy as np
 from attacks.reconstruction.kalman_rts import PRIOR_STD, KalmanRTS
 from attacks.reconstruction.learning import N_CANDIDATES
 from evaluation.cells import sharing
-from evaluation.cells.adversary import (
-    SHOWS,
-    Frame,
-    declared,
-    granted_at,
-    reconstructed,
-    showing,
-    view_of,
-)
+from evaluation.cells.adversary import SHOWS, Frame, declared, reconstructed, showing, view_of
 from evaluation.cells.tables import Rows, described_rows, track_columns, track_means
 from evaluation.experiment.constants import MOST_SCENES
 from isac_track import privacy
@@ -258,7 +250,7 @@ def attack_rows(consumer: Consumer, level: AttackedLevel) -> Rows:
     if consumer.plugin is None:
         return {**track_columns(level.scenes, np.arange(len(level.release))), **level.bound}
     who, block, release = f"attack {consumer.label}", level.block, level.release
-    granted = granted_at(consumer, consumer.plugin, release, who=who, mechanism=level.mechanism)
+    granted = consumer.granted & declared(consumer.plugin)
     at_once = consumer.is_built_in and not consumer.is_slow
     found, is_attacked = np.empty((5, len(release))), np.zeros(len(release), dtype=bool)
     for fold, half in enumerate(level.victims):
@@ -463,13 +455,14 @@ def benchmark(release: Release, *, sensed: Sensed, mechanism: Plugin, epsilon_m:
     every sample: no linear estimator has a smaller expected squared error, and none at all if the
     errors are Gaussian. Its posterior covariance P per axis depends on no position: the expected
     squared error is 2 P, and a Gaussian error of that size leaks with probability
-    1 - exp(-epsilon^2 / 2P). NaN for a mechanism that declares no sigma, and for one that says
+    1 - exp(-epsilon^2 / 2P). NaN for a mechanism that says
     (`errors_are_independent`) that its errors depend on each other from sample to sample.
     """
     independent = getattr(mechanism.instance, "errors_are_independent", True)
-    if release.sigma is None or not independent:
+    if not independent:
         return dict.fromkeys(_BENCHMARK, np.full(len(release), np.nan))
     law = getattr(mechanism.instance, "law", None) or sensed.law
+    assert release.sigma is not None  # `share` refuses what declares none
     shared_m2, raw_m2 = release.sigma**2, sensed.sigma_raw**2
     # What a mechanism takes away it takes from the raw error, what it adds has its own law; of an
     # error of standard deviation 1 a law has so much variance per axis.

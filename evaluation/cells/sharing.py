@@ -95,7 +95,9 @@ def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Rele
         raise PluginError(
             f"{who} shared a position that is not within {SHARED_LIMIT_M:g} m of the origin"
         )
-    if release.sigma is not None and not within(release.sigma, 0.0, SHARED_LIMIT_M):
+    if release.sigma is None:
+        raise PluginError(f"{who} declared no sigma: a standard deviation for every sample, in m")
+    if not within(release.sigma, 0.0, SHARED_LIMIT_M):
         is_too_large = (release.sigma >= 0).all()
         wrong = f"above {SHARED_LIMIT_M:g} m, the limit" if is_too_large else "below 0 or NaN"
         raise PluginError(f"{who} declared a sigma {wrong}")

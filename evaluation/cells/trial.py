@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ from evaluation.cells.linkage import scores_of
 from evaluation.cells.where import note
 from evaluation.cells.work import Block, cells
 from isac_track import plugins
-from isac_track.errors import PluginError, raised_at
+from isac_track.errors import PluginError, code_at, raised_at
 from isac_track.protocols import AttackContext, LinkageTrainingSet
 from isac_track.rng import stream
 from isac_track.scenes import cut, make_scenes, track_order
@@ -65,7 +64,7 @@ def defined_at(instance: Any) -> str:  # noqa: ANN401 - a stranger's
     for name in ("share", "predict", "fit"):
         code = getattr(getattr(type(instance), name, None), "__code__", None)
         if code is not None:
-            return f" ({Path(code.co_filename).name}, line {code.co_firstlineno})"
+            return code_at(code.co_filename, code.co_firstlineno)
     return ""
 
 

@@ -17,6 +17,7 @@ from evaluation.analysis.paper import PUBLISHED
 from evaluation.experiment.variants import BASE
 from evaluation.reporting import table as make
 from evaluation.reporting import terminal
+from evaluation.reporting.announcements import scenes_text
 from evaluation.reporting.markup import paragraphs
 from evaluation.reporting.table import Cell, Column, Table
 from evaluation.reporting.terminal import Part
@@ -96,7 +97,7 @@ def _printed(comparison: comparing.Comparison, *, every: bool, room: int) -> Ite
     said = paragraphs(
         "compare.txt.j2",
         "compared",
-        {},
+        {"scenes_text": scenes_text},
         of=comparison,
         others=comparison.rows[~comparison.rows["headline"]],
         is_changed=bool(changed),

@@ -26,6 +26,7 @@ from evaluation.analysis.families import (
 from evaluation.analysis.keys import Key, Source, Where, keys_of, level_text
 from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS
 from evaluation.experiment.presets import DISSOCIATION, SHARED
+from evaluation.reporting.announcements import scenes_text
 from evaluation.reporting.table import Column, level, said
 from isac_track.errors import SettingsError, did_you_mean
 from isac_track.types import Floats
@@ -93,7 +94,7 @@ class Results:
         shared = self.ours[self.ours["consumer"] == SHARED]
         n_levels = len(shared[["mechanism", "level"]].drop_duplicates())
         failed = f", {len(self.failed)} cells failed" * bool(len(self.failed))
-        told = f"{what}, {identity['scenes']} scenes, seed {identity['seed']}, {n_levels} levels"
+        told = f"{what}, {scenes_text(identity)}, seed {identity['seed']}, {n_levels} levels"
         return f"<Results {self.out}: {told}{failed}>"
 
     def _repr_html_(self) -> str:

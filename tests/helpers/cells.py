@@ -21,7 +21,6 @@ from isac_track.config import StageSettings
 from isac_track.plugins import Plugin
 from isac_track.scenes import cut, make_scenes, track_order
 from isac_track.sensing import sense_scenes
-from isac_track.sharing import Raw
 from isac_track.types import Reconstruction
 
 STAGES = StageSettings()
@@ -38,14 +37,6 @@ def parsed(kind, one, name="mine"):
     if isinstance(one, str):
         return plugins.parse(kind, one)[0]
     return one if isinstance(one, Plugin) else plugin(one, name)
-
-
-@dataclass(frozen=True)
-class Silent:
-    """A mechanism that shares the raw estimates and says nothing of their uncertainty."""
-
-    def share(self, sensed, rng):
-        return Raw().share(sensed, rng).without_sigma()
 
 
 @dataclass(frozen=True)

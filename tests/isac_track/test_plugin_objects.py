@@ -11,7 +11,7 @@ from helpers.small_runs import smoke, write_walks
 
 import evaluation
 from isac_track import plugins
-from isac_track.errors import SettingsError
+from isac_track.errors import PluginError, SettingsError
 from isac_track.plugins import parse_all, plugins_of
 from isac_track.sharing import perturb
 from predictors.least_squares import LeastSquares
@@ -93,3 +93,13 @@ def test_an_object_runs_in_workers_and_is_computed_again_if_it_changed(tmp_path)
     assert plr["__main__:Mine"] < plr["raw"]
     again = ran(1.0)[1]
     assert again.items() > cells.items()
+
+
+def test_where_an_object_fails_is_told_without_the_name_of_a_file(tmp_path):
+    namespace = {"__name__": "__main__", "dataclass": dataclass}
+    body = "    def share(self, sensed, rng):\n        1 / 0\n"
+    exec(compile(f"@dataclass(frozen=True)\nclass Mine:\n{body}", "<stdin>", "exec"), namespace)
+    walks, mine = write_walks(tmp_path / "walks.csv"), namespace["Mine"]()
+    where = r"failed: ZeroDivisionError: division by zero \(where it is defined, line 4\); found by"
+    with pytest.raises(PluginError, match=where):
+        evaluation.run(smoke(walks, tmp_path / "run", mechanisms=(mine,)), progress=False)

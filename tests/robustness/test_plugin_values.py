@@ -51,7 +51,7 @@ class Shared(Fixed):
             return release
         xy = release.xy + np.array([self.east_m, 0.0])
         sigma = release.sigma if self.sigma_m is None else np.full_like(xy[:, 0], self.sigma_m)
-        return replace(release, xy=xy, sigma=sigma)
+        return replace(release, xy=xy, sigma=None if self.sigma_m == 0.0 else sigma)
 
 
 @dataclass(frozen=True)
@@ -193,6 +193,7 @@ AT_ONCE = {
 MECHANISMS = {
     # SPEC without the module: why it is left out
     "Shared:0.5,sigma_m=100000000000": "declared a sigma above 1e+10 m, the limit",
+    "Shared:0.5,sigma_m=0": "declared no sigma: a standard deviation for every sample, in m",
     "Shared:0.5,sigma_m=-0.1": "declared a sigma below 0 or NaN",
     "Shared:0.5,east_m=1e+250": "shared a position that is not within 1e+10 m of the origin",
     "Wrong:0.5,what=later": "shared a position that is not within 1e+10 m of the origin",

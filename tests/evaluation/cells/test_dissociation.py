@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from helpers.cells import EPSILON_M, STAGES, Silent, Spy, World, linked, parsed, plugin, sessions_of
+from helpers.cells import EPSILON_M, STAGES, Spy, World, linked, parsed, plugin, sessions_of
 from helpers.oracles import aligned
 
 from attacks.reconstruction.averaging import Identity
@@ -296,10 +296,10 @@ class TestWindows:
 
     @pytest.mark.parametrize("task", LINKER)
     def test_each_window_of_either_side_has_a_row_and_one_walk_at_every_level(self, sessions, task):
-        levels = ("raw", "thin:4", "clean", Silent())
-        raw, thin, clean, silent = (self.frame(sessions[task], by) for by in levels)
+        levels = ("raw", "thin:4", "clean")
+        raw, thin, clean = (self.frame(sessions[task], by) for by in levels)
         sides = {side: len(getattr(sessions[task], side)) for side in ("probe", "gallery")}
-        for one in (raw, thin, clean, silent):
+        for one in (raw, thin, clean):
             assert tuple(one.columns) == WINDOW_COLUMNS
             assert one["side"].tolist() == [side for side, n in sides.items() for _ in range(n)]
             for name in ("source", "search", "duration_s", "speed_mps"):
@@ -307,7 +307,6 @@ class TestWindows:
         assert (clean["plr"] == 1).all()
         assert (clean["sigma_m"] == 0).all()
         assert (thin["n_samples"] < raw["n_samples"]).all()
-        assert silent["sigma_m"].isna().all()  # nothing declared is no number
 
     def test_a_walk_of_one_sample_has_no_speed(self, sessions):
         task = sessions["rerelease"]

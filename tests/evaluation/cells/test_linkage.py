@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers.bad_plugins import spoilt
-from helpers.cells import STAGES, Silent, Spy, linked, numbers_of, parsed, plugin, sessions_of
+from helpers.cells import STAGES, Spy, linked, numbers_of, parsed, plugin, sessions_of
 from helpers.small_runs import smoke
 from helpers.walkers import runs, walkers, write_walkers
 from scipy.stats import binomtest
@@ -316,11 +316,8 @@ class TestBreaches:
         with pytest.raises(PluginError, match=r"attack rounds \(behind rerelease/spy@rounds"):
             of_task("rerelease", behind(Linker(), cuts))
 
-    def test_what_requires_sigma_needs_a_mechanism_that_declares_it(self):
-        needs = Linker(requires=frozenset({Knowledge.SIGMA}))
-        with pytest.raises(PluginError, match="requires SIGMA, but mechanism 'silent'"):
-            of_task("split", needs, by=plugin(Silent(), "silent"))
-        (key,) = of_task("split", needs)
+    def test_who_requires_sigma_is_the_oracle(self):
+        (key,) = of_task("split", Linker(requires=frozenset({Knowledge.SIGMA})))
         assert key == ("split/spy", "oracle")
 
 

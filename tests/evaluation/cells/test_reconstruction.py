@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from helpers.bad_plugins import spoilt
-from helpers.cells import EPSILON_M, Silent, SlowSpy, Spy, World, parsed, plugin
+from helpers.cells import EPSILON_M, SlowSpy, Spy, World, parsed, plugin
 from helpers.runs import rows_of
 from helpers.small_runs import smoke
 
@@ -388,9 +388,6 @@ class TestBenchmark:
         mse, plr = expected_of(Clean(), n_samples=5, name=name)
         assert mse < 1e-10
         assert plr == 1.0
-
-    def test_what_is_not_declared_has_none(self):
-        assert np.isnan(expected_of(Silent(), n_samples=5)).all()
 
     def test_it_is_the_same_whatever_was_drawn(self, tracks):
         found = computed(tracks, "identity", "kalman_rts", mechanisms=("raw",))

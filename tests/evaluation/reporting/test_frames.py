@@ -4,6 +4,7 @@ import io
 import re
 import shutil
 from contextlib import redirect_stderr
+from dataclasses import replace
 from types import SimpleNamespace
 
 import matplotlib.pyplot as plt
@@ -196,3 +197,9 @@ def test_a_plot_has_units_and_a_line_with_intervals_for_each_family_and_rule(mad
     assert [one.get_alpha() for one in axes.patches] == [0.1, 0.1]  # intervals of raw, and clean
     assert "d_sigma in m" in axes.get_xlabel()
     plt.close(axes.figure)
+
+
+def test_in_a_line_it_says_how_many_scenes_are_attacked_and_how_many_are_the_robots(made):
+    identity = made[0].manifest["identity"] | {"scenes": 500, "scenes_utility": 2000}
+    run = replace(made[0], manifest=made[0].manifest | {"identity": identity})
+    assert "2,000 scenes, 500 of them attacked, seed 0" in repr(run)
