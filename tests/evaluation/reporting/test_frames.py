@@ -200,6 +200,6 @@ def test_a_plot_has_units_and_a_line_with_intervals_for_each_family_and_rule(mad
 
 
 def test_in_a_line_it_says_how_many_scenes_are_attacked_and_how_many_are_the_robots(made):
-    identity = made[0].manifest["identity"] | {"scenes": 500, "scenes_utility": 2000}
-    run = replace(made[0], manifest=made[0].manifest | {"identity": identity})
+    identity = made.run.manifest["identity"] | {"scenes": 500, "scenes_utility": 2000}
+    run = replace(made.run, manifest=made.run.manifest | {"identity": identity})
     assert "2,000 scenes, 500 of them attacked, seed 0" in repr(run)
