@@ -57,7 +57,8 @@ class TestPlantedTruths:
 
     def test_what_speaks_against_is_named_and_measured(self, planted):
         worst = items_of(planted["fooled"], "validity")[0]
-        # 0.75 - (0.75 - 1.2 * 0.4 * 0.8) = 0.38 for correlated; what is so of offset by construction decides nothing
+        # 0.75 - (0.75 - 1.2 * 0.4 * 0.8) = 0.38 for correlated; offset is so by
+        # construction, and no evidence
         assert worst["spread_low"] < 0.38 < worst["spread_high"]
         assert worst["evidence"] == ["shown"]
         assert "correlated 0.75 lets" in worst["sentence"]
