@@ -31,7 +31,7 @@ from isac_track.types import Floats
 Manifest = Mapping[str, Any]
 Apart = dict[str, tuple[Any, Any]]
 
-IDENTICAL, DIFFERS, UNDECIDED, UNTESTED = "identical", "differs", "undecided", "untested"
+IDENTICAL, DIFFERS, BETWEEN, UNTESTED = "identical", "differs", "between", "untested"
 """Findings of a row."""
 SIGNIFICANCE: Final = 0.05  # Of a family, after Holm.
 DRAWS, PEOPLE, NONE = "people and draws", "people", "none"  # Pairing of a row.
@@ -194,7 +194,7 @@ def difference(a: Estimate, b: Estimate, *, paired: bool, metric: str) -> Differ
 def counts(rows: pd.DataFrame) -> dict[str, int]:
     """Return how many rows there are of each finding."""
     found = [*rows["finding"]]
-    return {name: found.count(name) for name in (IDENTICAL, DIFFERS, UNDECIDED, UNTESTED)}
+    return {name: found.count(name) for name in (IDENTICAL, DIFFERS, BETWEEN, UNTESTED)}
 
 
 def _of_mechanism(
@@ -282,7 +282,7 @@ def _rows(
         lambda family: holm(family.to_numpy(dtype=np.float64))
     )
     tested = (table["finding"] != IDENTICAL) & table["p_holm"].notna()
-    differs = np.where(table["p_holm"] <= SIGNIFICANCE, DIFFERS, UNDECIDED)
+    differs = np.where(table["p_holm"] <= SIGNIFICANCE, DIFFERS, BETWEEN)
     table["finding"] = table["finding"].where(~tested, differs)
     # Of p-values too small to tell apart, the larger t is the surer.
     order = pd.DataFrame({"p": table["p_value"], "t": -table["t"].abs()})

@@ -32,7 +32,7 @@ _PAIRED = {
     comparing.PEOPLE: "paired over people, not over draws (scenes and errors are others)",
     comparing.NONE: "not paired: intervals as of independent estimates",
 }
-_FINDINGS = comparing.DIFFERS, comparing.UNDECIDED, comparing.IDENTICAL, comparing.UNTESTED
+_FINDINGS = comparing.DIFFERS, comparing.BETWEEN, comparing.IDENTICAL, comparing.UNTESTED
 _MARKS = {comparing.PEOPLE: "~", comparing.NONE: "*"}  # Of a difference that is not paired in full.
 _ABOUT_CONSTANTS = (
     "rates and PLR in %, lengths in s; fitted: raw PLR, raw MEL and the PLR of fid:1000; the "
@@ -97,7 +97,8 @@ def _printed(comparison: comparing.Comparison, *, every: bool, room: int) -> Ite
     said = paragraphs(
         "compare.txt.j2",
         "compared",
-        {"scenes_text": scenes_text},
+        {},
+        scenes_text=scenes_text,
         of=comparison,
         others=comparison.rows[~comparison.rows["headline"]],
         is_changed=bool(changed),

@@ -22,8 +22,10 @@ from evaluation.analysis import summary
 from evaluation.analysis.differences import COLUMNS, pairing
 from evaluation.analysis.differences import compare as compared
 from evaluation.analysis.metrics import METRICS
-from evaluation.reporting.difference_tables import show
+from evaluation.reporting import markup
+from evaluation.reporting.difference_tables import show, show_variants
 from evaluation.runs.manifest import read_manifest
+from evaluation.verdict import sensitivity
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, SettingsError
 from isac_track.linkability.significance import holm
@@ -256,6 +258,13 @@ class TestOtherPeople:
             assert [*row[EFFECT]] == pytest.approx([sign * (b - a), *ends], abs=1e-12)
 
 
+def test_it_is_told_in_a_session_that_was_told_of_other_assumptions(both, monkeypatch):
+    """One template has the words of both."""
+    monkeypatch.setattr(markup, "_TEXT", markup._TEXT.overlay())
+    show_variants(pd.DataFrame(columns=list(sensitivity.COLUMNS)), left_out={})
+    assert re.search(r"A: .*, 20 scenes, seed 0\)", shown(both("base", "wide")))
+
+
 class TestMechanisms:
     def test_two_rules_of_one_run_meet_at_every_level(self, run, both, command):
         names = ["fixed", "fixed:adding=independent"]
@@ -313,6 +322,7 @@ class TestCommand:
         assert some["changed"]["settings"] == {"privacy.epsilon_m": {"a": 0.3, "b": 0.5}}
         found = both("base", "wide")
         counts = some["numbers"]["headline"]
+        assert [*counts] == ["identical", "differs", "between", "untested"]
         assert counts["differs"] == (found.headline["finding"] == "differs").sum()
         assert sum(counts.values()) == len(some["differences"]) == len(found.headline)
         assert some["numbers"]["in_both"] == len(every["differences"]) == len(found.rows)
