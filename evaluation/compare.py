@@ -14,7 +14,7 @@ from evaluation.analysis.differences import compare
 from evaluation.reporting.difference_tables import show, to_json
 from evaluation.runs.files import to_csv
 from isac_track.command_line import Parser, exit_code
-from isac_track.errors import DataError, SettingsError
+from isac_track.errors import DataError
 
 _EXIT = """\
 exit codes: 0 done, 1 a headline number differs (with --fail-on-change), 2 wrong usage or data
@@ -22,8 +22,6 @@ exit codes: 0 done, 1 a headline number differs (with --fail-on-change), 2 wrong
 examples:
   python -m evaluation.compare runs/before runs/after
   python -m evaluation.compare runs/before runs/after --fail-on-change
-  python -m evaluation.compare runs/mine --mechanism-a fid --mechanism-b fid:adding=independent
-  python -m evaluation.compare runs/mine --mechanism-a fid:1 --mechanism-b fixed:0.7
 """
 
 
@@ -36,15 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     add = command.add_argument
     add("out_a", type=Path, metavar="OUT_A", help="folder of a run")
-    about = "folder of another; may be left out where two mechanisms of one run are compared"
-    add("out_b", type=Path, metavar="OUT_B", nargs="?", help=about)
-    for side in "ab":
-        add(
-            f"--mechanism-{side}",
-            metavar="NAME|SPEC",
-            help=f"mechanism of {side.upper()}, as in summary.csv (at every level that both have), "
-            "or one level such as fid:1000",
-        )
+    add("out_b", type=Path, metavar="OUT_B", help="folder of another")
     add("--all", action="store_true", help="every metric, and every number that is not identical")
     add("--json", action="store_true", help="print one JSON object instead")
     add("--csv", type=Path, metavar="FILE", help="write all numbers as a tidy table")
@@ -54,10 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
-    if options.out_b is None and options.mechanism_a is None:
-        raise SettingsError("compare takes two run folders, or one with --mechanism-a and -b")
-    named = {name: getattr(options, name) for name in ("mechanism_a", "mechanism_b")}
-    comparison = compare(options.out_a, options.out_b or options.out_a, **named)
+    comparison = compare(options.out_a, options.out_b)
     if options.csv is not None:
         try:
             options.csv.write_bytes(to_csv(comparison.rows))

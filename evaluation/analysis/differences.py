@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import ndtri, stdtr
 
-from evaluation.analysis.families import LEVEL_UNITS, families_in
+from evaluation.analysis.families import families_in
 from evaluation.analysis.keys import Key, keys_of
 from evaluation.analysis.linkability import cards
 from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS, SUCCESS_OF_100
@@ -23,7 +23,7 @@ from evaluation.analysis.summary import estimates, linkage_estimates
 from evaluation.experiment.presets import PRESETS
 from evaluation.runs.files import made_of
 from evaluation.runs.manifest import read_manifest
-from isac_track.errors import DataError, SettingsError
+from isac_track.errors import DataError
 from isac_track.intervals import CONFIDENCE, Estimate, percentile_interval
 from isac_track.linkability.significance import holm
 from isac_track.types import Floats
@@ -46,7 +46,7 @@ _KEEP_DRAWS = (
 )
 _CHANGE_DRAWS = ("sensing.n_paths", "sensing.law")
 COLUMNS = [
-    *("mechanism_a", "level_a", "mechanism_b", "level_b", "consumer", "knowledge", "metric"),
+    *("mechanism", "level", "consumer", "knowledge", "metric"),
     *("headline", "a", "b", "difference", "ci_low", "ci_high", "unit", "n", "pairing"),
     *("t", "p_value", "p_holm", "finding"),
 ]
@@ -67,7 +67,7 @@ class Comparison:
     """Two runs side by side."""
 
     a: dict[str, Any]
-    """About run A: `out`, `dataset`, `scenes`, `seed`, `preset`, `mechanism` (if one was named)."""
+    """About run A: `out`, `dataset`, `scenes`, `seed`, `preset`."""
     b: dict[str, Any]
     changed: dict[str, Apart]
     """Under data, settings and code: what to its value in A and in B; None where it is unknown."""
@@ -96,18 +96,12 @@ class Comparison:
         return DIFFERS in findings
 
 
-def compare(
-    out_a: Path, out_b: Path, *, mechanism_a: str | None = None, mechanism_b: str | None = None
-) -> Comparison:
+def compare(out_a: Path, out_b: Path) -> Comparison:
     """Return two runs side by side; their folders may be the same.
 
-    Both mechanisms or neither are named: then that of A is compared with that of B instead of each
-    with itself; either as in `summary.csv`, at every level that both have, or one level as a SPEC.
     Raises DataError if a folder holds no run, a cell is missing or broken, or the runs share no
-    number, and SettingsError if only one mechanism is named, or a run does not have it.
+    number.
     """
-    if (mechanism_a is None) != (mechanism_b is None):
-        raise SettingsError("--mechanism-a and --mechanism-b are named together")
     first = read_manifest(out_a)
     second = first if out_a.resolve() == out_b.resolve() else read_manifest(out_b)
     runs = [(out_a, first), (out_b, second)]
@@ -120,34 +114,23 @@ def compare(
         runs = [(out, one | same | {"identity": one["identity"] | seed}) for out, one in runs]
     found = [{**estimates(out, one)[0], **linkage_estimates(cards(out, one))} for out, one in runs]
     found_a, found_b = found[0], found[-1]
-    of_a, of_b = list(found_a), list(found_b)
-    if mechanism_a is None or mechanism_b is None:
-        pairs = [(key, key) for key in of_a if key in found_b]
+    both = [key for key in found_a if key in found_b]
+    if not both:
         has_a, has_b = (short_list([*families_in(one["cells"])]) for one in (first, second))
-        lacks = (
+        raise DataError(
             f"{out_a} and {out_b} share no number: A has {has_a}, B has {has_b}; compare runs with "
-            "a common mechanism, level and consumer, or name --mechanism-a and --mechanism-b"
+            "a common mechanism, level and consumer"
         )
-    else:
-        of_a = _of_mechanism(of_a, mechanism_a, first, "--mechanism-a", out_a)
-        of_b = _of_mechanism(of_b, mechanism_b, second, "--mechanism-b", out_b)
-        pairs = _matched_levels(of_a, of_b, cells=[*first["cells"], *second["cells"]])
-        lacks = (
-            f"{mechanism_a} of A and {mechanism_b} of B have no level and consumer in common; "
-            "name one level of each, such as fid:1000"
-        )
-    if not pairs:
-        raise DataError(lacks)
-    rows = _rows([(*pair, found_a[pair[0]], found_b[pair[1]]) for pair in pairs], first, second)
+    rows = _rows([(key, found_a[key], found_b[key]) for key in both], first, second)
     return Comparison(
-        a=about(out_a, first, mechanism=mechanism_a),
-        b=about(out_b, second, mechanism=mechanism_b),
+        a=about(out_a, first),
+        b=about(out_b, second),
         changed=changed(first, second),
         only=only_in(first, second),
-        only_numbers=(len(of_a) - len(pairs), len(of_b) - len(pairs)),
+        only_numbers=(len(found_a) - len(both), len(found_b) - len(both)),
         rows=rows,
-        lead=_lead(rows, {one: found_a[one] for one, _ in pairs}, first["cells"]),
-        verdicts=None if mechanism_a is not None else verdicts(out_a, out_b),
+        lead=_lead(rows, {key: found_a[key] for key in both}, first["cells"]),
+        verdicts=verdicts(out_a, out_b),
     )
 
 
@@ -197,44 +180,8 @@ def counts(rows: pd.DataFrame) -> dict[str, int]:
     return {name: found.count(name) for name in (IDENTICAL, DIFFERS, BETWEEN, UNTESTED)}
 
 
-def _of_mechanism(
-    keys: Sequence[Key], named: str, manifest: Manifest, option: str, out: Path
-) -> list[Key]:
-    """Return the keys of a mechanism at all of its levels, or of one level named as a SPEC."""
-    wanted = {
-        (entry["mechanism"], entry["level"])
-        for entry in manifest["cells"]
-        if named in (entry["mechanism"], entry["spec"])
-    }
-    mine = [key for key in keys if key.where in wanted]
-    if not mine:
-        known = short_list([*families_in(manifest["cells"])])
-        raise SettingsError(
-            f"{option} {named}: {out} has no such mechanism; it has {known}, "
-            "or a level as in manifest.json, such as fid:1000,adding=independent"
-        )
-    return mine
-
-
-def _matched_levels(
-    of_a: Sequence[Key], of_b: Sequence[Key], *, cells: Sequence[Manifest]
-) -> list[tuple[Key, Key]]:
-    """Return pairs at equal levels; if either side has a single level, those two."""
-    single = all(len({key.where for key in keys}) == 1 for keys in (of_a, of_b))
-    known = families_in(cells)
-    units = {LEVEL_UNITS.get(known[keys[0].mechanism].family) for keys in (of_a, of_b)} - {None}
-    if not single and len(units) > 1:
-        raise SettingsError(
-            f"levels of {of_a[0].mechanism} and {of_b[0].mechanism} are not the same quantity; "
-            "name one level of each, such as fid:1000"
-        )
-    theirs = {(key.measure, single or key.level): key for key in of_b}
-    mine = {(key.measure, single or key.level): key for key in of_a}
-    return [(key, theirs[at]) for at, key in mine.items() if at in theirs]
-
-
 def _rows(
-    pairs: Sequence[tuple[Key, Key, Estimate, Estimate]], first: Manifest, second: Manifest
+    pairs: Sequence[tuple[Key, Estimate, Estimate]], first: Manifest, second: Manifest
 ) -> pd.DataFrame:
     """Return a row for each pair with what Holm says of either family, the surest first."""
     paired_by = {
@@ -244,35 +191,35 @@ def _rows(
     # Plain rank 1 depends on how many candidates there are.
     of_one_size = {
         key._replace(metric=SUCCESS)
-        for key, _, a, b in pairs
+        for key, a, b in pairs
         if key.metric == "chance" and a.value == b.value
     }
     rows = []
-    for key_a, key_b, a, b in pairs:
+    for key, a, b in pairs:
         if math.isnan(a.value) and math.isnan(b.value):
             continue
-        metric, paired = METRICS[key_a.metric], paired_by[key_a.consumer] != NONE
+        metric, paired = METRICS[key.metric], paired_by[key.consumer] != NONE
         same = a.value == b.value and (
             not paired or np.array_equal(a.replicates, b.replicates, equal_nan=True)
         )
         found = Difference(0.0, 0.0, 0.0, 0.0, 1.0)
         if not (same and paired):
             found = difference(a, b, paired=paired, metric=metric.name)
-        if metric.name == SUCCESS and key_a not in of_one_size:
+        if metric.name == SUCCESS and key not in of_one_size:
             found = Difference(math.nan)  # galleries of two sizes do not compare
-        where = (math.nan if one is None else one for one in (*key_a.where, *key_b.where))
+        where = (math.nan if one is None else one for one in key.where)
         rows.append(
             {
-                **dict(zip(COLUMNS[:4], where, strict=True)),
-                **key_a.measure._asdict(),
+                **dict(zip(COLUMNS[:2], where, strict=True)),
+                **key.measure._asdict(),
                 # A control says nothing of an adversary.
-                "headline": metric.is_headline and "/control-" not in key_a.consumer,
+                "headline": metric.is_headline and "/control-" not in key.consumer,
                 "a": a.value,
                 "b": b.value,
                 **found._asdict(),
                 "unit": metric.summary_unit,
                 "n": min(a.n, b.n),
-                "pairing": paired_by[key_a.consumer],
+                "pairing": paired_by[key.consumer],
                 "finding": IDENTICAL if same else UNTESTED,
             }
         )
@@ -309,8 +256,7 @@ def _lead(
     at = {spec: where for spec, where in at.items() if where in there}
     levels = [at[spec] for spec in PRESETS["smoke"].mechanisms if spec in at]
     levels = levels or list(dict.fromkeys(at.values()))[:_MOST_LEVELS]
-    of_a = rows.rename(columns={"mechanism_a": "mechanism", "level_a": "level"})
-    place = dict(zip(keys_of(of_a), rows.index, strict=True))
+    place = dict(zip(keys_of(rows), rows.index, strict=True))
     asked = (measure.at(*where) for measure in wanted for where in levels)
     lead = rows.loc[[place[key] for key in asked if key in place]]
     return lead[(lead["metric"] != SUCCESS) | lead["difference"].notna()]
@@ -353,15 +299,14 @@ def _unequal(a: Manifest, b: Manifest) -> Apart:
 _ABOUT = ("scenes", "scenes_utility", "seed")
 
 
-def about(out: Path, manifest: Manifest, *, mechanism: str | None) -> dict[str, Any]:
-    """Return what a run is, with the mechanism if one was named."""
+def about(out: Path, manifest: Manifest) -> dict[str, Any]:
+    """Return what a run is."""
     return {
         "out": str(out),
         "dataset": manifest["dataset"]["name"],
         "people": len(manifest["groups"]),
         **{name: of for name, of in manifest["identity"].items() if name in _ABOUT},
         "preset": manifest["settings"]["preset"],
-        **({} if mechanism is None else {"mechanism": mechanism}),
     }
 
 

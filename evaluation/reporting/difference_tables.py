@@ -11,7 +11,7 @@ from rich.console import Console
 from evaluation.analysis import differences as comparing
 from evaluation.analysis.calibration import FITTED, Calibration
 from evaluation.analysis.families import with_unit
-from evaluation.analysis.keys import Source, level_text, where_text
+from evaluation.analysis.keys import Source, where_text
 from evaluation.analysis.metrics import METRICS
 from evaluation.analysis.paper import PUBLISHED
 from evaluation.experiment.variants import BASE
@@ -127,7 +127,10 @@ def lead(shown: pd.DataFrame) -> Table:
     def of(row: Mapping[Any, Any]) -> str:
         return f"{METRICS[row['metric']].title}, {Source(row['consumer'], row['knowledge']).label}"
 
-    keys = [make.said("", of), make.said("", _where)]
+    keys = [
+        make.said("", of),
+        make.said("", lambda row: where_text(row["mechanism"], row["level"])),
+    ]
     title = "What tells most, B - A with 95 % intervals, p after Holm"
     return _table("lead", title, shown, keys)
 
@@ -137,7 +140,7 @@ def differences(shown: pd.DataFrame, *, of: int, room: int) -> Table:
     which = "All" if len(shown) == of else f"The {len(shown)} surest of {of}"
     keys = [
         make.said("", lambda row: _heading(row, room=room)),
-        Column("level", lambda row: Cell() if _apart(row) else make.level(row["level_a"])),
+        Column("level", lambda row: make.level(row["level"])),
         make.said(
             "metric", lambda row: "{0.head} {0.unit}".format(METRICS[row["metric"]]).rstrip()
         ),
@@ -164,26 +167,11 @@ def _table(name: str, title: str, shown: pd.DataFrame, keys: Sequence[Column]) -
     return make.built(name, title, shown.to_dict("records"), columns, **options)
 
 
-def _where(row: Mapping[Any, Any]) -> str:
-    """Return mechanism and level of A and, if they are not the same, of B."""
-    sides = (where_text(row[f"mechanism_{side}"], row[f"level_{side}"]) for side in "ab")
-    return " -> ".join(dict.fromkeys(sides))
-
-
 def _heading(row: Mapping[Any, Any], *, room: int) -> str:
     source = Source(row["consumer"], row["knowledge"]).label
-    a, b = (
-        f"{row[f'mechanism_{side}']} {level_text(row[f'level_{side}']) * _apart(row)}".rstrip()
-        for side in "ab"
-    )
-    if a == b and len(full := f"{source}: {with_unit(a)}") <= room:
+    if len(full := f"{source}: {with_unit(row['mechanism'])}") <= room:
         return full
-    return make.shortened(f"{source}: {a if a == b else f'{a} -> {b}'}", room=room)
-
-
-def _apart(row: Mapping[Any, Any]) -> bool:
-    """Return whether the two levels are not the same."""
-    return level_text(row["level_a"]) != level_text(row["level_b"])
+    return make.shortened(f"{source}: {row['mechanism']}", room=room)
 
 
 def turned(rows: pd.DataFrame) -> list[str]:

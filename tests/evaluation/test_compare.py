@@ -27,7 +27,6 @@ from evaluation.reporting.difference_tables import show, show_variants
 from evaluation.runs.manifest import read_manifest
 from evaluation.verdict import sensitivity
 from isac_track.config import StageSettings
-from isac_track.errors import DataError, SettingsError
 from isac_track.linkability.significance import holm
 
 KEY = ["mechanism", "level", "consumer", "knowledge", "metric"]
@@ -79,7 +78,7 @@ def run(tmp_path_factory):
 @pytest.fixture
 def both(run):
     """Compare two runs by their names."""
-    return lambda a, b, **mechanisms: compared(run(a), run(b), **mechanisms)
+    return lambda a, b: compared(run(a), run(b))
 
 
 @pytest.fixture
@@ -100,8 +99,7 @@ def numbers(out):
 
 
 def by_key(comparison):
-    names = {"mechanism_a": "mechanism", "level_a": "level"}
-    return comparison.rows.rename(columns=names).set_index(KEY)
+    return comparison.rows.set_index(KEY)
 
 
 def plr_replicates(out, *, weights, groups=None, spec="fixed:0.7"):
@@ -239,9 +237,6 @@ class TestOtherPeople:
         high = value + np.hypot(two["ci_high"] - two["value"], one["value"] - one["ci_low"])
         row = by_key(found).loc[PLR]
         assert [*row[EFFECT]] == pytest.approx([value, low, high], abs=1e-12)
-        crossed = both("base", "others", mechanism_a="fixed:1", mechanism_b="fixed:0.7")
-        assert set(crossed.rows["pairing"]) == {"none"}
-        assert set(crossed.rows["level_b"]) == {0.7}
 
     def test_who_is_in_both_runs_is_drawn_alike(self, run, both):
         everybody = read_manifest(run("base"))["groups"]
@@ -263,38 +258,6 @@ def test_it_is_told_in_a_session_that_was_told_of_other_assumptions(both, monkey
     monkeypatch.setattr(markup, "_TEXT", markup._TEXT.overlay())
     show_variants(pd.DataFrame(columns=list(sensitivity.COLUMNS)), left_out={})
     assert re.search(r"A: .*, 20 scenes, seed 0\)", shown(both("base", "wide")))
-
-
-class TestMechanisms:
-    def test_two_rules_of_one_run_meet_at_every_level(self, run, both, command):
-        names = ["fixed", "fixed:adding=independent"]
-        rows = both("base", "base", mechanism_a=names[0], mechanism_b=names[1]).rows
-        assert set(rows["mechanism_b"]) == {names[1]}
-        assert (rows["level_a"] == rows["level_b"]).all()
-        assert set(rows["level_a"]) == {0.7, 1.0}
-        assert set(rows["pairing"]) == {"people and draws"}
-        of = numbers(run("base"))["value"]
-        for side, name in zip("ab", names, strict=True):
-            rows_at = pd.MultiIndex.from_frame(rows[["level_a", *KEY[2:]]])
-            assert rows[side].to_numpy() == pytest.approx(of.loc[name].loc[rows_at].to_numpy())
-        words = ["--mechanism-a", names[0], "--mechanism-b", names[1]]
-        code, text, _ = command("{base}", *words)
-        assert code == 0
-        assert " -> ".join(names) in text
-
-    @pytest.mark.parametrize(
-        ("a", "b", "error", "message"),
-        [
-            ("fixde", "fixed", SettingsError, r"--mechanism-a fixde: .*it has .*fixed"),
-            ("fixed", "fixed:0.3", SettingsError, r"--mechanism-b fixed:0\.3: .*no such mechanism"),
-            ("fixed", None, SettingsError, r"--mechanism-a and --mechanism-b are named together"),
-            ("raw", "fixed", DataError, r"no level and consumer in common"),
-            ("fixed", "fid", SettingsError, r"fixed and fid are not the same quantity"),
-        ],
-    )
-    def test_what_does_not_fit_is_refused_with_the_way_out(self, both, a, b, error, message):
-        with pytest.raises(error, match=message):
-            both("base", "base", mechanism_a=a, mechanism_b=b)
 
 
 class TestCommand:
@@ -377,7 +340,6 @@ class TestVerdicts:
         assert code == 0
         assert "1 of 2 decisions changed (1 only in A, 1 only in B)" in text
         assert "x: tracks -> does not track" in text
-        assert compared(*pair, mechanism_a="raw", mechanism_b="raw").verdicts is None
         (pair[1] / "verdict.json").unlink()
         assert compared(*pair).verdicts is None
         assert "Verdict" not in shown(compared(*pair))
