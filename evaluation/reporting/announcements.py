@@ -183,7 +183,7 @@ def command(manifest: Mapping[str, Any]) -> str:
     if given and Path(given[0]).name in _COMMANDS:
         options = [word for word in given[1:] if word != "matrix"]
     else:
-        options = same_run(manifest, axes=("mechanism", *CONSUMERS))
+        options = _same_run(manifest)
     named = {word.partition("=")[0] for word in options}
     if not named & {"--dataset", "--session"}:
         options += ["--dataset", manifest["dataset"]["name"]]
@@ -192,8 +192,8 @@ def command(manifest: Mapping[str, Any]) -> str:
     return shlex.join(["python", "-m", "evaluation.matrix", *options])
 
 
-def same_run(manifest: Mapping[str, Any], *, axes: Sequence[str] = CONSUMERS) -> list[str]:
-    """Return the options that give the identity and some axes of a run again."""
+def _same_run(manifest: Mapping[str, Any]) -> list[str]:
+    """Return the options that give the identity and the axes of a run again."""
     from isac_track.datasets.registry import KNOWN  # noqa: PLC0415 - names alone need none
 
     identity, settings, dataset = (manifest[key] for key in ("identity", "settings", "dataset"))
@@ -213,7 +213,7 @@ def same_run(manifest: Mapping[str, Any], *, axes: Sequence[str] = CONSUMERS) ->
         ("scenes", None if is_usual else scenes),
         ("seed", identity["seed"] or None),
     ]
-    for option in axes:
+    for option in ("mechanism", *CONSUMERS):
         used = settings.get(f"{option}s", [])
         usually = set(getattr(usual, f"{option}s"))
         # Of one session a run leaves the task of those who come back out by itself.

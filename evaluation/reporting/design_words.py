@@ -1,7 +1,6 @@
-"""The answer of `evaluation.design`: words, tables, JSON, and the command that looks closer."""
+"""The answer of `evaluation.design`: words, tables, JSON."""
 
 import math
-import shlex
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
@@ -10,7 +9,6 @@ from operator import itemgetter
 from typing import Any, TypeAlias
 
 from rich.console import Console
-from rich.text import Text
 
 from evaluation.analysis.families import FID, FIXED, LEVEL_UNITS
 from evaluation.analysis.keys import Source, level_text
@@ -19,7 +17,7 @@ from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, SUCCESS
 from evaluation.analysis.strongest import BEYOND
 from evaluation.reporting import table as make
 from evaluation.reporting import terminal
-from evaluation.reporting.announcements import same_run, scenes_text
+from evaluation.reporting.announcements import scenes_text
 from evaluation.reporting.markup import paragraphs
 from evaluation.reporting.noise_plan import told
 from evaluation.reporting.result_tables import MARKS, MEANING
@@ -73,7 +71,6 @@ def to_json(choice: design.Choice) -> dict[str, Any]:
             "limits": limits | {"as_shared": choice.limits.as_shared},
             "raw": choice.raw,
             "schemes": schemes,
-            "refine": closer(choice),
             "notes": notes(choice),
         }
     )
@@ -215,60 +212,13 @@ def notes(choice: design.Choice) -> list[str]:
         raw_misses="; ".join(raw_misses) * is_hopeless,
         closed=" ".join(closed),
         crowds=", ".join(crowds) * (SUCCESS in choice.limits.given),
-        is_closer_elsewhere=not choice.is_current and bool(closer(choice)),
     )
-
-
-def closer(choice: design.Choice) -> str | None:
-    """Return the command that adds levels where the answer turns; None if none would help.
-
-    A run of another version of the code is left alone; its new folder needs what the levels are
-    compared with.
-    """
-    hopeless = any(check.status != "met" for check in choice.raw_checks)
-    ends = [_ends(scheme, hopeless=hopeless) for scheme in choice.schemes]
-    if not any(ends):
-        return None
-    words = ["python", "-m", "evaluation.matrix", *same_run(choice.manifest)]
-    specs = [] if choice.is_current else ["raw"]
-    for scheme, at in zip(choice.schemes, ends, strict=True):
-        one, family = scheme.chosen or scheme.stricter, scheme.family
-        if at or not (choice.is_current or one is None):
-            levels = at or ("" if one is None or one.level is None else f"{one.level:.12g}")
-            parameters = family.mechanism.removeprefix(family.family).removeprefix(":")
-            spec = f"{family.family}:{levels}" + f",{parameters}" * bool(parameters)
-            specs.append(spec if levels else family.mechanism)
-    words += [word for spec in dict.fromkeys(specs) for word in ("--mechanism", spec)]
-    out = choice.out
-    folder = out if choice.is_current else out.with_name(f"{out.resolve().name}-closer")
-    return shlex.join([*words, "--out", str(folder)])
-
-
-def _ends(scheme: design.Scheme, *, hopeless: bool) -> str:
-    """Return where to look closer, as LOW..HIGH/COUNT; empty: nowhere."""
-    chosen = scheme.chosen.level if scheme.chosen else None
-    stricter = scheme.stricter.level if scheme.stricter else None
-    if chosen is not None and stricter is not None:
-        low, high = sorted((chosen, stricter))
-    elif scheme.family.family not in _LEVEL_NAMES:  # nobody knows where its levels end
-        return ""
-    elif stricter is not None and not hopeless:  # all are too strict
-        low, high = (stricter, 100 * stricter) if scheme.falls else (stricter / 10, stricter)
-    elif chosen is not None and not scheme.is_saturated:  # none is too strict
-        low, high = (chosen / 100, chosen) if scheme.falls else (chosen, 2 * chosen)
-    else:
-        return ""
-    return f"{low:.12g}..{high:.12g}/10"
 
 
 def show(choice: design.Choice, *, console: Console | None = None) -> None:
     """Print the answer in one sentence, the levels behind it, and why."""
     console = terminal.standard_output() if console is None else console
     terminal.show(_printed(choice, width=console.width), console=console)
-    if command := closer(choice):
-        terminal.show(["", ("To look closer where the answer turns:", "bold")], console=console)
-        # As one line, whatever the width: it is there to be copied.
-        console.print(Text(terminal.literal(console, command)), soft_wrap=True)
 
 
 def _printed(choice: design.Choice, *, width: int) -> Iterator[terminal.Part]:

@@ -28,7 +28,6 @@ from evaluation.analysis.metrics import (
 from evaluation.analysis.strongest import GROUPS, by_task, strongest_of
 from evaluation.analysis.summary import COLUMNS
 from evaluation.experiment.constants import SHARED
-from evaluation.experiment.fingerprint import code_hash
 from evaluation.runs.files import made_of
 from evaluation.runs.manifest import read_manifest
 from isac_track.errors import SettingsError, did_you_mean
@@ -212,7 +211,6 @@ class Choice:
     raw_checks: tuple[Check, ...]  # Whether raw itself meets the targets.
     schemes: tuple[Scheme, ...]  # Of all families that were asked for.
     tasks: tuple[Linked, ...]  # Of the run, without numbers.
-    is_current: bool  # Whether the run is of this version of the code.
 
     @property
     def answers(self) -> dict[str, list[Scheme]]:
@@ -289,7 +287,6 @@ def choose(
         raw_checks=() if raw is None else tuple(_targets(raw, limits)),
         schemes=tuple(one for rule in adding for one in every if one.adding == rule),
         tasks=next((one.tasks for one in levels), ()),
-        is_current=manifest.get("code") == code_hash(),
     )
     have = {one.adding: one.family.family for one in every}
     _refuse_missing(choice, have, is_attacked=any(one.after_attack for one in levels))

@@ -102,14 +102,14 @@ def linked_frame(rates, cells):
     return pd.DataFrame(rows, columns=linkability.COLUMNS)
 
 
-def write_run(out, rates=USUAL, *, half=HALF, cells=ATTACKS, code=None, **dataset):
+def write_run(out, rates=USUAL, *, half=HALF, cells=ATTACKS, **dataset):
     """A run folder with manifest, summary.csv and linkability.csv."""
     (out / "cells").mkdir(parents=True)
     stages = StageSettings().flat()
     content = {
         "identity": {"scenes": 500, "scenes_utility": 2000, "seed": 0, "fps": None, **stages},
         "cells": [],
-        "code": code_hash() if code is None else code,
+        "code": code_hash(),
         "settings": {
             "preset": "paper",
             "predictors": ["least_squares", "kalman_cv"],

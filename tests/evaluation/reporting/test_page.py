@@ -2,11 +2,13 @@
 
 import copy
 import re
+import shlex
 
 import pytest
 from helpers.finished_runs import ITEM, MANIFEST, VERDICT, emptied, make_flags, make_run
 from helpers.pages import Tags
 
+from evaluation import matrix
 from evaluation.reporting import page
 from evaluation.reporting.announcements import command
 from isac_track.errors import DataError
@@ -131,3 +133,17 @@ def test_the_command_is_the_one_given_with_data_set_and_seed(given, stages, told
     manifest["environment"]["command"] = given
     manifest["settings"]["stages"] |= stages
     assert command(manifest) == f"python -m evaluation.matrix {told}"
+
+
+def test_the_command_of_a_run_from_python_has_its_identity_and_its_axes():
+    manifest = copy.deepcopy(MANIFEST)
+    manifest["environment"]["command"] = []
+    manifest["dataset"] |= {"name": "walks", "path": "my walks.csv", "format": "obsmat"}
+    manifest["identity"] |= {"scenes": 40, "scenes_utility": 40, "seed": 7, "fps": 12.5}
+    manifest["settings"] |= {"preset": "smoke", "seed": 7, "tasks": []}
+    words = shlex.split(command(manifest))[3:]
+    settings = matrix.settings_from(matrix.parser().parse_args(words))
+    assert (settings.preset, settings.seed) == ("smoke", 7)
+    assert (settings.dataset, settings.format, settings.fps) == ("my walks.csv", "obsmat", 12.5)
+    assert settings.mechanisms == ("raw", "fid:1")
+    assert settings.tasks == ()
