@@ -11,6 +11,8 @@ _NOT_STRANGE = frozenset(
 )
 """Packages that a plug-in's own source is not in."""
 _MOST_REPEATED = 100  # Characters of what a user typed.
+UNNAMED = "where it is defined"
+"""Stands for the file of a class whose code travelled without its name."""
 
 
 class IsacTrackError(Exception):
@@ -65,9 +67,9 @@ def raised_at(error: BaseException) -> str:
 def code_at(file: str, line: int) -> str:
     """Return a place in a stranger's code, as ` (file.py, line 3)`.
 
-    What a session defines travels without the name of its file.
+    What a session defines travels without the name of its file: then it is `UNNAMED`.
     """
-    where = "where it is defined" if file.startswith("<") else Path(file).name
+    where = UNNAMED if file.startswith("<") else Path(file).name
     return f" ({where}, line {line})"
 
 

@@ -185,10 +185,15 @@ def _digest(given: object, origin: str) -> str:
     """
     from cloudpickle import dumps, loads  # noqa: PLC0415 - SPECs need none
 
+    cls = type(given)
+    own = dict(vars(cls))
     try:
         # What two objects share is written once, so that only what was read is written alike.
         content = dumps(loads(dumps(given)))
         is_stable = content == dumps(loads(content))
+        # Reading defines a session's class anew in place: its methods forget the file they are in.
+        for name in (name for name, value in own.items() if vars(cls)[name] is not value):
+            setattr(cls, name, own[name])
     except Exception as error:  # a stranger's __reduce__ may do anything
         raise PluginError(
             f"{origin} cannot be sent to a worker ({errors.told(error)}); "

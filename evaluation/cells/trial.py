@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Iterator
+from types import CodeType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -61,11 +62,15 @@ def attempted(trial: Trial, *, stages: StageSettings) -> Iterator[tuple[str, str
 
 def defined_at(instance: Any) -> str:  # noqa: ANN401 - a stranger's
     """Return file and line of what a plug-in is called by, as ` (file.py, line 3)`, if known."""
-    for name in ("share", "predict", "fit"):
-        code = getattr(getattr(type(instance), name, None), "__code__", None)
-        if code is not None:
-            return code_at(code.co_filename, code.co_firstlineno)
-    return ""
+    code = code_of(instance)
+    return "" if code is None else code_at(code.co_filename, code.co_firstlineno)
+
+
+def code_of(instance: Any) -> CodeType | None:  # noqa: ANN401 - a stranger's
+    """Return the code of what a plug-in is called by, if it is Python's."""
+    calls = (getattr(type(instance), name, None) for name in ("share", "predict", "fit"))
+    codes = (getattr(call, "__code__", None) for call in calls)
+    return next((code for code in codes if isinstance(code, CodeType)), None)
 
 
 def _call(trial: Trial, stages: StageSettings) -> None:

@@ -4,19 +4,21 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 from evaluation.cells.adversary import declared
-from evaluation.cells.trial import Trial, attempted, defined_at
+from evaluation.cells.trial import Trial, attempted, code_of, defined_at
 from evaluation.experiment.fingerprint import has_strangers, is_strange
 from evaluation.experiment.plan import Plan, Unit
 from evaluation.runs.files import PLUGIN_ERROR, write_whole
 from evaluation.runs.folder import usable
 from evaluation.runs.pieces import unfinished
 from evaluation.runs.workers import spread
-from isac_track.errors import PluginError
+from isac_track.errors import UNNAMED, PluginError
 
 MOST_S: Final = 60.0  # A call that takes longer is given up, and says nothing about the plug-in.
+_TRAVELLED: Final = "<dynamic-code>"  # Cloudpickle's name for the file of what it carried.
 
 
 def try_plugins(ready: Plan) -> list[str]:
@@ -41,13 +43,22 @@ def try_plugins(ready: Plan) -> list[str]:
     for trial, found in spread(call, works, jobs=1, limit_s=limit_s, apart=True, alone=True):
         for one in found:
             if isinstance(one, tuple):
-                raise _failed(ready, *one)
+                raise _failed(ready, *(_located(text, trial.plugin.instance) for text in one))
             if one.is_late and limit_s != allowed_s:
                 given_up.append(trial.plugin.spec)
             else:
                 why = f"plug-in {trial.plugin.spec!r}: {one.why}{defined_at(trial.plugin.instance)}"
                 raise _failed(ready, why, "its process left no traceback")
     return given_up
+
+
+def _located(text: str, instance: Any) -> str:  # noqa: ANN401 - a stranger's
+    """Return a text with what the code of an object's class travelled without: where it is from."""
+    code = code_of(instance)
+    if code is None or not Path(code.co_filename).is_file():
+        return text.replace(_TRAVELLED, f"<{type(instance).__name__}, defined in the session>")
+    file = Path(code.co_filename)
+    return text.replace(_TRAVELLED, str(file)).replace(f"({UNNAMED}, ", f"({file.name}, ")
 
 
 def _failed(ready: Plan, why: str, trace: str) -> PluginError:

@@ -95,11 +95,29 @@ def test_an_object_runs_in_workers_and_is_computed_again_if_it_changed(tmp_path)
     assert again.items() > cells.items()
 
 
-def test_where_an_object_fails_is_told_without_the_name_of_a_file(tmp_path):
+FAILS = """@dataclass(frozen=True)
+class Mine:
+    def share(self, sensed, rng):
+        1 / 0
+"""
+
+
+@pytest.mark.parametrize(
+    ("is_there", "told", "traced"),
+    [
+        (False, "where it is defined", "<Mine, defined in the session>"),
+        (True, "mine.py", "mine.py"),
+    ],
+)
+def test_where_an_object_fails_is_told_by_its_file_or_its_class(tmp_path, is_there, told, traced):
+    file = tmp_path / "mine.py"
+    file.write_text(FAILS)
     namespace = {"__name__": "__main__", "dataclass": dataclass}
-    body = "    def share(self, sensed, rng):\n        1 / 0\n"
-    exec(compile(f"@dataclass(frozen=True)\nclass Mine:\n{body}", "<stdin>", "exec"), namespace)
+    exec(compile(FAILS, str(file) if is_there else "<stdin>", "exec"), namespace)
     walks, mine = write_walks(tmp_path / "walks.csv"), namespace["Mine"]()
-    where = r"failed: ZeroDivisionError: division by zero \(where it is defined, line 4\); found by"
+    where = rf"failed: ZeroDivisionError: division by zero \({told}, line 4\); found by"
     with pytest.raises(PluginError, match=where):
         evaluation.run(smoke(walks, tmp_path / "run", mechanisms=(mine,)), progress=False)
+    trace = (tmp_path / "run" / "plugin-error.txt").read_text()
+    assert f'{traced}", line 4, in share' in trace
+    assert "dynamic-code" not in trace
