@@ -22,6 +22,7 @@ from evaluation.analysis.summary import estimates
 from evaluation.runs.manifest import read_manifest
 from isac_track.intervals import Estimate
 
+ALL = slice(None)
 SHOWN = ["mechanism", "target", "level", "consumer", "value", "ci_low", "ci_high"]
 
 
@@ -42,7 +43,8 @@ def pooled(outs: Sequence[Path]) -> pd.DataFrame:
     shared = set.intersection(*(set(of) for of, _, _ in runs))
     found = {key: _mean([of[key] for of, _, _ in runs]) for key in runs[0][0] if key in shared}
     sums = {
-        key: one._replace(sums=np.mean([of[key].sums for _, of, _ in runs], axis=0))
+        # Each seed draws people of its own into its scenes.
+        key: one._replace(sums=np.mean([of[key].whole() for _, of, _ in runs], axis=0), used=ALL)
         for key, one in runs[0][1].items()
         if key in shared
     }

@@ -53,11 +53,19 @@ def test_beside_results_that_differ_are_an_error_missing_ones_a_line(tmp_path):
 def test_runs_of_one_seed_pooled_are_that_run(tmp_path):
     """Twice the same run is the run: level, descriptors and the robot's own, with intervals."""
     axes = {"predictors": ("kalman_cv",), "mechanisms": ("raw", "fixed:0.4..1.2/3")}
+    axes["attacks"] = ("kalman_rts",)
     settings = smoke("plaza", tmp_path / "run", scenes=250, **axes)
     one = evaluation.run(settings, pictures=False).frontier
     assert one["level"].notna().any()
     both = frontier_seeds.pooled([tmp_path / "run"] * 2)
     pd.testing.assert_frame_equal(one, both, check_dtype=False)
+    # Another seed, and fewer scenes: other people are in them.
+    settings = smoke("plaza", tmp_path / "other", scenes=40, seed=1, **axes)
+    other = evaluation.run(settings, pictures=False).frontier
+    apart = frontier_seeds.pooled([tmp_path / "run", tmp_path / "other"])
+    plr = apart[apart["metric"] == "plr"]["value"].dropna()
+    assert len(plr) > 0
+    assert not plr.isin([*one["value"], *other["value"]]).any()
 
 
 @pytest.mark.slow
