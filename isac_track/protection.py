@@ -214,13 +214,12 @@ class Forecast:
         variance = np.maximum(share * sensed.sigma_raw[taken] ** 2, np.finfo(float).tiny)
         seen = Batch(sensed.t[taken], sensed.xy[taken], variance, offsets, _PRIOR_STD)
         state = kalman_last(seen, q=self.q)
-        raw = perturb(sensed, 0.0, rng)
         return Release(
             t=sensed.t[rows],
             xy=state.mean[:, :, 0] + self.std_m * white[rows],
             sigma=np.hypot(np.sqrt(state.cov[:, 0, 0]), self.std_m),
             offsets=np.append(0, np.cumsum(np.bincount(owner[rows], minlength=len(sensed)))),
-            pseudonym=raw.pseudonym,
+            pseudonym=perturb(sensed, 0.0, rng).pseudonym,
         )
 
 

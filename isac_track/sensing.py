@@ -4,6 +4,7 @@ The chain is: link budget -> beta -> Fisher information (eq. swarm_fi) -> Cramer
 sigma_raw, and Fisher information density (eq. swarm_fid). Two-way (monostatic) radar.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -156,7 +157,7 @@ def track_directions(draws: Floats, *, offsets: Ints) -> Floats:
 
 
 def draw_channel(
-    *, n_samples: Ints, keys: list[tuple[str | int, ...]], settings: SensingSettings, seed: int
+    *, n_samples: Ints, keys: Sequence[tuple[str | int, ...]], settings: SensingSettings, seed: int
 ) -> Channel:
     """Draw the random part of the link for batches of tracks.
 

@@ -394,18 +394,11 @@ def _context(
 
 def _anchor(level: AttackedLevel, victims: Victims, frame: Frame) -> Release:
     """Return where each victim truly was at one of her instants, any of them, in a frame."""
-    offsets, seed = level.scenes.offsets, level.block.seed
-    drawn = stream(seed, "anchors", int(level.scenes.index[0])).random(offsets.size - 1)
-    places = (offsets[:-1] + drawn * np.diff(offsets)).astype(np.int64)[victims.tracks]
-    return frame.release(
-        Release(
-            t=level.scenes.t[places],
-            xy=level.scenes.xy[places],
-            sigma=None,
-            offsets=np.arange(places.size + 1),
-            pseudonym=level.release.tracks(victims.tracks).pseudonym,
-        )
-    )
+    scenes, offsets = level.scenes, level.scenes.offsets
+    drawn = stream(level.block.seed, "anchors", int(scenes.index[0])).random(offsets.size - 1)
+    at = (offsets[:-1] + drawn * np.diff(offsets)).astype(np.int64)[victims.tracks]
+    whose = level.release.tracks(victims.tracks).pseudonym
+    return frame.release(Release(scenes.t[at], scenes.xy[at], None, np.arange(at.size + 1), whose))
 
 
 def beside(block: AttackedBlock, mechanism: Plugin) -> Release:
@@ -430,21 +423,13 @@ def beside(block: AttackedBlock, mechanism: Plugin) -> Release:
                 best, longest_s = (t, tracks.xy[first:end] + moved_m), both_s
         parts.append(best)
     sizes = np.array([t.size for t, _ in parts])
+    t, xy = (np.concatenate(of) for of in zip(*parts, strict=True))
     first_scene, offsets = int(scenes.index[0]), np.concatenate([[0], np.cumsum(sizes)])
+    keys = [("beside", first_scene, seat) for seat in range(sizes.size)]
     sensing = block.stages.sensing
-    sensed = sense(
-        t=np.concatenate([t for t, _ in parts]),
-        xy=np.concatenate([xy for _, xy in parts]),
-        offsets=offsets,
-        channel=draw_channel(
-            n_samples=sizes[:, None],
-            keys=[("beside", first_scene, seat) for seat in range(sizes.size)],
-            settings=sensing,
-            seed=seed,
-        ),
-        settings=sensing,
-        walk=walk_numbers("beside", first_scene, n_walks=sizes.size, seed=seed),
-    )
+    channel = draw_channel(n_samples=sizes[:, None], keys=keys, settings=sensing, seed=seed)
+    walk = walk_numbers("beside", first_scene, n_walks=sizes.size, seed=seed)
+    sensed = sense(t=t, xy=xy, offsets=offsets, channel=channel, settings=sensing, walk=walk)
     return sharing.share(mechanism, sensed, "scenes", first_scene, "beside", seed=seed)
 
 
