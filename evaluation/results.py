@@ -47,6 +47,7 @@ from evaluation.runs.files import FRAMES, check_sound, locked, to_csv, write_who
 from evaluation.runs.manifest import FAILED_COLUMNS, read_manifest
 from evaluation.runs.workers import ahead, aside, dismiss, given_back
 from evaluation.verdict import sections as verdict
+from isac_track.datasets import Dataset
 from isac_track.errors import DataError, SettingsError
 
 __all__ = ["Results", "build", "load", "rebuild", "run", "sized", "study"]
@@ -258,10 +259,16 @@ def study(asked: Sequence[tuple[str, Settings]], *, out: Path) -> tuple[list[Ans
     `asked` are the error law and the settings of each run, whose folder is in `out`. Returns the
     answers, and how many cells failed. Raises IsacTrackError for anything that a user can mend.
     """
-    plans = [(law, plan(settings)) for law, settings in asked]  # all are checked first
+    plans, known = list[tuple[str, Plan]](), dict[str | None, Dataset]()
+    for law, settings in asked:  # all are checked first, and each recording is read once
+        plans.append((law, plan(settings, dataset=known.get(settings.dataset))))
+        known[settings.dataset] = plans[-1][1].dataset
     rows, simulated, n_failed = [], set(), 0
     for law, ready in plans:
-        results = _finished(ready) or run(ready=ready)
+        if results := _finished(ready):
+            sys.stderr.write(f"{ready.out}: finished before\n")
+        else:
+            results = run(ready=ready)
         rows += answers_of(results.out, results.manifest, results.verdict, law=law)
         n_failed += len(results.failed)
         if results.manifest["dataset"].get("simulated"):

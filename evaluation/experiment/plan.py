@@ -82,13 +82,13 @@ class Plan:
         )
 
 
-def plan(settings: Settings) -> Plan:
-    """Check the settings, find the data set and lay out the cells.
+def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
+    """Check the settings, find the data set, unless it was read before, and lay out the cells.
 
     Raises IsacTrackError for anything that a user can mend.
     """
     crossed = axes(settings)
-    dataset = datasets.load(
+    dataset = dataset or datasets.load(
         settings.dataset,
         format=settings.format,
         fps=settings.fps,

@@ -12,7 +12,9 @@ from evaluation.experiment.settings import Settings
 from evaluation.reporting import study_page
 from evaluation.results import study as answer
 from evaluation.runs.manifest import read_manifest
+from isac_track import datasets
 from isac_track.config import StageSettings
+from isac_track.datasets import load
 
 LITTLE = {
     "preset": "smoke",
@@ -61,11 +63,17 @@ def test_who_has_fewer_than_100_candidates_is_compared_with_nobody(answered):
     assert (told.pooled, told.sentence[:12]) == (None, "Not compared")
 
 
-def test_what_is_finished_is_read_again(answered):
+def test_what_is_finished_is_read_again(answered, capsys, monkeypatch):
     of, _, out, asked = answered
+    read = []
+    monkeypatch.setattr(
+        datasets, "load", lambda *name, **of: read.append(name) or load(*name, **of)
+    )
     before = (out / "study.csv").read_bytes()
     cells = {path: path.stat().st_mtime_ns for path in out.glob("*/cells/*")}
     again, _ = answer(asked, out=out)
+    assert capsys.readouterr().err.count("finished before") == len(asked)
+    assert len(read) == 1  # the recording, once for all runs
     assert [one.sentence for one in again] == [one.sentence for one in of]
     assert (out / "study.csv").read_bytes() == before
     assert {path: path.stat().st_mtime_ns for path in out.glob("*/cells/*")} == cells
