@@ -93,10 +93,7 @@ def filter_tracks(
                 dt = t[k] - t[k - 1]
                 f = _memory(dt, tau_s)
                 cov = _predicted(cov, dt, f, q)
-                px += dt * vx
-                py += dt * vy
-                ux *= f
-                uy *= f
+                px, py, ux, uy = px + dt * vx, py + dt * vy, f * ux, f * uy
             s, r = amplitude[k], variance[k]
             pp, pv, _, pu, vu, uu = cov
             hp, hv, hu = pp + s * pu, pv + s * vu, pu + s * uu
@@ -142,10 +139,7 @@ def _forward(
         if k > 0:
             dt, f = row[19], row[18]
             cov = _predicted(cov, dt, f, q)
-            px += dt * vx
-            py += dt * vy
-            ux *= f
-            uy *= f
+            px, py, ux, uy = px + dt * vx, py + dt * vy, f * ux, f * uy
         s, r = amplitude[k], variance[k]
         pp, pv, _, pu, vu, uu = cov
         hp, hv, hu = pp + s * pu, pv + s * vu, pu + s * uu

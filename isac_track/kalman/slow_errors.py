@@ -59,9 +59,7 @@ class SlowError:
 
     def arrays(self, batch: Batch) -> tuple[Floats | Ints, ...]:
         """Return what a compiled loop takes."""
-        amplitude = np.empty(batch.t.size)
-        amplitude[:] = self.std_m
-        return (*batch.arrays(2), amplitude)
+        return (*batch.arrays(2), np.full(batch.t.size, self.std_m, dtype=np.float64))
 
 
 def added_error(mechanism: object) -> tuple[float, float]:
