@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     kalman.prepare()
     before_s, load = calibration_s(), os.getloadavg()[0]
-    found = []
+    found: list[dict[str, Any]] = []
     for what, package, ours, theirs in (*smoothers.rows(), *linkage_rows()):
         try:
             name = f"{package} {version(package)}"
@@ -215,7 +215,7 @@ def divergences(a: Floats, b: Floats) -> Floats:
     from scipy.spatial.distance import cdist
 
     squares: Floats = cdist(a, b, "jensenshannon") ** 2
-    return -(a.sum(axis=1)[:, None] + b.sum(axis=1)) * squares
+    return np.asarray(-(a.sum(axis=1)[:, None] + b.sum(axis=1)) * squares)
 
 
 def plainly_scored(scores: Floats, weights: Floats) -> list[Floats]:
@@ -309,7 +309,7 @@ def plain_shape(probe: list[Floats], gallery: list[Floats]) -> Floats:
                 gap = np.vdot(a, a).real + (np.abs(b) ** 2).sum(axis=1) - 2 * np.abs(b @ a.conj())
                 cost = (np.maximum(gap, 0.0) / m + Shape.DEFAULT_FLOOR_M2) * (48 / m) ** 3
                 least[i, rows] = np.minimum(least[i, rows], cost)
-    return -np.log(least)
+    return np.asarray(-np.log(least))
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from isac_track.sensing import sense_scenes
 from predictors.kalman import KalmanCA, KalmanCV, KalmanIMM
 
 if TYPE_CHECKING:
-    from isac_track.types import Release
+    from isac_track.types import Floats, Release
 
 LEVELS = ("raw", "fixed:0.7,adding=independent", "fid:1,adding=independent")
 N_SCENES = 100
@@ -45,8 +45,9 @@ def main() -> int:
             shared = level.instance.share(sensed, stream(0, "consistency")).without_sigma()
             for tracker in (KalmanCV(), KalmanCA(), KalmanIMM()):
                 forecast = tracker.predict(shared, scenes.t_future)
-                gap = forecast.mean - scenes.xy_future
-                nees = np.einsum("nha,nhab,nhb->nh", gap, np.linalg.inv(forecast.cov), gap)
+                gap, cov = forecast.mean - scenes.xy_future, forecast.cov
+                assert cov is not None
+                nees: Floats = np.einsum("nha,nhab,nhb->nh", gap, np.linalg.inv(cov), gap)
                 nis = "" if isinstance(tracker, KalmanIMM) else f"{_nis(tracker, shared):.2f}"
                 print(
                     f"{name:<11}{level.spec:<30}{type(tracker).__name__:<12}{nis:>6}"
@@ -63,8 +64,8 @@ def _nis(tracker: KalmanCV, shared: Release) -> float:
     for k in range(32, int(sizes.max(initial=0))):
         now = batch.offsets[:-1][sizes > k] + k
         rows = (now[:, None] - k + np.arange(k)).ravel()
-        samples = (array[rows] for array in (batch.t, batch.xy, batch.variance))
-        begun = kalman.Batch(*samples, k * np.arange(now.size + 1), batch.prior_std)
+        t, xy, variance = batch.t[rows], batch.xy[rows], batch.variance[rows]
+        begun = kalman.Batch(t, xy, variance, k * np.arange(now.size + 1), batch.prior_std)
         last = kalman.kalman_last(begun, q=tracker.q)
         step = batch.t[now] - batch.t[now - 1]
         h = step[:, None] ** np.arange(d) / np.array([1.0, 1.0, 2.0])[:d]

@@ -74,7 +74,7 @@ def _releases(settings: evaluation.Settings, seed: int) -> Iterator[tuple[Plugin
     )
     for level in axes(settings).mechanisms:
         release = sharing.share(level, sensed, "block", 0, seed=seed).without_sigma()
-        yield from ((level, half.of(release)) for half in block.victims)
+        yield from ((level, release.tracks(half.tracks)) for half in block.victims)
 
 
 def _show(settings: evaluation.Settings, rights: dict[str, list[bool]]) -> None:
@@ -96,7 +96,7 @@ def _show(settings: evaluation.Settings, rights: dict[str, list[bool]]) -> None:
         gain = 100 * (learnt[1].value - learnt[0].value)
         ends = f"{gain:+.1f} [{100 * low:+.1f}, {100 * high:+.1f}]"
         right = f"{sum(rights[level.spec])}/{len(rights[level.spec])}"
-        cells = [settings.dataset, law, level.spec, right]
+        cells = [str(settings.dataset), law, level.spec, right]
         print(f"| {' | '.join([*cells, *(f'{100 * one.value:.1f}' for one in values), ends])} |")
 
 

@@ -70,8 +70,14 @@ def fitted(attack: Plugin, taught: TrainingSet, mechanism: Plugin) -> Reconstruc
 def plr(attack: Reconstructor, seen: TrainingSet) -> Floats:
     """Return the PLR of each track after an attack, (N,)."""
     release = seen.release
-    about = {"t": release.t, "offsets": release.offsets, "settings": STAGES.privacy}
-    return privacy.described(xy=attack(release).xy, truth=seen.truth, **about)[0]
+    found = privacy.described(
+        xy=attack(release).xy,
+        truth=seen.truth,
+        t=release.t,
+        offsets=release.offsets,
+        settings=STAGES.privacy,
+    )
+    return np.asarray(found[0])
 
 
 def means(rows: Floats, person: Ints) -> list[intervals.Estimate]:

@@ -78,7 +78,8 @@ def matrices(steps: Floats) -> tuple[Floats, Floats]:
     one = np.ones_like(steps)
     axis = np.stack([one, steps, 0 * one, one], -1).reshape(*steps.shape, 2, 2)
     noise = Q * np.stack([steps**3 / 3, steps**2 / 2, steps**2 / 2, steps], -1)
-    return np.kron(np.eye(2), axis), np.kron(np.eye(2), noise.reshape(axis.shape))
+    f, q = (np.kron(np.eye(2), one.reshape(axis.shape)) for one in (axis, noise))
+    return np.asarray(f, np.float64), np.asarray(q, np.float64)
 
 
 def per_track(batch: kalman.Batch) -> Iterator[Track]:
@@ -110,7 +111,8 @@ def filterpy(batch: kalman.Batch) -> Callable[[], States]:
             kf.predict(F=f[k], Q=q[k])
             kf.update(seen, R=r[k])
             mean[k], cov[k] = kf.x, kf.P
-        return kf.rts_smoother(mean, cov, f, q)[:2]
+        smooth, spread, *_ = kf.rts_smoother(mean, cov, f, q)
+        return smooth, spread
 
     return partial(together, run, list(per_track(batch)))
 

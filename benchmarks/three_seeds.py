@@ -33,8 +33,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _show(outs: Sequence[Path]) -> int:
     runs = [headline(pd.read_csv(out / "summary.csv")) for out in outs]
     first = runs[0]
-    levels, _ = levels_of(first)
-    for where in dict.fromkeys(at for one in levels for at in (one, first.twin(one))):
+    # The levels of the first table, under both adding rules.
+    tabled = {(first.known[name].name, level) for name, level in levels_of(first)[0]}
+    for where in first.wheres:
+        if (first.known[where[0]].name, where[1]) not in tabled:
+            continue
         for number, column in enumerate(first.columns):
             values = [run.at(where, run.columns[number]) for run in runs]
             found = [100 * one.value for one in values if one is not None]

@@ -66,8 +66,8 @@ def background_excess(agents: pd.DataFrame, scenes: pd.DataFrame, name: str) -> 
     groups = {group: row for row, group in enumerate(sorted(set(agents["group"])))}
     placed = agents.assign(row=agents["group"].map(groups).astype(int))
     conflicts = scenes[scenes["conflict"]]
-    role = placed.pivot_table(index="scene", columns="agent", values="row")
-    role = role.loc[conflicts["scene"]].to_numpy().astype(int)
+    table = placed.pivot_table(index="scene", columns="agent", values="row")
+    role = table.loc[conflicts["scene"]].to_numpy().astype(int)
     residual = (~conflicts["predicted"]).to_numpy().astype(float)
     residual -= residual.mean()
 
@@ -90,11 +90,13 @@ def planted(*, is_seen: bool) -> tuple[pd.DataFrame, pd.DataFrame]:
     who = rng.integers(0, n_groups, (n_scenes, 4))
     effect = rng.normal(0, 0.15, n_groups)
     chance = 0.5 + is_seen * effect[who[:, 1:]].sum(axis=1)
-    scene, agent = np.indices(who.shape)
+    scene, agent = np.divmod(np.arange(who.size), who.shape[1])
     groups = [f"g{row}" for row in who.ravel()]
-    agents = pd.DataFrame({"scene": scene.ravel(), "agent": agent.ravel(), "group": groups})
+    agents = pd.DataFrame({"scene": scene, "agent": agent, "group": groups})
     predicted = rng.random(n_scenes) >= chance
-    return agents, pd.DataFrame({"scene": scene[:, 0], "conflict": True, "predicted": predicted})
+    return agents, pd.DataFrame(
+        {"scene": np.arange(n_scenes), "conflict": True, "predicted": predicted}
+    )
 
 
 if __name__ == "__main__":
