@@ -18,16 +18,7 @@ from isac_track.model_world import Motion, errors_of, known_share, simulated
 from isac_track.privacy import exposure, leakage_indicator
 from isac_track.protocols import OF_WALKS, LinkageTrainingSet, TrainingSet
 from isac_track.sharing import Fixed
-from isac_track.types import (
-    Bools,
-    ErrorLaw,
-    Floats,
-    Ints,
-    Knowledge,
-    Reconstruction,
-    Release,
-    stretches,
-)
+from isac_track.types import Bools, ErrorLaw, Floats, Ints, Knowledge, Reconstruction, Release
 
 N_TRACKS = 24  # And people.
 _MODEL_SIGMA_M = 0.7
@@ -111,9 +102,9 @@ class ReconstructionCase(made.Case):
 
     def reordered(self) -> tuple[ReconstructionCase, Callable[[Floats], Floats]]:
         """Return the ordinary case with its tracks in another order, and how an answer follows."""
-        rows, offsets = np.array([5, 2, 7, 0, 3, 6, 1, 4]), self.release.offsets
-        samples, _ = stretches(offsets[rows], np.diff(offsets)[rows])
-        others = self.train.release
+        rows, others = np.array([5, 2, 7, 0, 3, 6, 1, 4]), self.train.release
+        place = np.repeat(np.argsort(rows), np.diff(self.release.offsets))
+        samples = np.argsort(place, kind="stable")
         changed = made.of_each(self, lambda one: one if one is others else one.tracks(rows))
         return changed, lambda answer: answer[samples]
 
@@ -264,9 +255,8 @@ class LinkageCase(made.Case):
         if scores.shape != expected:
             turned = " (turned round?)" if scores.shape == expected[::-1] else ""
             rows = f"a row for every probe, a column for every gallery track{turned}"
-            raise ValueError(
-                f"scores of shape {scores.shape}, expected (P, G) = {expected}: {rows}"
-            )
+            found = f"scores of shape {scores.shape}, expected (P, G) = {expected}"
+            raise ValueError(f"{found}: {rows}")
         if lost := np.count_nonzero(~np.isfinite(scores)):
             hint = "who cannot tell gives all candidates the same score"
             raise ValueError(f"{lost} of {scores.size} scores are not finite; {hint}")
@@ -297,7 +287,9 @@ class LinkageCase(made.Case):
     def in_other_frames(self) -> tuple[LinkageCase, Callable[[Floats], Floats]]:
         """Return the case with every walk of all four releases in yet another frame and clock."""
         rng = draws("linkage", "other frames")
-        changed = made.of_each(self, lambda release: _moved(release, rng, together=False))
+        changed = made.of_each(
+            self, lambda release: made.moved(release, made.frames(rng, len(release)))
+        )
         return changed, lambda scores: scores
 
     @staticmethod
@@ -362,8 +354,9 @@ def people_made_up(
             t = GAP_S + elapsed if scene and name[-1] == "gallery" else elapsed - elapsed[-1]
             walks.append((t, who[row](t)))
         # One motion for all that is in one frame, or one for every walk.
-        frames = draws(*(name[:-1] if scene else name), "frames")
-        return _moved(made.shared(walks, name, mechanism=mechanism), frames, together=scene)
+        rng = draws(*(name[:-1] if scene else name), "frames")
+        frames = made.frames(rng, 1 if scene else len(walks))
+        return made.moved(made.shared(walks, name, mechanism=mechanism), frames)
 
     def pair(who: str, *sizes: tuple[int, ...]) -> LinkageTrainingSet:
         name_of = ("linkage", name, who)
@@ -387,10 +380,3 @@ def people_made_up(
         train=pair("others", sizes[2], sizes[2]),
         scene=scene,
     )
-
-
-def _moved(release: Release, rng: np.random.Generator, *, together: bool) -> Release:
-    """Return a release with one motion for all its walks, or with one for each."""
-    n_samples = [release.t.size] if together else np.diff(release.offsets)
-    frames = made.frames(rng, len(n_samples))
-    return made.moved(release, np.repeat(frames, n_samples, axis=0))

@@ -17,7 +17,6 @@ from isac_track.testing.engine import call
 from isac_track.types import ErrorLaw, Floats, Knowledge, Release, Sensed
 
 Person: TypeAlias = Callable[[Floats], Floats]
-
 Walk: TypeAlias = tuple[Floats, Floats]
 """Times of one walk, (n,) s, and where somebody truly was then, (n, 2) m."""
 Plugin: TypeAlias = Any  # A stranger's.
@@ -112,9 +111,11 @@ def turned(xy: Floats, frame: Floats) -> Floats:
     return np.stack([cos * x - sin * y + shift_m[0], sin * x + cos * y + shift_m[1]], axis=1)
 
 
-def moved(release: Release, frame: Floats) -> Release:
-    """Return a release in another frame and on another clock, or each sample in its own."""
-    return replace(release, t=release.t + frame[..., 3], xy=turned(release.xy, frame))
+def moved(release: Release, frames: Floats) -> Release:
+    """Return a release in another frame and on another clock, or each track in its own, (N, 4)."""
+    of_track = np.broadcast_to(frames, (len(release), 4))
+    frame = np.repeat(of_track, np.diff(release.offsets), axis=0)
+    return replace(release, t=release.t + frame[:, 3], xy=turned(release.xy, frame))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -175,17 +176,6 @@ def copied(case: Holder) -> Holder:
     return own
 
 
-def renamed(case: Holder) -> Holder:
-    """Return the case with other pseudonyms, whose alphabetical order is another one, too."""
-
-    def change(release: Release) -> Release:
-        backwards = sorted(release.pseudonym, reverse=True)
-        names = tuple(f"p{backwards.index(name):04}" for name in release.pseudonym)
-        return replace(release, pseudonym=names)
-
-    return of_each(case, change)
-
-
 def arrays_of(held: object, name: str = "") -> dict[str, NDArray[Any]]:
     """Return every array in a case or a part of it, by the path to it behind `name`."""
     if isinstance(held, np.ndarray):
@@ -197,11 +187,3 @@ def arrays_of(held: object, name: str = "") -> dict[str, NDArray[Any]]:
         inside = {f"{name}.{item.name}": getattr(held, item.name) for item in fields(held)}
     deeper = (arrays_of(one, path) for path, one in inside.items())
     return {path: array for found in deeper for path, array in found.items()}
-
-
-def changed_by(run: Callable[[Holder], object], given: Holder) -> list[str]:
-    """Return the paths of the arrays that a call changes in its copy of what it is given."""
-    own = copied(given)
-    run(own)
-    both = zip(arrays_of(given).items(), arrays_of(own).values(), strict=True)
-    return [path[1:] for (path, before), after in both if before.tobytes() != after.tobytes()]
