@@ -46,8 +46,8 @@ class MechanismCase(made.Case):
     sensed: Sensed
 
     def prepared(
-        self, mechanism: made.Plugin, _given: frozenset[Knowledge], rng: Generator, _who: str
-    ) -> Callable[..., object]:
+        self, mechanism: made.Theirs, _given: frozenset[Knowledge], rng: Generator, _who: str
+    ) -> made.Theirs:
         """Return what shares, with its random stream."""
         return lambda sensed: mechanism.share(sensed, rng)
 
@@ -195,12 +195,10 @@ class PredictorCase(made.Case):
     t_future: Floats  # (N, H) s
 
     def prepared(
-        self, predictor: made.Plugin, _given: frozenset[Knowledge], _rng: Generator, who: str
-    ) -> Callable[..., object]:
+        self, predictor: made.Theirs, _given: frozenset[Knowledge], _rng: Generator, who: str
+    ) -> made.Theirs:
         """Return what predicts; it knows the mechanism if it is aware."""
-        told = call(knowing, predictor, self.mechanism, who=f"{who} knowing")
-        predict: Callable[..., object] = told.predict
-        return predict
+        return call(knowing, predictor, self.mechanism, who=f"{who} knowing").predict
 
     def read(self, result: object) -> Floats:
         """Return means and covariances, if any, of each track in a row; ValueError if it cannot."""

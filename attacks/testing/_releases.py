@@ -19,7 +19,7 @@ from isac_track.types import ErrorLaw, Floats, Knowledge, Release, Sensed
 Person: TypeAlias = Callable[[Floats], Floats]
 Walk: TypeAlias = tuple[Floats, Floats]
 """Times of one walk, (n,) s, and where somebody truly was then, (n, 2) m."""
-Plugin: TypeAlias = Any  # A stranger's.
+Theirs: TypeAlias = Any  # A plug-in, or what is called of it.
 Holder = TypeVar("Holder", bound=Any)  # A case, or a training set.
 
 EPSILON_M = 0.3
@@ -130,14 +130,13 @@ class Case:
     about: str  # For messages.
 
     def prepared(
-        self, plugin: Plugin, granted: frozenset[Knowledge], rng: np.random.Generator, who: str
-    ) -> Callable[..., object]:
+        self, plugin: Theirs, granted: frozenset[Knowledge], rng: np.random.Generator, who: str
+    ) -> Theirs:
         """Return what is called: of an attack the function from `fit`, given what is granted."""
         names = ("mechanism", "train", "repeats", "anchor", "companions")
         held = {name: getattr(self, name, None) for name in names}
         context = AttackContext(rng=rng, epsilon_m=EPSILON_M, granted=granted, **held)
-        function: Callable[..., object] = call(plugin.fit, context, who=f"{who} fit(context)")
-        return function
+        return call(plugin.fit, context, who=f"{who} fit(context)")
 
     def fault(self, _result: Any) -> str:  # noqa: ANN401 - as the contract says
         """Return what is wrong with a result that can be read all the same; empty if nothing."""

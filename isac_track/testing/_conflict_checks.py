@@ -50,10 +50,8 @@ def path_matches_brute_force(robot_path: Function, rng: Generator) -> None:
     start, destination = rng.uniform(-5, 5, 2), rng.uniform(-5, 5, 2)
     speed_mps, step_s = float(rng.uniform(0.2, 3)), float(rng.uniform(0.05, 1))
     way_m = dist(start, destination)
-    path = []
-    for h in range(12):
-        share = min(speed_mps * h * step_s, way_m) / way_m
-        path.append([a + share * (b - a) for a, b in zip(start, destination, strict=True)])
+    shares = (min(speed_mps * h * step_s, way_m) / way_m for h in range(12))
+    path = [start + share * (destination - start) for share in shares]
     elapsed_s = step_s * np.arange(12.0)
     expect_call(robot_path, start, destination, speed_mps, elapsed_s, gives=path)
 

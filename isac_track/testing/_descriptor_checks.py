@@ -56,20 +56,14 @@ def expect_of(function: Function, track: Track, value: float) -> None:
     expect(of(function, track), value, what=_NAMES[function.__name__], case=track)
 
 
-def lasting_s(t: Sequence[float]) -> list[float]:
-    """Return how long every sample lasts: half of either interval beside it, at an end all of it.
-
-    A single sample has none.
-    """
-    steps = [after - before for before, after in pairwise(t)]
-    if not steps:
-        return [nan]
-    return [(a + b) / 2 for a, b in zip([steps[0], *steps], [*steps, steps[-1]], strict=True)]
-
-
 def by_definition(track: Track) -> dict[str, float]:
-    """Return PLR, AEL (s) and MEL (s) by function: share, mean and longest of the segments."""
-    samples = zip(track.pattern, lasting_s(track.t.tolist()), strict=True)
+    """Return PLR, AEL (s) and MEL (s) by function: share, mean and longest of the segments.
+
+    A sample lasts half of either interval beside it, at an end all of it; a single one has none.
+    """
+    steps = np.diff(track.t)
+    lasting_s = (np.append(steps[:1], steps) + np.append(steps, steps[-1:])) / 2
+    samples = zip(track.pattern, lasting_s.tolist() or [nan], strict=True)
     runs = groupby(samples, key=lambda sample: sample[0])
     runs_s = [sum(seconds for _, seconds in run) for leaks, run in runs if leaks == "1"]
     return {

@@ -92,9 +92,7 @@ OWN = Metrics(
     minimum_separation=lambda robot, agents: float(
         conflict.minimum_separation(robot=robot[None], agents=agents[None])[0]
     ),
-    is_conflict=lambda separation_m, radius_m: bool(
-        conflict.is_conflict(separation_m=np.array([separation_m]), safety_radius_m=radius_m)[0]
-    ),
+    is_conflict=_by_position(conflict.is_conflict),
     missed_conflict_rate=_by_position(conflict.missed_conflict_rate),
     false_alarm_rate=_by_position(conflict.false_alarm_rate),
     distance_mae_m=_by_position(conflict.distance_mae_m),
@@ -157,10 +155,7 @@ def show(value: object) -> str:
 
 
 _ARRAYS = ("exposure", "prediction_grid", "robot_path", "fid_d_sigma")
-_READ: dict[str, Callable[[Any], object]] = {
-    **dict.fromkeys(_ARRAYS, partial(np.asarray, dtype=float)),
-    "is_conflict": bool,
-}
+_READ = dict.fromkeys(_ARRAYS, partial(np.asarray, dtype=float)) | {"is_conflict": bool}
 """How the result of a function is read; of all others it is one number."""
 
 
