@@ -121,8 +121,7 @@ def conflict_probability(*, robot: Floats, mean: Floats, cov: Floats, radius_m: 
     # The quadrature errs by less than a tenth.
     rest = near & ~best & (bound > 0.9 * step.max(axis=2, keepdims=True))
     step[rest] = disc_probability(mean=gap[rest], cov=cov[rest], radius_m=radius_m)
-    none: Floats = np.prod(1.0 - step.max(axis=2), axis=1)
-    return 1.0 - none
+    return np.asarray(1.0 - np.prod(1.0 - step.max(axis=2), axis=1))
 
 
 def missed_conflict_rate(*, conflict: Bools, predicted: Bools) -> float:

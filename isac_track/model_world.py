@@ -30,8 +30,7 @@ from isac_track.types import ErrorLaw, Floats, Ints, Release, Sensed, Tracks, sq
 _LAG_S: Final = 1.0  # Over which acceleration is measured: what a smoother averages over.
 _EVERY = 4  # Of them within one lag.
 _MOST_FITTED = 300
-_LOW: Final = 0.1
-"""Quantile of people's spectral densities that stands for a walk which is easy to smooth."""
+_LOW: Final = 0.1  # Quantile of people's densities: that of a walk which is easy to smooth.
 START_STD_M = 100.0  # Around the first sample: nothing is known of where a walk starts.
 _LEAST_VARIANCE_M2 = 1e-12
 _LEAST_Q = 1e-4
@@ -97,11 +96,9 @@ def simulated(*, t: Floats, offsets: Ints, start: Floats, motion: Motion, rng: G
 
 
 def _along(steps: Floats, offsets: Ints, start: Floats) -> Floats:
-    total = np.cumsum(steps, axis=0)
-    first = offsets[:-1]
-    return np.asarray(
-        total + np.repeat(start - total[first] + steps[first], np.diff(offsets), axis=0)
-    )
+    total, first = np.cumsum(steps, axis=0), offsets[:-1]
+    before = start - total[first] + steps[first]
+    return np.asarray(total + np.repeat(before, np.diff(offsets), axis=0))
 
 
 def errors_of(

@@ -48,24 +48,17 @@ def resample(tracks: Tracks, *, settings: ResampleSettings, seed: int) -> Tracks
     Every track draws from its own stream, so that leaving one out changes no other. ValueError if
     no track is long enough.
     """
-    parts: list[tuple[Floats, Floats]] = []
-    kept: list[int] = []
-    for row, track in enumerate(tracks):
+    parts: list[tuple[Floats, Floats, str, str]] = []
+    for track in tracks:
         start_s, end_s = float(track.t[0]), float(track.t[-1])
         # A recorded duration carries rounding of the frame clock: 21.6 s at 25 Hz is 540 frames.
         if track.t.size < 2 or end_s - start_s < settings.min_duration_s - 1e-9:  # noqa: PLR2004 - a line needs two
             continue
         rng = stream(seed, "resample", track.source[0])
         t = sampling_times(start_s=start_s, end_s=end_s, settings=settings, rng=rng)
-        parts.append((t, walk(track)(t)))
-        kept.append(row)
-    if not kept:
+        parts.append((t, walk(track)(t), *track.source, *track.group))
+    if not parts:
         raise ValueError(f"no track lasts {settings.min_duration_s:g} s")
-    t_parts, xy_parts = zip(*parts, strict=True)
-    return Tracks(
-        t=np.concatenate(t_parts),
-        xy=np.concatenate(xy_parts),
-        offsets=np.concatenate([[0], np.cumsum([part.size for part in t_parts])]),
-        source=tuple(tracks.source[row] for row in kept),
-        group=tuple(tracks.group[row] for row in kept),
-    )
+    t_parts, xy_parts, source, group = zip(*parts, strict=True)
+    offsets = np.cumsum([0, *map(len, t_parts)])
+    return Tracks(np.concatenate(t_parts), np.concatenate(xy_parts), offsets, source, group)

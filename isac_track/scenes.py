@@ -14,7 +14,7 @@ from isac_track.conflict import is_conflict, minimum_separation, prediction_grid
 from isac_track.errors import DataError
 from isac_track.resample import resample, walk
 from isac_track.rng import stream
-from isac_track.types import TRACK, Floats, Ints, Scenes, Tracks, end_to_end, runs_of, stretches
+from isac_track.types import TRACK, Floats, Ints, Scenes, Tracks, end_to_end, runs_of
 
 _FEW_REDRAWS = 16
 FEW_PEOPLE = 20  # With fewer nothing is decided.
@@ -44,40 +44,35 @@ def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
         raise DataError(f"{error}; {what_would_help(recorded, settings=settings)}") from None
     whole_of = dict(zip(recorded.source, recorded, strict=True))
     conflict = settings.conflict
-    parts: list[tuple[Floats, Floats]] = []
-    kept: list[int] = []
-    sizes: list[int] = []
-    for row, track in enumerate(sampled):
+    parts: list[tuple[Floats, Floats, Floats, Floats, str, str]] = []
+    for track in sampled:
         n_history = history_samples(n_samples=track.t.size, ratio=settings.scenes.history_ratio)
         if n_history < 2:  # noqa: PLR2004 - the grid needs an interval
             continue
-        t, alone = track.t[:n_history], np.array([0, n_history])
+        t, xy, alone = track.t[:n_history], track.xy[:n_history], np.array([0, n_history])
         (t_future,) = prediction_grid(
             t=t, offsets=alone, window=conflict.window, horizon_steps=conflict.horizon_steps
         )
         whole = whole_of[track.source[0]]
         if t_future[-1] <= whole.t[-1]:
-            parts.append((t_future, walk(whole)(t_future)))
-            kept.append(row)
-            sizes.append(n_history)
-    if len(kept) < settings.scenes.agents:
+            parts.append((t, xy, t_future, walk(whole)(t_future), *track.source, *track.group))
+    if len(parts) < settings.scenes.agents:
         raise DataError(
-            f"{len(kept)} of {len(recorded)} tracks last {settings.resample.min_duration_s:g} s "
+            f"{len(parts)} of {len(recorded)} tracks last {settings.resample.min_duration_s:g} s "
             f"and cover the horizon, but a scene needs {settings.scenes.agents}; "
             f"{what_would_help(recorded, settings=settings)}"
         )
-    samples, offsets = stretches(sampled.offsets[kept], np.array(sizes))
-    t_future_parts, xy_future_parts = zip(*parts, strict=True)
+    ts, xys, t_futures, xy_futures, source, group = zip(*parts, strict=True)
     return Cut(
-        t=sampled.t[samples],
-        xy=sampled.xy[samples],
-        offsets=offsets,
-        t_future=np.stack(t_future_parts),
-        xy_future=np.stack(xy_future_parts),
-        source=tuple(sampled.source[row] for row in kept),
-        group=tuple(sampled.group[row] for row in kept),
+        t=np.concatenate(ts),
+        xy=np.concatenate(xys),
+        offsets=np.cumsum([0, *map(len, ts)]),
+        t_future=np.stack(t_futures),
+        xy_future=np.stack(xy_futures),
+        source=source,
+        group=group,
         too_short=len(recorded) - len(sampled),
-        no_future=len(sampled) - len(kept),
+        no_future=len(sampled) - len(parts),
     )
 
 
@@ -145,27 +140,24 @@ def make_scenes(
     n_scenes, n_agents = order.shape
     elapsed_s = (tracks.t_future - tracks.t_future[:, :1])[order]  # (S, A, H)
     futures = tracks.xy_future[order]  # (S, A, H, 2), unshifted
-    speed_mps = settings.conflict.robot_speed_mps
+    rules, place = settings.conflict, settings.scenes
     rngs = [stream(seed, "scenes", "scene", first + scene) for scene in range(n_scenes)]
     start, destination = np.empty((n_scenes, 2)), np.empty((n_scenes, 2))
-    place = settings.scenes
     for scene, rng in enumerate(rngs):
         aside = rng.uniform(-place.robot_spread_m, place.robot_spread_m, 2)
         start[scene] = np.array([place.robot_x_m, place.robot_y_m]) + aside
         angle = rng.uniform(0.0, 2.0 * np.pi)
         # Beyond the horizon.
-        way_m = 2.0 * (speed_mps * float(elapsed_s[scene].max())) + 1.0
+        way_m = 2.0 * (rules.robot_speed_mps * float(elapsed_s[scene].max())) + 1.0
         destination[scene] = start[scene] + way_m * np.array([np.cos(angle), np.sin(angle)])
     robot = robot_path(
-        start=start, destination=destination, speed_mps=speed_mps, elapsed_s=elapsed_s
+        start=start, destination=destination, speed_mps=rules.robot_speed_mps, elapsed_s=elapsed_s
     )
-    shift = np.empty((n_scenes, n_agents, 2))
-    exhausted = np.zeros(n_scenes, dtype=np.int64)
+    shift, exhausted = np.empty((n_scenes, n_agents, 2)), np.zeros(n_scenes, dtype=np.int64)
     for scene, rng in enumerate(rngs):
         if (first + scene) % 2 == 0:  # on the robot's point at a random step
             # Of the future: step 0 is now.
-            n_steps = settings.conflict.horizon_steps
-            step = int(rng.integers(min(1, n_steps - 1), n_steps))
+            step = int(rng.integers(min(1, rules.horizon_steps - 1), rules.horizon_steps))
             shift[scene, 0] = robot[scene, 0, step] - futures[scene, 0, step]
         else:
             shift[scene, 0] = _past_the_robot(robot[scene, 0], futures[scene, 0], settings, rng)
@@ -181,7 +173,6 @@ def make_scenes(
     rows = order.reshape(-1)
     runs, offsets = runs_of(tracks.offsets, rows)
     xy = end_to_end(tracks.xy, runs) + np.repeat(shift.reshape(-1, 2), np.diff(offsets), axis=0)
-    safety_radius_m = settings.conflict.safety_radius_m
     return Scenes(
         t=end_to_end(tracks.t, runs),
         xy=xy,
@@ -193,7 +184,7 @@ def make_scenes(
         robot_start=start,
         robot_destination=destination,
         separation=separation,
-        conflict=is_conflict(separation_m=separation, safety_radius_m=safety_radius_m),
+        conflict=is_conflict(separation_m=separation, safety_radius_m=rules.safety_radius_m),
         exhausted=exhausted,
     )
 
