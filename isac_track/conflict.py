@@ -13,10 +13,9 @@ _REACH_STD = 6.0
 def prediction_grid(*, t: Floats, offsets: Ints, window: int, horizon_steps: int) -> Floats:
     """Return the future timestamps of each track (eq. future_time_grid).
 
-    Step h lies h mean intervals after the last sample; the mean is taken over the last
-    `window` samples (q of the paper, at least 2), or over all where a track has fewer. `t` is
-    (M,) s, `offsets` (N + 1,), and the grid (N, H) s with H, `horizon_steps`, at least 1. It is a
-    ValueError if one of them is not, or if a track has a single sample.
+    Step h lies h mean intervals after the last sample; the mean is over the last `window` samples
+    (q of the paper, at least 2), or all of a shorter track. `t` is (M,) s, `offsets` (N + 1,), and
+    the grid (N, H) s, `horizon_steps` at least 1. ValueError otherwise, or for a single sample.
     """
     if window < 2 or horizon_steps < 1:  # noqa: PLR2004 - an interval needs two samples
         raise ValueError("the window must be at least 2 samples and the horizon 1 step")
@@ -34,9 +33,8 @@ def robot_path(
     """Return the robot's nominal positions (eq. robot_nominal_path).
 
     It walks straight to its destination at constant speed and waits there. `start` and
-    `destination` are (S, 2) m, and must differ, lest it has no heading (ValueError); `elapsed_s`,
-    (S, A, H) s, is the time since now on the clock of each of A agents, h times its mean interval.
-    The positions are (S, A, H, 2) m.
+    `destination`, (S, 2) m, must differ (ValueError); `elapsed_s`, (S, A, H) s, is the time since
+    now on the clock of each of A agents. The positions are (S, A, H, 2) m.
     """
     way = destination - start
     length: Floats = np.hypot(way[:, 0], way[:, 1])
@@ -66,9 +64,8 @@ def is_conflict(*, separation_m: Floats, safety_radius_m: float) -> Bools:
 def disc_probability(*, mean: Floats, cov: Floats, radius_m: float) -> Floats:
     """Return the probability (...,) that a planar Gaussian lies in a disc around the origin.
 
-    `mean` is (..., 2) m and `cov` (..., 2, 2) m^2. Integrated along one axis with the other in
-    closed form (Gauss-Legendre in the angle, 16 nodes). Standard deviations below 1 mm count as
-    1 mm.
+    `mean` is (..., 2) m, `cov` (..., 2, 2) m^2. Integrated along one axis with the other in closed
+    form (Gauss-Legendre in the angle, 16 nodes); standard deviations below 1 mm count as that.
     """
     # Integrate along the axis of the smaller spread, where the closed form does the sharp part.
     half_trace = 0.5 * (cov[..., 0, 0] + cov[..., 1, 1])
@@ -99,11 +96,10 @@ def disc_probability(*, mean: Floats, cov: Floats, radius_m: float) -> Floats:
 def conflict_probability(*, robot: Floats, mean: Floats, cov: Floats, radius_m: float) -> Floats:
     """Return the probability of a conflict in each scene, (S,).
 
-    `robot` and `mean` are (S, A, H, 2) m, `cov` is (S, A, H, 2, 2) m^2. Of one agent: the
-    probability to lie within the safety radius at the step where that is likeliest. The steps
-    share one velocity error and are nearly one event, so that this lower bound on the whole
-    horizon is close; a product over the steps would count one encounter twelve times. Agents are
-    independent. Further than 6 std from the disc counts as 0.
+    `robot` and `mean` are (S, A, H, 2) m, `cov` is (S, A, H, 2, 2) m^2. Of one agent: that of the
+    step where it is likeliest to lie within the safety radius. The steps share one velocity error
+    and are nearly one event: this lower bound on the whole horizon is close, a product over them
+    would count one encounter twelve times. Agents are independent; beyond 6 std counts as 0.
     """
     gap = mean - robot
     distance_m = np.sqrt(squared_lengths(gap))

@@ -2,9 +2,9 @@
 
 A walk has constant velocity but for white acceleration of spectral density q, the same in either
 axis; its errors are Gaussian once the scale of each is told. Then the exact posterior is a
-smoother's. Who is told every scale is the genie: no attack, in expectation, knows more samples to
-epsilon than the posterior mean does that a genie computes. Of real walks that says nothing for
-sure: they are not drawn from this motion. Derivations: docs/optimum.md.
+smoother's, and no attack, in expectation, knows more samples to epsilon than its mean does in the
+hands of the genie who is told every scale. Of real walks, which are not drawn from this motion,
+that says nothing for sure. Derivations: docs/optimum.md.
 
 References
 ----------
@@ -106,10 +106,9 @@ def errors_of(
 ) -> Errors | None:
     """Return the errors of a release as a genie sees them; None of a mechanism that it is blind to.
 
-    `sensed` has the samples of the release and no others. Told are the scales of radial errors
-    and of Laplace noise, drawn from what they are given the errors. Not covered: errors along one
-    line, of a constant length (`offset`), slow radial ones (`correlated`), filtered positions
-    (`forecast`), and mechanisms that are not the project's own.
+    `sensed` has the samples of the release and no others. Told are the scales of radial errors and
+    of Laplace noise, drawn given the errors. Not covered: errors along one line, `offset`,
+    `correlated`, `forecast`, and mechanisms that are not the project's own.
     """
     raw, shared = sensed.sigma_raw, release.sigma
     if sensed.law == "fixed_direction" or shared is None:
@@ -161,10 +160,8 @@ def known_share(
     the variance per axis of a smoothed position, averaged over the track.
     """
     batch = Batch(t, np.zeros((t.size, 2)), errors.variance, offsets, (START_STD_M, speed_mps))
-    if errors.slow is None:
-        spread = smooth_positions(batch, q=q)[1]
-    else:
-        spread = smooth_tracks(batch, errors.slow, q=q)[1]
+    slow = errors.slow
+    _, spread = smooth_tracks(batch, slow, q=q) if slow else smooth_positions(batch, q=q)
     known = -np.expm1(-(epsilon_m**2) / (2.0 * np.maximum(spread, _LEAST_VARIANCE_M2)))
     return np.asarray(np.add.reduceat(known, offsets[:-1]) / np.diff(offsets))
 
@@ -177,9 +174,8 @@ def log_ratios(
     ln p(y1, y2) - ln p(y1) - ln p(y2), exactly, for walks of `motion` behind Gaussian errors of
     known variance, each release turned and shifted by itself; averaged over the lag of the
     gallery's start after the probe's, which is one of `lags_s`, (L,), with probability `weight`.
-    If a probe's mate is one of the candidates, each as likely, none is guessed with more success
-    than who has the highest ratio (Bayes). The prior of the batches is `START_STD_M` and the
-    motion's speed.
+    Of equally likely candidates none is a better guess than the one of the highest ratio (Bayes).
+    The prior of the batches is `START_STD_M` and the motion's speed.
     """
     loops, sides, alone = import_module("isac_track.kalman._pair_loops"), [], []
     for one in (probe, gallery):

@@ -2,8 +2,7 @@
 
 White noise falls to whoever smooths; `ou` adds an error that stays for seconds, which neither a
 smoother nor the robot's filter averages away, `ou_fid` the same where the Fisher information
-density is high. `laplace` is the white noise of geo-indistinguishability, and `forecast` shares the
-network's own filtered position, seldom. Derivations: docs/mechanisms.md.
+density is high. Derivations: docs/mechanisms.md.
 """
 
 from collections.abc import Mapping
@@ -31,10 +30,10 @@ _MEMORY_S = 6.0  # What a filter of a walk has long forgotten.
 def session_errors(*, t: Floats, offsets: Ints, walk: Ints, tau_s: float) -> Floats:
     """Return standardised Ornstein-Uhlenbeck errors that belong to walks, (M, 2), per axis.
 
-    Whoever asks again for an instant of the same walk gets the same error, in whichever release:
-    the path follows from the walk's number alone. Its values at multiples of `tau_s` are those of a
-    stationary process; between them lies a bridge, exact at 512 points and a line in between, of
-    unit variance everywhere. `t` are (M,) s, `offsets` (N + 1,), `walk` (N,) the numbers.
+    An instant of a walk has the same error in whichever release: the path follows from the number
+    of the walk alone. Its values at multiples of `tau_s` are those of a stationary process; between
+    them lies a bridge, exact at 512 points and a line in between, of unit variance everywhere.
+    `t` are (M,) s, `offsets` (N + 1,), `walk` (N,) the numbers.
     """
     errors = np.empty((t.size, 2))
     for number, first, end in zip(walk.tolist(), offsets[:-1], offsets[1:], strict=True):

@@ -13,8 +13,7 @@ from isac_track.types import Floats, Tracks
 def walk(track: Tracks) -> Callable[[Floats], Floats]:
     """Return the continuous walk of one recorded track: times (K,) s -> positions (K, 2) m.
 
-    A cubic spline through the recorded samples (not-a-knot); exact at the samples. ValueError
-    unless `track` is a single track of two samples or more.
+    A cubic spline (not-a-knot), exact at the samples. ValueError for several tracks or one sample.
     """
     if len(track) != 1 or track.t.size < 2:  # noqa: PLR2004 - a walk needs two points
         raise ValueError("a walk needs one track of at least two samples")
@@ -45,8 +44,7 @@ def sampling_times(
 def resample(tracks: Tracks, *, settings: ResampleSettings, seed: int) -> Tracks:
     """Return the tracks of at least `min_duration_s`, interpolated and adaptively sampled.
 
-    Every track draws from its own stream, so that leaving one out changes no other. ValueError if
-    no track is long enough.
+    Every track draws from a stream of its own. ValueError if none is long enough.
     """
     parts: list[tuple[Floats, Floats, str, str]] = []
     for track in tracks:
@@ -56,7 +54,7 @@ def resample(tracks: Tracks, *, settings: ResampleSettings, seed: int) -> Tracks
             continue
         rng = stream(seed, "resample", track.source[0])
         t = sampling_times(start_s=start_s, end_s=end_s, settings=settings, rng=rng)
-        parts.append((t, walk(track)(t), *track.source, *track.group))
+        parts.append((t, walk(track)(t), track.source[0], track.group[0]))
     if not parts:
         raise ValueError(f"no track lasts {settings.min_duration_s:g} s")
     t_parts, xy_parts, source, group = zip(*parts, strict=True)

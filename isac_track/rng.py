@@ -8,10 +8,9 @@ import numpy as np
 def stream(seed: int, *names: str | int) -> np.random.Generator:
     """Return the generator of the stream called `names` under the base seed.
 
-    The names are hashed (SHA-256, with type and length, so that ``("ab", "c")`` and
-    ``("a", "bc")``, or ``1`` and ``"1"``, differ) into the spawn key of a `SeedSequence`. They are
-    the stage, then what the draw belongs to: ``stream(0, "sensing", "scene", 17)``. ValueError if
-    the seed is negative or no name is given.
+    The names are the stage, then what the draw belongs to: ``stream(0, "sensing", "scene", 17)``.
+    They are hashed (SHA-256, with type and length: ``("ab", "c")`` is not ``("a", "bc")``) into the
+    spawn key of a `SeedSequence`. ValueError if the seed is negative or no name is given.
     """
     if seed < 0:
         raise ValueError(f"the seed must not be negative, got {seed}")

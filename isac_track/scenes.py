@@ -34,9 +34,8 @@ class Cut(Tracks):
 def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
     """Resample the recorded tracks and split each at `history_ratio` of its samples.
 
-    The future is taken from the continuous walk at the very timestamps of the prediction
-    grid, so that the label has no interpolation of its own. It is a DataError if fewer tracks
-    remain than a scene has agents.
+    The future is that of the continuous walk at the very timestamps of the prediction grid: the
+    label has no interpolation of its own. DataError if fewer tracks remain than a scene has agents.
     """
     try:
         sampled = resample(recorded, settings=settings.resample, seed=seed)
@@ -55,7 +54,8 @@ def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
         )
         whole = whole_of[track.source[0]]
         if t_future[-1] <= whole.t[-1]:
-            parts.append((t, xy, t_future, walk(whole)(t_future), *track.source, *track.group))
+            names = track.source[0], track.group[0]
+            parts.append((t, xy, t_future, walk(whole)(t_future), *names))
     if len(parts) < settings.scenes.agents:
         raise DataError(
             f"{len(parts)} of {len(recorded)} tracks last {settings.resample.min_duration_s:g} s "
@@ -110,9 +110,8 @@ def history_samples(*, n_samples: int, ratio: float) -> int:
 def track_order(*, n_tracks: int, n_scenes: int, agents: int, seed: int) -> Ints:
     """Return which track plays which agent, (S, A): cyclic, reshuffled at every pass.
 
-    A fixed cycle would let only every n-th track ever be the first agent. Where two passes
-    meet inside a scene no track appears twice in it; ValueError if there are fewer tracks than
-    agents.
+    A fixed cycle would let only every n-th track ever be the first agent. Where two passes meet
+    inside a scene no track is in it twice; ValueError if there are fewer tracks than agents.
     """
     if n_tracks < agents:
         raise ValueError(f"{n_tracks} tracks cannot fill scenes of {agents} agents")
@@ -205,9 +204,8 @@ def _past_the_robot(
 ) -> Floats:
     """Return the shift of a near miss: the smallest separation is a drawn distance, exactly.
 
-    The agent is pushed along a random direction u until its relative path, as a whole, just
-    touches the circle of that distance: the largest root over all steps of
-    |q_h + s u| = d, with q the relative path.
+    The agent is pushed along a random direction u until its relative path q, as a whole, just
+    touches the circle of that distance d: the largest root over all steps of |q_h + s u| = d.
     """
     distance_m = rng.uniform(settings.conflict.safety_radius_m, settings.scenes.near_miss_max_m)
     angle = rng.uniform(0.0, 2.0 * np.pi)

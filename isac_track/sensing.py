@@ -34,10 +34,9 @@ class Channel:
 def fisher_information_density(*, information: Floats, t: Floats, offsets: Ints) -> Floats:
     """Return the Fisher information density J of every sample (eq. swarm_fid), 1/(m^2 s).
 
-    ``J(t) = I(k) / (t_k - t_(k-1))``. The first sample of a track has no interval before it
-    and takes the one after it; a track of a single sample has none at all, its density is
-    unbounded (inf), so that a mechanism protects it in full. `information` is (M,) 1/m^2, `t`
-    (M,) s, `offsets` (N + 1,).
+    ``J(t) = I(k) / (t_k - t_(k-1))``, with `intervals_before`: a track of a single sample has none,
+    its density is unbounded (inf), so that a mechanism protects it in full. `information` is (M,)
+    1/m^2, `t` (M,) s, `offsets` (N + 1,).
     """
     interval_s = intervals_before(t=t, offsets=offsets)
     density: Floats = np.full_like(information, np.inf)
@@ -63,10 +62,10 @@ def link_gain(
 ) -> Floats:
     """Return the two-way power gain of every sample, (M,), as a plain ratio.
 
-    The radar equation at 1 m, lambda^2 rcs / (4 pi)^3, path loss with the table's exponent
-    each way, one log-normal large-scale gain per track, N_p Rayleigh paths whose excess delay
-    lengthens the way there and back, and the beam's fluctuation per sample. `distance_m`, (M,) m,
-    is that from the base station, positive; `owner`, (M,), the track of each sample.
+    The radar equation at 1 m, lambda^2 rcs / (4 pi)^3, path loss with the table's exponent each
+    way, a log-normal gain per track, N_p Rayleigh paths whose excess delay lengthens the way there
+    and back, and the beam's fluctuation per sample. `distance_m`, (M,) m, positive, is that from
+    the base station; `owner`, (M,), the track of each sample.
     """
     wavelength_m = SPEED_OF_LIGHT_MPS / (settings.carrier_ghz * 1e9)
     at_1m = wavelength_m**2 * settings.rcs_m2 / (4.0 * np.pi) ** 3
@@ -99,9 +98,8 @@ def information(*, gain: Floats, settings: SensingSettings) -> Floats:
     """Return the Fisher information of every sample from its two-way gain, (M,) 1/m^2.
 
     ``I = beta * m_s * a^H Q a`` (eq. swarm_fi), with beta in 1/(m^2 W). The beam follows the
-    pedestrian, so that a^H Q a is the table's effective power. Below the SNR at which sigma_raw
-    would exceed its cap a target is not detected at all: the information has a floor there, and
-    information and sigma_raw stay tied to each other.
+    pedestrian: a^H Q a is the table's effective power. Below the SNR at which sigma_raw would
+    exceed its cap a target is not detected; the floor ties information and sigma_raw there, too.
     """
     noise_w = 10.0 ** ((settings.noise_dbm - 30.0) / 10.0)
     power_w = 10.0 ** ((settings.power_dbm - 30.0) / 10.0)
@@ -126,11 +124,10 @@ def unit_errors(
 ) -> Floats:
     """Draw standardised errors, (M, 2).
 
-    `radial`: the norm is |N(0, 1)| and the direction uniform (variance 1/2 per axis); the
-    reading that fits the paper's PLR. `isotropic`: N(0, 1) per axis. `fixed_direction`: as
-    `radial` with the direction of the track's first sample throughout, so that a track's errors
-    lie on a line through the truth; it needs the (N + 1,) offsets of the tracks. All use the same
-    draws, sample by sample, so that a shorter batch is a prefix of a longer one. ValueError for an
+    `radial`: the norm is |N(0, 1)| and the direction uniform (variance 1/2 per axis); the reading
+    that fits the paper's PLR. `isotropic`: N(0, 1) per axis. `fixed_direction`: as `radial`, all of
+    a track in the direction of its first sample, which needs the (N + 1,) `offsets`. All use the
+    same draws, sample by sample: a shorter batch is a prefix of a longer one. ValueError for an
     unknown law, or `fixed_direction` without the tracks.
     """
     draws = rng.standard_normal((n_samples, 3))
@@ -161,9 +158,9 @@ def draw_channel(
 ) -> Channel:
     """Draw the random part of the link for batches of tracks.
 
-    Every batch and quantity draws from a stream of its own, so that another number of paths, say,
-    leaves all other draws as they are. `n_samples`, (K, A), are those of the A tracks of each of K
-    batches (a scene, or one track), `keys` the names of the batches' streams.
+    Every batch and quantity has a stream of its own: another number of paths, say, leaves all other
+    draws as they are. `n_samples`, (K, A), are those of the A tracks of each of K batches (a scene,
+    or one track), `keys` the names of their streams.
     """
     # In hashable form, and remembered: a process works on several pieces of one task in turn.
     return _drawn(tuple(map(tuple, n_samples.tolist())), tuple(keys), settings, seed)
@@ -176,7 +173,6 @@ def _drawn(
     settings: SensingSettings,
     seed: int,
 ) -> Channel:
-    """Return the channel that `draw_channel` documents."""
     size = (len(n_samples[0]), settings.n_paths)
     batches = []
     for sizes, key in zip(n_samples, keys, strict=True):
@@ -210,8 +206,7 @@ def sense(
     """Return what the network holds about N walks: raw estimates with their uncertainty.
 
     At the times `t`, (M,) s, they truly are at `xy`, (M, 2) m in the frame of the base station;
-    `offsets` are (N + 1,), `walk` those of `Sensed`. ValueError for who stands on it (no distance,
-    no path loss).
+    `offsets` are (N + 1,), `walk` those of `Sensed`. ValueError for who stands on the station.
     """
     distance_m: Floats = np.hypot(xy[:, 0] - settings.bs_x_m, xy[:, 1] - settings.bs_y_m)
     if not (distance_m > 0).all():
@@ -241,10 +236,7 @@ def walk_numbers(*names: str | int, n_walks: int, seed: int) -> Ints:
 def sense_scenes(
     scenes: Scenes, *, settings: SensingSettings, seed: int, names: tuple[str | int, ...] = ()
 ) -> Sensed:
-    """Return what the network senses of the histories; every scene draws from its own stream.
-
-    Other `names` of the streams sense the same walks anew.
-    """
+    """Return what the network senses of the histories; with other `names` of the streams anew."""
     channel = draw_channel(
         n_samples=np.diff(scenes.offsets).reshape(len(scenes), -1),
         keys=[("scene", int(index), *names) for index in scenes.index],

@@ -31,10 +31,9 @@ def perturb(
 ) -> Release:
     """Add an error of standard deviation `d_sigma` to the raw estimates.
 
-    `linear` (eq. shared_sigma): the standard deviations add, sigma_raw + d_sigma; the true
-    error is scaled, which only somebody who knows the truth can do. `independent`
-    (eq. swarm_shared): a fresh error is added and the variances add. The fresh error has a
-    direction of its own: under the law `fixed_direction` one for each track of the release.
+    `linear` (eq. shared_sigma): the standard deviations add, sigma_raw + d_sigma; the true error is
+    scaled, which only somebody who knows the truth can do. `independent` (eq. swarm_shared): the
+    variances add, as a fresh error has a direction of its own.
 
     `d_sigma` is (M,) m, or one number; `rng` draws the fresh error and the pseudonyms. The fresh
     error has the `law` of the raw error unless told otherwise, or is itself given, standardised:
@@ -90,10 +89,8 @@ def fid_d_sigma(*, fid: Floats, eta: float, alpha_m: float, beta: float) -> Floa
     """Return the additional standard deviation of the FID rule, (M,) m.
 
     Eqs. fid_ratio and fid_error_control: nothing up to the threshold, then
-    alpha * (beta - exp(-(rho - 1))), from alpha * (beta - 1) just above it to alpha * beta.
-
-    `fid` and the threshold `eta`, positive, are in 1/(m^2 s); `alpha_m` and `beta` are the paper's,
-    beta at least 1 (less would give a negative standard deviation).
+    alpha * (beta - exp(-(rho - 1))), from alpha * (beta - 1) just above it to alpha * beta. `fid`
+    and the threshold `eta`, positive, are in 1/(m^2 s), `beta` is at least 1.
     """
     rho = fid / eta
     below = ~(rho > 1.0)

@@ -28,10 +28,8 @@ def correlated_errors(
     `isotropic`: two Ornstein-Uhlenbeck processes. `radial`: one of time constant 2 tau_s times a
     direction that moves on the circle as Brownian motion, with E[cos turn] = exp(-dt / 2 tau_s).
     `fixed_direction`: one of time constant tau_s times a direction that is drawn once a track.
-    All are exact at any instants and use the same draws, three a sample.
-
-    `t` are (M,) s, strictly increasing within a track, `offsets` (N + 1,), and `tau_s` is
-    positive. An unknown law is a ValueError.
+    All are exact at any instants, and use three draws a sample. `t` are (M,) s, increasing within a
+    track, `offsets` (N + 1,), `tau_s` is positive. An unknown law is a ValueError.
     """
     if law not in get_args(ErrorLaw):
         raise ValueError(f"unknown error law {law!r}; known: {', '.join(get_args(ErrorLaw))}")
@@ -67,8 +65,7 @@ class Correlated:
     """Add errors as large as those of `fixed`, but alike from sample to sample.
 
     By itself each sample is as far off as under `fixed` with the same `d_sigma` and adding rule.
-    With linear adding the whole error is redrawn, sigma_raw + d_sigma times the slow error, which
-    only somebody who knows the truth can do, like linear adding itself.
+    With linear adding the whole error is redrawn, sigma_raw + d_sigma times the slow one.
     """
 
     d_sigma: float  # m
@@ -98,10 +95,8 @@ class Correlated:
 class Offset:
     """Move every track as a whole: the same way for all of its samples, in a random direction.
 
-    The declared standard deviation stays that of the raw estimates. The displacement is constant
-    along a track and says nothing of how far its samples scatter; a network that declared it would
-    undo the control, since whoever smooths weighs samples by what is declared. No adding rule:
-    there is no standard deviation to add.
+    Declared is the standard deviation of the raw estimates: the displacement says nothing of how
+    far samples scatter, and whoever smooths weighs them by what is declared.
     """
 
     distance: float  # m
@@ -124,8 +119,7 @@ class Offset:
 class Thin:
     """Share every n-th sample only, as `fixed` would; the last of a track is always one of them.
 
-    The error is drawn for all samples first: at any `every` those that are shared lie where
-    ``fixed`` puts them.
+    The error is drawn for all samples first: those that are shared lie where `fixed` puts them.
     """
 
     every: int  # One sample in so many is shared.

@@ -1,15 +1,12 @@
 """Trackers for the robot: constant velocity, constant acceleration, and both moods of a walk.
 
-`kalman_cv`, `kalman_ca` and `kalman_imm` filter the most recent shared samples with irregular
-steps and predict the whole horizon with a covariance. The measurement noise is estimated from the
-innovations, since a robot is not told how accurate a sample is, or taken as declared.
+They filter the most recent shared samples and predict the whole horizon with a covariance. The
+noise is estimated from the innovations, since a robot is not told it, or taken as declared.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 
@@ -76,7 +73,7 @@ class KalmanCV:
         elapsed_s = t_future - release.t[release.offsets[1:] - 1, None]
         return Prediction(*_ahead(mean, planar, q=np.array(self.q), elapsed_s=elapsed_s))
 
-    def knowing(self, mechanism: object) -> KalmanCV:
+    def knowing(self, mechanism: object) -> Self:
         """Return the robot that knows what this mechanism adds; itself if it is not aware."""
         if not self.aware:
             return self
@@ -150,7 +147,6 @@ class KalmanCA(KalmanCV):
     """Constant acceleration, white-noise jerk: `KalmanCV` with one more state per axis."""
 
     q: float = 0.026  # m^2/s^5, from ``python -m benchmarks.tune``
-
     states: ClassVar[int] = 3
 
 
@@ -175,10 +171,9 @@ class KalmanIMM(KalmanCV):
         return Moods((self.q, self.q_turn), (self.walk_s, self.turn_s))
 
     def predict(self, release: Release, t_future: Floats) -> Prediction:
-        """Return mean and covariance at `t_future`, (N, H) s.
+        """Return mean and covariance at `t_future`, (N, H) s: a mix of what each mode foresees.
 
-        Every mode is carried on by itself and the forecasts are mixed: within the horizon of
-        a second the walk keeps its mood.
+        Within the horizon of a second the walk keeps its mood.
         """
         batch = self.batch(release)
         if self.engine == "filterpy":

@@ -56,11 +56,7 @@ def _in_every_row(body: engine.Body, subject: Hashable) -> None:
 
 @lru_cache(maxsize=16)
 def _rows(subject: Hashable) -> list[Row]:
-    """Return the rows of a plug-in, weakest adversary first, as all checks but one run them.
-
-    One that touches what it was not granted is given everything, or that one mistake would fail
-    all checks and hide the next one.
-    """
+    """Return the rows of a plug-in, weakest adversary first, as all checks but one run them."""
     world, _ = _KITS[_kind(subject)]
     rows = []
     for granted, adversary in _granted(subject).items():
@@ -68,6 +64,7 @@ def _rows(subject: Hashable) -> list[Row]:
         try:
             row.raw(copied(row.ordinary))
         except AssertionError:
+            # Given everything, lest this one mistake fail all checks and hide the next one.
             row = dataclasses.replace(row, given=row.ordinary.everything)
         rows.append(row)
     return rows
@@ -76,8 +73,7 @@ def _rows(subject: Hashable) -> list[Row]:
 def _granted(subject: Any) -> dict[frozenset[Knowledge], str]:  # noqa: ANN401 - a stranger's
     """Return the adversary of every row that a plug-in makes here, by what it is granted.
 
-    What a linkage attack is granted depends on the task, whether it shows the scene: it makes the
-    rows of both sorts, each once. Another plug-in makes one row, of no adversary.
+    Of linkage these are the rows of all tasks, each once; no plug-in but attacks has an adversary.
     """
     nothing = frozenset[Knowledge]()
     if noun_of(subject) != "attack":

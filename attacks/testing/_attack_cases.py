@@ -66,10 +66,7 @@ class ReconstructionCase(made.Case):
         return "expected a Reconstruction, got ndarray; wrap the positions: Reconstruction(xy)"
 
     def read(self, result: Any) -> Floats:  # noqa: ANN401 - a stranger's
-        """Return positions and std, if claimed, (M, 2 or 3) m; ValueError if it is neither.
-
-        Positions alone will do: the check of the type is another one.
-        """
+        """Return positions, of either type, and std, if claimed, (M, 2 or 3) m; or ValueError."""
         found = Reconstruction(result) if isinstance(result, np.ndarray) else result
         if not isinstance(found, Reconstruction):
             raise ValueError(f"expected a Reconstruction, got {type(result).__name__}")  # noqa: TRY004 - of a stranger's
@@ -180,15 +177,10 @@ def made_up(
     law: ErrorLaw = "radial",
     steps_s: tuple[float, float] = made.STEADY_S,
 ) -> ReconstructionCase:
-    """Return walks of people, shared with errors of standard deviation `sigma_m`.
-
-    All but the size of the errors depends on `name` and `sizes` (samples of each track) alone.
-    """
+    """Return walks of people, of which all but the size of errors is that of `name` and `sizes`."""
     mechanism = Fixed(d_sigma=sigma_m - RAW_SIGMA_M, law=law)
-    mine, others = (
-        made.walks(name, who, sizes=some, steps_s=steps_s)
-        for who, some in (("walks", sizes), ("others", range(40, 88, 4)))
-    )
+    mine = made.walks(name, "walks", sizes=sizes, steps_s=steps_s)
+    others = made.walks(name, "others", sizes=range(40, 88, 4), steps_s=steps_s)
     truth, others_truth = (np.concatenate([xy for _, xy in some]) for some in (mine, others))
 
     def share(walked: list[made.Walk], *words: str | int) -> Release:
@@ -342,8 +334,8 @@ def people_made_up(
 ) -> LinkageCase:
     """Return people who differ in speed, in how evenly they walk and in how they turn.
 
-    All but the size of the errors depends on `name` and sizes alone: the samples of each track of
-    probe and gallery, which are the same people, and of either release of the training set.
+    All but the size of the errors depends on `name` and `sizes` alone: the samples of each track of
+    probe and gallery, the same people, and of either release of the training set.
     """
     mechanism = Fixed(d_sigma=sigma_m - RAW_SIGMA_M, law=law)
 

@@ -26,7 +26,7 @@ SAME_LEARNT = 0.01  # Room for what a learner makes of the same examples in anot
 SPREADS = 3.0
 """Two runs of an attack that draws may differ by so many times what two seeds differ by."""
 SURPRISE = 1e-6  # Probability with which chance alone would fail an attack.
-LEAK_ERRORS = 4.5
+LEAK_ERRORS = 4.5  # Of ten thousand sound attacks hardly one leaks so many standard errors.
 STANDARD_ERRORS = 2.5  # One-sided 99 % for 24 people (Student's t).
 _LEAKS = "does the truth reach the attack by a way other than its context?"
 
@@ -58,10 +58,7 @@ class Row:
         return answer
 
     def results(self, *cases: Case, seed: int = 0) -> list[Any]:
-        """Return what the plug-in makes of several cases in turn, as it is, if it can be read.
-
-        It is prepared for the first and given copies of all arrays.
-        """
+        """Return what the plug-in, prepared for the first, makes of copies of cases in turn."""
         results = self.raw(*map(copied, cases), seed=seed)
         for case, result in zip(cases, results, strict=True):
             try:
@@ -71,10 +68,7 @@ class Row:
         return results
 
     def raw(self, *cases: Case, seed: int = 0) -> list[object]:
-        """Return whatever the plug-in returns for each case, given what it is and no more.
-
-        Whatever it raises becomes an AssertionError with the line that did.
-        """
+        """Return whatever the plug-in returns for each case; what it raises fails the check."""
         if Knowledge.SIGMA not in self.given:
             cases = tuple(of_each(case, Release.without_sigma) for case in cases)
         who, asked = f"{self}, {cases[0].about}:", cases[0].asked
@@ -205,7 +199,7 @@ def training_without_mates_is_handled(row: Row) -> None:
     """Where a third of the training probes has no mate (-1), nobody is taken for theirs.
 
     Of every other such probe the gallery track is gone. The training gallery is then turned back to
-    front: who takes -1 for the last track learns something else. Who learns may differ by 1 %.
+    front: who takes -1 for the last track learns something else.
     """
     train = row.ordinary.train
     mate = train.mate.copy()
@@ -244,8 +238,7 @@ def calls_do_not_remember(row: Row) -> None:
 def null_stays_at_chance(row: Row) -> None:
     """Where the releases say nothing of the truth, it is hit no more often than by chance.
 
-    Each part of the truth is drawn by itself: whatever the attack says, it is hit with the
-    probability `chance` at most.
+    Each part of the truth is drawn by itself: it is hit with the probability `chance` at most.
     """
     case = row.ordinary.null()
     hits = case.hits(row.answer(case))
@@ -270,8 +263,7 @@ def easy_case_beats_chance(row: Row) -> None:
 def success_falls_with_noise(row: Row) -> None:
     """What an attack achieves falls from each level of isotropic noise to the next.
 
-    The same people with the same unit errors, so that each is compared with themselves: the mean
-    fall must exceed 2.5 of its standard errors over the people.
+    The same people with the same unit errors, so that each is compared with themselves.
     """
     world = row.ordinary
     levels = [world.noisy(sigma_m, "isotropic") for sigma_m in world.levels_m]
@@ -290,7 +282,7 @@ def nothing_beats_the_optimum(row: Row) -> None:
     """Of walks that follow a model no more leaks than the exact posterior of a genie tells.
 
     Of isotropic errors and of radial ones, whose scales the genie is told. A row with more than one
-    release is exempt. Of ten thousand sound attacks hardly one exceeds 4.5 standard errors.
+    release is exempt.
     """
     for law in ("isotropic", "radial"):
         case, expected = row.ordinary.modelled(law)

@@ -22,8 +22,7 @@ from isac_track.types import ErrorLaw, Floats
 
 EPSILON_M = 0.3
 EPSILONS_M = np.linspace(0.02, 1.5, 25).tolist()
-STANDARD_ERRORS = 5.0
-"""Width of the Monte Carlo tolerances; the draws are seeded, so that they never flicker."""
+STANDARD_ERRORS = 5.0  # Width of the Monte Carlo tolerances.
 _NAMES = {"plr": "PLR", "ael_s": "AEL", "mel_s": "MEL"}
 """What the functions of the descriptors return."""
 _LARGE = 20_000
@@ -84,10 +83,9 @@ def plain_track(pattern: str, *, t: Sequence[float] | None = None) -> Track:
 def random_tracks(
     name: str, *, count: int = 150, least: int = 1, epsilon_m: float = 0.0
 ) -> Iterator[Track]:
-    """Yield seeded, irregularly sampled random walks with errors in all directions.
+    """Yield irregularly sampled random walks, those of few samples first; epsilon may be given.
 
-    Those of few samples come first. No error lies within 2 % of epsilon, drawn if not given, so
-    that rounding cannot flip a sample.
+    No error lies within 2 % of it, so that rounding cannot flip a sample.
     """
     for index in range(count):
         rng, size = stream(0, "testing", name, index), least + index // 6

@@ -30,9 +30,8 @@ class Metrics:
     plr: Callable[[Floats, Floats, float], float] | None = None
     """(shared_xy (T, 2) m, true_xy (T, 2) m, epsilon_m) -> share of leaked samples, 0..1."""
     ael_s: Callable[[Floats, Floats, Floats, float], float] | None = None
-    """(shared_xy (T, 2) m, true_xy (T, 2) m, t (T,) s, epsilon_m) -> s."""
     mel_s: Callable[[Floats, Floats, Floats, float], float] | None = None
-    """(shared_xy (T, 2) m, true_xy (T, 2) m, t (T,) s, epsilon_m) -> s."""
+    """Either: (shared_xy (T, 2) m, true_xy (T, 2) m, t (T,) s, epsilon_m) -> s."""
     exposure: Callable[[Floats, Floats, Floats, Ints, float], tuple[Floats, ...]] | None = None
     """(shared_xy (M, 2) m, true_xy (M, 2) m, t (M,) s, offsets (N + 1,), epsilon_m) -> PLR, AEL
     and MEL, (N,) each: all trajectories in one call, end to end in flat arrays."""
@@ -45,9 +44,8 @@ class Metrics:
     is_conflict: Callable[[float, float], bool] | None = None
     """(separation_m, safety_radius_m) -> bool."""
     missed_conflict_rate: Callable[[Bools, Bools], float] | None = None
-    """(conflict (S,) bool, predicted (S,) bool) -> 0..1."""
     false_alarm_rate: Callable[[Bools, Bools], float] | None = None
-    """(conflict (S,) bool, predicted (S,) bool) -> 0..1."""
+    """Either: (conflict (S,) bool, predicted (S,) bool) -> 0..1."""
     distance_mae_m: Callable[[Floats, Floats], float] | None = None
     """(true_separation_m (S,), predicted_separation_m (S,)) -> m."""
     fid_d_sigma: Callable[[Floats, float, float, float], Floats] | None = None
