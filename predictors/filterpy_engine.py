@@ -73,8 +73,7 @@ def _filtered(
         for k, z in enumerate(batch.xy[lo:hi]):
             if k > 0:
                 for mode, density in zip(modes, q, strict=True):
-                    mode.F = _motion(steps[k - 1], len(batch.prior_std), error)
-                    mode.Q = _process_noise(steps[k - 1], density, len(batch.prior_std), error)
+                    mode.F, mode.Q = _model(steps[k - 1], density, len(batch.prior_std), error)
                 whole.predict()
             for mode in modes:
                 mode.R = np.eye(2) * batch.variance[lo + k]
@@ -91,16 +90,13 @@ def _filtered(
         yield whole, modes
 
 
-def _motion(dt: float, d: int, error: SlowError | None) -> Floats:
-    one = np.array([[1.0, dt, 0.5 * dt**2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])[:d, :d]
-    return np.kron(np.eye(2), block_diag(one, np.exp(-dt / error.tau_s)) if error else one)
-
-
-def _process_noise(dt: float, q: float, d: int, error: SlowError | None) -> Floats:
-    one = Q_continuous_white_noise(dim=d, dt=dt, spectral_density=q)
+def _model(dt: float, q: float, d: int, error: SlowError | None) -> tuple[Floats, Floats]:
+    motion = np.array([[1.0, dt, 0.5 * dt**2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])[:d, :d]
+    noise = Q_continuous_white_noise(dim=d, dt=dt, spectral_density=q)
     if error:
-        one = block_diag(one, -np.square(error.std_m) * np.expm1(-2.0 * dt / error.tau_s))
-    return np.kron(np.eye(2), one)
+        motion = block_diag(motion, np.exp(-dt / error.tau_s))
+        noise = block_diag(noise, -np.square(error.std_m) * np.expm1(-2.0 * dt / error.tau_s))
+    return np.kron(np.eye(2), motion), np.kron(np.eye(2), noise)
 
 
 def _filter(start: Floats, prior_std: tuple[float, ...], error: SlowError | None) -> Any:  # noqa: ANN401 - no types

@@ -26,7 +26,6 @@ EXTENTS, EXTRA_M = 3.0, 10.0
 """How far an answer may lie from the middle of its track: 3 times its extent and 10 m."""
 GAP_S = 1.0  # Silence before the gallery goes on, where the scene is shown.
 PEOPLE, OTHERS = (128,) * N_TRACKS, (128,) * 20  # Samples of each: 12 s at 8 to 16 Hz.
-
 ODD = (
     *(((128,) * probes, (128,) * gallery, OTHERS) for probes, gallery in ((1, 1), (4, 1), (1, 4))),
     ((1, 1, 1), (1, 1, 1, 1), (40,) * 8),
@@ -44,9 +43,7 @@ class ReconstructionCase(made.Case):
     compared: ClassVar[str] = "positions or std"
     unit: ClassVar[str] = " m"
     hit: ClassVar[str] = "samples leak"
-    chance: ClassVar[float] = np.pi * EPSILON_M**2 / BOX_M**2
-    """Whatever is said of a position drawn uniformly in the square, so probably it is within
-    epsilon at most."""
+    chance: ClassVar[float] = np.pi * EPSILON_M**2 / BOX_M**2  # Of a truth drawn in the square.
     easy_share: ClassVar[float] = 0.5  # The shared positions themselves come to 1.0 there.
     easy_hint: ClassVar[str] = "does it smooth too much, or lag behind?"
     levels_m: ClassVar[tuple[float, ...]] = (0.3, 1.0, 3.0)

@@ -90,11 +90,8 @@ class Row:
         gap = np.where(chance > 0, gap, gaps.max(axis=-1))
         if (gap > tolerance + SPREADS * chance).any():
             drawn = f" (two seeds differ by {chance.max():.3g}{case.unit})" * bool(chance.any())
-            self.fail(
-                case,
-                f"{what}: {case.compared} differ by {gap.max():.3g}{case.unit}, expected at most "
-                f"{tolerance:g}{case.unit}{drawn}; {hint}",
-            )
+            found = f"{what}: {case.compared} differ by {gap.max():.3g}{case.unit}"
+            self.fail(case, f"{found}, expected at most {tolerance:g}{case.unit}{drawn}; {hint}")
 
 
 # The checks; each is held against every row that an attack makes
@@ -164,14 +161,12 @@ def frames_do_not_matter(row: Row) -> None:
         raise SkipTest("granted SCENE in every row: it may depend on the true frame and clock")
     changed, follow = row.ordinary.in_other_frames()
     got, expected = row.answer(changed), follow(row.answer(row.ordinary))
-    row.expect_same(
-        got,
-        expected,
-        tolerance=SAME_FRAME,
-        what="another frame and clock for every release",
-        hint="without SCENE they are random; does anything depend on x and y taken by themselves, "
-        "on headings, on absolute times, or on two of these sharing a frame?",
+    what = "another frame and clock for every release"
+    hint = (
+        "without SCENE they are random; does anything depend on x and y taken by themselves, "
+        "on headings, on absolute times, or on two of these sharing a frame?"
     )
+    row.expect_same(got, expected, what=what, hint=hint, tolerance=SAME_FRAME)
 
 
 def pseudonyms_do_not_matter(row: Row) -> None:

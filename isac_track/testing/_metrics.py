@@ -72,9 +72,7 @@ def _by_position(function: Function) -> Function:
 
 OWN = Metrics(
     # Any clock: PLR counts samples.
-    plr=lambda shared, true, epsilon_m: _of_one(
-        shared, true, np.arange(1.0 * len(true)), epsilon_m
-    )[0],
+    plr=lambda shared, true, eps: _of_one(shared, true, np.arange(1.0 * len(true)), eps)[0],
     ael_s=lambda *walk: _of_one(*walk)[1],
     mel_s=lambda *walk: _of_one(*walk)[2],
     exposure=_exposure,
@@ -87,9 +85,7 @@ OWN = Metrics(
         speed_mps=speed_mps,
         elapsed_s=elapsed_s[None, None],
     )[0, 0],
-    minimum_separation=lambda robot, agents: float(
-        conflict.minimum_separation(robot=robot[None], agents=agents[None])[0]
-    ),
+    minimum_separation=lambda a, b: conflict.minimum_separation(robot=a[None], agents=b[None])[0],
     is_conflict=_by_position(conflict.is_conflict),
     missed_conflict_rate=_by_position(conflict.missed_conflict_rate),
     false_alarm_rate=_by_position(conflict.false_alarm_rate),
