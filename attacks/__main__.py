@@ -14,23 +14,14 @@ from typing import cast
 from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
 from isac_track.errors import IsacTrackError, SettingsError
 
-TEMPLATES = {
-    "test_{name}.py": "test_plugin.py.tmpl",
-    "pyproject.toml": "pyproject.toml.tmpl",
-    "README.md": "README.md.tmpl",
-}
-_ATTACK = {"noun": "attack", "one_check": "null_stays_at_chance", "beside": ""}
 KINDS: dict[str, dict[str, str]] = {
-    "reconstruction": _ATTACK | {"idea": "smooth", "parameter": "tau_s", "another": "0.1"},
-    "linkage": _ATTACK | {"idea": "describe", "parameter": "bin_s", "another": "0.5"},
-    "mechanism": {
-        "noun": "mechanism",
-        "one_check": "sigma_is_declared",
-        "beside": "--mechanism raw ",
-    }
-    | {"idea": "how_much", "parameter": "d_sigma", "another": "0.2"},
-    "predictor": {"noun": "predictor", "one_check": "odd_tracks_are_predicted", "beside": ""}
-    | {"idea": "ahead", "parameter": "window_s", "another": "0.5"},
+    kind: {"noun": noun, "one_check": check, "idea": idea, "parameter": name, "another": value}
+    for kind, noun, check, idea, name, value in (
+        ("reconstruction", "attack", "null_stays_at_chance", "smooth", "tau_s", "0.1"),
+        ("linkage", "attack", "null_stays_at_chance", "describe", "bin_s", "0.5"),
+        ("mechanism", "mechanism", "sigma_is_declared", "how_much", "d_sigma", "0.2"),
+        ("predictor", "predictor", "odd_tracks_are_predicted", "ahead", "window_s", "0.5"),
+    )
 }
 """What the packages of the kinds differ in, beside the template of the module."""
 _IMPORTED = {"ClassVar", "Knowledge", "Literal", "Prediction", "Reconstruction"}
@@ -137,23 +128,25 @@ def _check(spec: str) -> int:
 
 def _new(name: str, *, kind: str, into: Path) -> int:
     class_name, folder = "".join(map(str.capitalize, name.split("_"))), into / name
-    words = KINDS[kind]
-    noun = words["noun"]
+    noun = KINDS[kind]["noun"]
     _reject_taken(name, class_name=class_name, folder=folder, noun=noun)
     shown = f"./{name}" if into == Path() else shlex.quote(str(folder))
+    beside = "--mechanism raw " if kind == "mechanism" else ""
     commands = {
         "install": f"pip install -e {shown}",
         "pytest": f"pytest {shown.removeprefix('./')}",
-        "matrix": f"python -m evaluation.matrix --preset smoke {words['beside']}--{noun} {name}",
+        "matrix": f"python -m evaluation.matrix --preset smoke {beside}--{noun} {name}",
     }
     is_what = f"{kind} attack" if noun == "attack" else noun
-    words = words | commands | {"is": is_what, "name": name, "class_name": class_name}
+    words = KINDS[kind] | commands | {"is": is_what, "name": name, "class_name": class_name}
+    written = {f"{name}.py": f"{kind}.py", f"test_{name}.py": "test_plugin.py"}
+    written |= {source: source for source in ("pyproject.toml", "README.md")}
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for target, source in {"{name}.py": f"{kind}.py.tmpl", **TEMPLATES}.items():
-            template = (files("attacks") / "templates" / source).read_text(encoding="utf-8")
-            text = Template(template).substitute(words)
-            (folder / target.format(name=name)).write_text(text, encoding="utf-8")
+        for target, source in written.items():
+            template = files("attacks") / "templates" / f"{source}.tmpl"
+            text = Template(template.read_text(encoding="utf-8")).substitute(words)
+            (folder / target).write_text(text, encoding="utf-8")
     except OSError as error:
         raise SettingsError(f"cannot write {error.filename}: {error.strerror}") from error
     works = f"a{'n' * (noun == 'attack')} {noun} that works"
