@@ -57,18 +57,11 @@ def shared_cells(a: Floats, b: Floats, f_a: Floats, f_b: Floats, out: Floats) ->
 
     Where either is 0 the term is, and most are: they are passed over.
     """
-    n_cells = a.shape[1]
-    some = np.empty(n_cells, dtype=np.int64)
     for i in range(a.shape[0]):
-        n_some = 0
-        for k in range(n_cells):
-            if a[i, k] > 0.0:
-                some[n_some] = k
-                n_some += 1
+        some = np.flatnonzero(a[i] > 0.0)
         for j in range(b.shape[0]):
             total = 0.0
-            for at in range(n_some):
-                k = some[at]
+            for k in some:
                 if b[j, k] > 0.0:
                     both = a[i, k] + b[j, k]
                     total += both * log(both) - f_a[i, k] - f_b[j, k]

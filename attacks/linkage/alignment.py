@@ -1,7 +1,4 @@
-"""Who walks like this, moment for moment? The least distance over all alignments in time.
-
-Of two paths, by their shape, or of how fast their walkers went and how they turned.
-"""
+"""Who walks like this, moment for moment? The least distance over all alignments in time."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,19 +7,18 @@ from typing import ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import learn, linker
+from attacks.linkage.learning import Linking, learn, linker
 from attacks.linkage.signals import aligned_costs, factors, motion_of, on_grid
 from attacks.parameters import positive, tried
 from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
-from isac_track.types import Floats, Knowledge, Release
+from isac_track.types import Floats, Release
 
 _RANK = 8  # Polynomials of a profile.
-_TAUGHT_BY = 80
-"""Mated pairs to learn from: three widths of smoothing on all would cost more than the attack."""
+_TAUGHT_BY = 80  # Mated pairs to learn from: three widths on all would cost more than the attack.
 
 
 @dataclass(frozen=True, slots=True)
-class Shape:
+class Shape(Linking):
     """Least mean squared distance of two paths over shift, rotation and lag; no reflection.
 
     For every lag, that of the overlapping stretches a and b (complex, less their means) after the
@@ -41,15 +37,11 @@ class Shape:
     rotation without reflection).
     """
 
-    floor_m2: float | None = None
-    """m^2; None: learnt from the training set, or `DEFAULT_FLOOR_M2` without one."""
+    floor_m2: float | None = None  # None: learnt from the training set, or `DEFAULT_FLOOR_M2`.
     rank: int = 5
     """More tell more of a walk that is shared almost as it is, and hold more of the noise."""
     reach_s: float = 6.0  # s, greatest lag.
 
-    kind: ClassVar[str] = "linkage"
-    requires: ClassVar[frozenset[Knowledge]] = frozenset()
-    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
     DEFAULT_FLOOR_M2: ClassVar[float] = 0.01
 
     def __post_init__(self) -> None:
@@ -78,7 +70,7 @@ def _shapes(
 
 
 @dataclass(frozen=True, slots=True)
-class Profile:
+class Profile(Linking):
     """Least mean squared distance of two profiles of speed and turning over all lags.
 
     The profile is the speed in m/s and the signed turning rate in rad/s times `turn_m`, four
@@ -89,15 +81,11 @@ class Profile:
     `Shape` says why a logarithm and why a floor.
     """
 
-    factor: float | None = None
-    """Of the widths; None: learnt from the training set, or 1 without one."""
+    factor: float | None = None  # Of the widths; None: learnt from the training set, or 1.
     turn_m: float = 1.0
     floor: float | None = None  # None: learnt, or `DEFAULT_FLOOR`.
     reach_s: float = 6.0  # s, greatest lag.
 
-    kind: ClassVar[str] = "linkage"
-    requires: ClassVar[frozenset[Knowledge]] = frozenset()
-    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
     DEFAULT_FLOOR: ClassVar[float] = 0.002
 
     def __post_init__(self) -> None:
@@ -110,8 +98,7 @@ class Profile:
         pairs = list(product(widths, floors))
 
         def scores(train: LinkageTrainingSet) -> Callable[[tuple[float, float]], Floats]:
-            sides = train.probe, train.gallery
-            each = [_profiles(*sides, self, factor, floors) for factor in widths]
+            each = [_profiles(train.probe, train.gallery, self, one, floors) for one in widths]
             return dict(zip(pairs, np.concatenate(each), strict=True)).__getitem__
 
         (best,) = learn(context, (pairs,), most=_TAUGHT_BY, scores=scores)
@@ -125,7 +112,6 @@ def _profiles(
     factor: float,
     floors: float | Sequence[float],
 ) -> Floats:
-    """Return the score of every pair, (P, G), or (E, P, G) of several floors."""
     p, g = (motion_of(one, factor, attack.turn_m) for one in (probe, gallery))
     score: Floats = -np.log(aligned_costs(p, g, floors=floors, rank=_RANK, reach_s=attack.reach_s))
     return score

@@ -6,19 +6,18 @@ from typing import ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import learn, linker
+from attacks.linkage.learning import Linking, learn, linker
 from attacks.linkage.signals import EXPONENT, FULL_CELLS, Signals, blocks, factors, loops, motion_of
 from attacks.parameters import positive, tried
 from isac_track.protocols import AttackContext, Linker
-from isac_track.types import Floats, Knowledge, Release
+from isac_track.types import Floats, Release
 
 _STRIDE = 2  # Cells between those compared: 2 Hz of signals that are smoothed over more than that.
-_TAUGHT_BY = 48
-"""Mated pairs to learn from: five candidates on all would cost more than the attack."""
+_TAUGHT_BY = 48  # Mated pairs to learn from: five candidates on all would cost too much.
 
 
 @dataclass(frozen=True, slots=True)
-class DTW:
+class DTW(Linking):
     """Least squared distance of two profiles of speed and turning under warping of time.
 
     The profiles, (speed in m/s, turning rate in rad/s times `turn_m`) twice a second, may be
@@ -35,16 +34,12 @@ class DTW:
     and Knowledge Discovery 31, 2017, 1-31.
     """
 
-    factor: float | None = None
-    """Of `attacks.linkage.signals.widths_s`; None: learnt from the training set, or 1."""
+    factor: float | None = None  # Of `signals.widths_s`; None: learnt from the training set, or 1.
     turn_m: float = 1.0
     band: float = 0.15
     penalty: float | None = None  # None: learnt, or `DEFAULT_PENALTY`.
     floor: float = 0.003
 
-    kind: ClassVar[str] = "linkage"
-    requires: ClassVar[frozenset[Knowledge]] = frozenset()
-    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
     DEFAULT_PENALTY: ClassVar[float] = 0.1
 
     def __post_init__(self) -> None:
@@ -54,13 +49,14 @@ class DTW:
 
     def fit(self, context: AttackContext) -> Linker:
         """Return what scores walks like those in the training set."""
-        factor, penalty = learn(
+        penalties = tried(self.penalty, (self.DEFAULT_PENALTY, 0.02, 0.5))
+        best = learn(
             context,
-            (factors(context, self.factor), tried(self.penalty, (self.DEFAULT_PENALTY, 0.02, 0.5))),
+            (factors(context, self.factor), penalties),
             most=_TAUGHT_BY,
             scores=lambda train: partial(_score, train.probe, train.gallery, self),
         )
-        return linker(_score, self, factor, penalty)
+        return linker(_score, self, *best)
 
 
 def _score(probe: Release, gallery: Release, attack: DTW, factor: float, penalty: float) -> Floats:

@@ -13,7 +13,7 @@ from attacks.linkage.alignment import Profile, Shape
 from attacks.linkage.behaviour import FEATURES, Behaviour, features
 from attacks.linkage.dtw import DTW
 from attacks.linkage.histogram import Histogram
-from attacks.linkage.learning import LEAST_MATES, among, mated
+from attacks.linkage.learning import LEAST_MATES, Linking, among, mated
 from attacks.linkage.likelihood_ratio import LikelihoodRatio
 from attacks.parameters import positive
 from attacks.reconstruction.kalman_rts import RadialRTS
@@ -28,7 +28,7 @@ _WEAKEST = 0.01  # Quantile of strangers' scores below which a score says no mor
 
 
 @dataclass(frozen=True, slots=True)
-class Fusion:
+class Fusion(Linking):
     """Conditional logit of the scores of all other linkers and of what a pair has in common.
 
     Scores of `likelihood_ratio`, `behaviour` and `histogram`, of `shape`, `profile` and `dtw`
@@ -46,7 +46,6 @@ class Fusion:
 
     ridge: float = 1.0
 
-    kind: ClassVar[str] = "linkage"
     one_stretch: ClassVar[bool] = True
     requires: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
     uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.MECHANISM})
@@ -75,17 +74,10 @@ class Fusion:
         seen = [scaled(one) for one in found]
         weights = conditional_logit(seen, mates, prior=alone, ridge=self.ridge)
         members = _fitted(context, train)
-
-        def fused(probe: Release, gallery: Release) -> Floats:
-            return np.asarray(scaled(_stacked(members, probe, gallery)) @ weights)
-
-        return fused
+        return lambda p, g: np.asarray(scaled(_stacked(members, p, g)) @ weights)
 
 
-_Members = Sequence[Callable[[Release, Release], Floats]]
-
-
-def _fitted(context: AttackContext, train: LinkageTrainingSet) -> _Members:
+def _fitted(context: AttackContext, train: LinkageTrainingSet) -> Sequence[Linker]:
     """Return all linkers, fitted on a training set; the last ones smooth before they score."""
     granted = context.granted & {Knowledge.TRAIN, Knowledge.MECHANISM}
     told = context.mechanism if Knowledge.MECHANISM in granted else None
@@ -109,7 +101,7 @@ def _smoothed(release: Release) -> Release:
     return derived(release, xy=RadialRTS().fit(blind)(release).xy)
 
 
-def _stacked(members: _Members, probe: Release, gallery: Release) -> Floats:
+def _stacked(members: Sequence[Linker], probe: Release, gallery: Release) -> Floats:
     """Return the scores of all members and what each pair has in common, (P, G, K)."""
     sides = [_summary(one) for one in (probe, gallery)]
     apart = -((sides[0][:, None] - sides[1]) ** 2)

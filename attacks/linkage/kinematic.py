@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import learn, linker, mated
+from attacks.linkage.learning import Linking, learn, linker, mated
 from attacks.linkage.signals import loops
 from attacks.parameters import positive, tried
 from attacks.remembered import noise_m2, remembered, whole
@@ -15,15 +15,14 @@ from isac_track.kalman import Batch, kalman_last
 from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 from isac_track.types import Floats, Knowledge, Release, derived
 
-_PRIOR_STD = (100.0, 1.4)
-"""m around the first sample and m/s around rest: people walk, they do not run."""
+_PRIOR_STD = (100.0, 1.4)  # m around the first sample and m/s around rest: nobody runs.
 _TAIL = 5.0  # Degrees of freedom: people do turn and stop in a gap, more than white noise would.
 _SLACK_S = 0.5
 _LONGEST_S = 60.0  # A longer gap counts as one of this length: nobody's state outlives it.
 
 
 @dataclass(frozen=True, slots=True)
-class Kinematic:
+class Kinematic(Linking):
     """Likelihood that a gallery walk starts in the state that a probe's has got to by then.
 
     A constant-velocity filter runs along every probe and, back in time, along every gallery walk.
@@ -45,9 +44,7 @@ class Kinematic:
     """Least error variance per axis: a smoother's errors are correlated and do not show in the
     innovations. None: learnt, or `DEFAULT_FLOOR_M2`."""
 
-    kind: ClassVar[str] = "linkage"
     requires: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.SCENE})
-    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
     DEFAULT_Q: ClassVar[float] = 0.05
     DEFAULT_FLOOR_M2: ClassVar[float] = 0.01
 

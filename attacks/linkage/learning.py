@@ -1,8 +1,8 @@
 """Learning from mates: what an adversary with a training set of pairs does first."""
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache
-from typing import Any
+from functools import cache, lru_cache
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -11,10 +11,18 @@ from isac_track.linkability.ranks import standing
 from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 from isac_track.types import Floats, Ints, Knowledge, Release, read_only
 
-_MOST_PAIRS = 2**19
-"""Of which all scores of a level are remembered, 4 MB for each linker and adversary."""
+_MOST_PAIRS = 2**19  # Of which all scores are remembered, 4 MB for each linker and adversary.
 LEAST_MATES = 8  # Fewer mated pairs teach nothing that could be trusted: defaults are kept.
 MARGIN = 0.02  # Of the mean log rank: with 90 pairs a smaller gain is as likely chance.
+
+
+class Linking:
+    """What most linkage attacks declare: they need nothing, and learn from mates if they may."""
+
+    __slots__ = ()
+    kind: ClassVar[str] = "linkage"
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
 
 
 def linker(score: Callable[..., Floats], *chosen: object) -> Linker:
@@ -78,13 +86,15 @@ def learn(
     if most is not None:
         train = among(train, mated(train)[:most])
     score = scores(train)
-    least = log_rank(score(*best), mate=train.mate)
+
+    @cache
+    def loss(choice: tuple[Any, ...]) -> float:
+        return log_rank(score(*choice), mate=train.mate)
+
     for which, values in enumerate(options):
-        choices = [best, *((*best[:which], value, *best[which + 1 :]) for value in values[1:])]
-        losses = [least, *(log_rank(score(*choice), mate=train.mate) for choice in choices[1:])]
-        winner = int(np.argmin(losses))
-        if losses[winner] < least - MARGIN:
-            best, least = choices[winner], losses[winner]
+        winner = min(((*best[:which], value, *best[which + 1 :]) for value in values), key=loss)
+        if loss(winner) < loss(best) - MARGIN:
+            best = winner
     return best
 
 

@@ -27,8 +27,7 @@ WIDTHS_S = read_only(0.5 * 2.0 ** (np.arange(7) / 2.0))
 _FACTORS = (1.0, 0.5, 2.0)  # Of the widths that an informed adversary tries, the default first.
 FULL_CELLS = 48.0  # 12 s: the overlap by which others are measured.
 EXPONENT = 3.0  # Of the ratio to an overlap, by which its cost grows: a short overlap fits anybody.
-_NEAR = 160
-"""Walks of either side that are compared at a time: all of their costs stay in the cache."""
+_NEAR = 160  # Walks of either side that are compared at a time: their costs stay in the cache.
 LEAST_OVERLAP = 8  # Cells, 2 s: a shorter overlap is tried only where a walk is no longer.
 
 
@@ -161,7 +160,7 @@ def aligned_costs(
     levels = np.array(floors, dtype=np.float64).ravel()
     out = np.empty((levels.size, probe.sizes.size, gallery.sizes.size))
     most = int(max(probe.sizes.max(initial=1), gallery.sizes.max(initial=1)))
-    basis, begin = polynomials(most, rank, 1 if rotated else 0)
+    basis, begin = polynomials(most, rank, int(rotated))
     weight = (FULL_CELLS / np.arange(1, most + 1)) ** EXPONENT
     reach = round(reach_s / STEP_S)
     for rows, columns, part, other in blocks(probe, gallery):
