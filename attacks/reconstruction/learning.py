@@ -21,18 +21,16 @@ from isac_track.noise import MIN_VARIANCE_M2
 from isac_track.protocols import AttackContext, Reconstructor, TrainingSet
 from isac_track.sensing import intervals_before
 from isac_track.sharing import Fid, fid_d_sigma
-from isac_track.types import Floats, Ints, Knowledge, Reconstruction, Release
+from isac_track.types import Floats, Ints, Knowledge, Reconstruction, Release, squared_lengths
 
 _Choice = TypeVar("_Choice")
 TOLD = frozenset({Knowledge.MECHANISM, Knowledge.TRAIN, Knowledge.SIGMA})
 """What `learn_variance` and `choose` make use of."""
 _POWERS = (-1.0, 0.0, 1.0)
 N_CANDIDATES = len(_POWERS)  # What a built-in attack tries before it attacks.
-RADIAL_PER_AXIS = 0.5
-"""Variance per axis of a radial error of standard deviation 1: the paper's law, if nobody tells."""
+RADIAL_PER_AXIS = 0.5  # Variance of a radial error of std 1: the paper's law, if nobody tells.
 _SIGMAS_M = np.geomspace(0.01, 8.0, 80)
-_FINE_SIGMAS_M = np.geomspace(0.01, 8.0, 240)
-"""For a fit over whole tracks: steps well below what hundreds of samples can tell apart."""
+_FINE_SIGMAS_M = np.geomspace(0.01, 8.0, 240)  # Steps below what whole tracks can tell apart.
 _GAPS = np.geomspace(1.0, 32.0, 16)
 _N_BINS = 6
 _LONE_S = 1.0  # s, in place of the interval that a lone sample does not have.
@@ -116,8 +114,7 @@ def exposure_loss(*, xy: Floats, truth: Floats, offsets: Ints, epsilon_m: float)
 
     Of (M, 2) positions, over the samples of a track, then over tracks, as for PLR.
     """
-    gap = xy - truth
-    square = gap[:, 0] ** 2 + gap[:, 1] ** 2
+    square = squared_lengths(xy - truth)
     share = np.add.reduceat(square / (square + epsilon_m**2), offsets[:-1]) / np.diff(offsets)
     return float(share.mean())
 

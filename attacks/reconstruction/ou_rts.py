@@ -8,7 +8,8 @@ averaged with it.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple, Self
+from functools import partial
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -63,12 +64,18 @@ class OuRTS:
 
     def fit(self, context: AttackContext) -> Reconstructor:
         """Return the smoother of releases like those in the training set."""
-        told, beyond = self._told(context), _Beyond.of(context)
+        told, granted = self._told(context), context.granted
+        # Repeats in frames of their own cannot be laid upon each other.
+        repeats = context.repeats if {Knowledge.REPEATS, Knowledge.SCENE} <= granted else ()
+        companions = context.companions if Knowledge.COMPANIONS in granted else ()
+        anchor = context.anchor if Knowledge.ANCHOR in granted else None
+        mechanism = context.mechanism if Knowledge.MECHANISM in granted else None
         q = self.DEFAULT_Q if self.q is None else self.q
         # Companions say nothing of a walk whose errors are white.
-        if told == (0.0, 0.0) and not (beyond and (beyond.repeats or beyond.anchor)):
+        if told == (0.0, 0.0) and not (repeats or anchor):
             return RadialRTS(self.q).fit(context)
-        white = None if beyond else RadialRTS(self.q).fit(context)
+        sees_more = repeats or companions or anchor is not None
+        white = None if sees_more else RadialRTS(self.q).fit(context)
         if Knowledge.TRAIN in context.granted and told != (0.0, 0.0):
             best = self._learnt(context, told, tried(self.q, around(q, factor=4.0)))
             if white:
@@ -79,12 +86,13 @@ class OuRTS:
             std_m, tau_s = told or fitted(release, q)
             if white and std_m == 0.0:
                 return white(release)
-            averaged, n = beyond.averaged(release, std_m) if beyond else (release, np.float64(1.0))
-            if beyond and getattr(beyond.mechanism, "reuse", "release") == "session":
+            shown, n = release, np.ones(())
+            if sees_more:
+                shown, n = _averaged(release, repeats, companions, std_m)
+            if getattr(mechanism, "reuse", "release") == "session":
                 n = np.ones_like(n)  # the same error every time
-            passes = RadialRTS.USUAL_PASSES if looks_radial(averaged) else 1
-            choice = _Choice(std_m / np.sqrt(n), tau_s, q, passes)
-            return smooth(averaged, choice, beyond.anchor if beyond else None)
+            passes = RadialRTS.USUAL_PASSES if looks_radial(shown) else 1
+            return smooth(shown, _Choice(std_m / np.sqrt(n), tau_s, q, passes), anchor)
 
         return reconstruct
 
@@ -110,62 +118,41 @@ class OuRTS:
         errors = dict.fromkeys(filter(None, (told, found)))
         numbers = (RadialRTS.USUAL_PASSES, 1)
         first = [_Choice(*one, middle, number) for one in errors for number in numbers]
-
-        def reconstruct(choice: _Choice, release: Release) -> Floats:
-            return smooth(release, choice).xy
-
-        best = choose(context, default=first[0], candidates=first, reconstruct=reconstruct)
-        others = [best._replace(q=one) for one in densities]
-        return choose(context, default=best, candidates=others, reconstruct=reconstruct)
+        best_of = partial(
+            choose, context, default=first[0], reconstruct=lambda one, shown: smooth(shown, one).xy
+        )
+        best = best_of(candidates=first)
+        return best_of(candidates=[best._replace(q=one) for one in densities])
 
 
-class _Beyond(NamedTuple):
-    """What an adversary has of the walks themselves."""
+def _averaged(
+    release: Release, repeats: Sequence[Release], companions: Sequence[Release], std_m: float
+) -> tuple[Release, Floats]:
+    """Return the mean of all that shows a walk, and of how many reports each sample is, (M,).
 
-    repeats: tuple[Release, ...]
-    companions: tuple[Release, ...]
-    anchor: Release | None
-    mechanism: object
-
-    @classmethod
-    def of(cls, context: AttackContext) -> Self | None:
-        """Return what was granted; None if nothing was, or only repeats in frames of their own."""
-        granted = context.granted
-        repeats = context.repeats if {Knowledge.REPEATS, Knowledge.SCENE} <= granted else ()
-        companions = context.companions if Knowledge.COMPANIONS in granted else ()
-        anchor = context.anchor if Knowledge.ANCHOR in granted else None
-        if not repeats and not companions and anchor is None:
-            return None
-        mechanism = context.mechanism if Knowledge.MECHANISM in granted else None
-        return cls(repeats, companions, anchor, mechanism)
-
-    def averaged(self, release: Release, std_m: float) -> tuple[Release, Floats]:
-        """Return the mean of all that shows a walk, and of how many reports each sample is, (M,).
-
-        Who walks along counts where they are there at the same time, moved to where the two are
-        together on average, by the share of the slow error, of `std_m`, in all that moves between
-        them. The declared std is not that of a mean: it goes.
-        """
-        xy = np.mean([one.xy for one in (release, *self.repeats)], axis=0)
-        n = np.full(release.t.size, 1.0 + len(self.repeats))
-        total, level_m2 = xy * n[:, None], noise_m2(release)
-        for others in self.companions if std_m else ():
-            for i in range(len(release)):
-                own = slice(release.offsets[i], release.offsets[i + 1])
-                along = slice(others.offsets[i], others.offsets[i + 1])
-                t, known_s = release.t[own], others.t[along]
-                there = np.flatnonzero((t >= known_s[0]) & (t <= known_s[-1])) + own.start
-                if known_s.size < _LEAST_TOGETHER or there.size < _LEAST_TOGETHER:
-                    continue
-                beside = np.column_stack(
-                    [np.interp(release.t[there], known_s, axis) for axis in others.xy[along].T]
-                )
-                gap = beside - xy[there]
-                apart_m2 = gap.var(axis=0).mean() - 2.0 * (std_m**2 + level_m2[i])
-                weight = std_m**2 / (std_m**2 + max(apart_m2, 0.0))
-                total[there] += weight * (beside - gap.mean(axis=0))
-                n[there] += weight
-        return derived(release, xy=total / n[:, None], sigma=None), n
+    Who walks along counts where they are there at the same time, moved to where the two are
+    together on average, by the share of the slow error, of `std_m`, in all that moves between
+    them. The declared std is not that of a mean: it goes.
+    """
+    xy = np.mean([one.xy for one in (release, *repeats)], axis=0)
+    n = np.full(release.t.size, 1.0 + len(repeats))
+    total, level_m2 = xy * n[:, None], noise_m2(release)
+    for others in companions if std_m else ():
+        for i in range(len(release)):
+            own, along = (slice(*one.offsets[i : i + 2]) for one in (release, others))
+            t, known_s = release.t[own], others.t[along]
+            there = np.flatnonzero((t >= known_s[0]) & (t <= known_s[-1])) + own.start
+            if known_s.size < _LEAST_TOGETHER or there.size < _LEAST_TOGETHER:
+                continue
+            beside = np.column_stack(
+                [np.interp(release.t[there], known_s, axis) for axis in others.xy[along].T]
+            )
+            gap = beside - xy[there]
+            apart_m2 = gap.var(axis=0).mean() - 2.0 * (std_m**2 + level_m2[i])
+            weight = std_m**2 / (std_m**2 + max(apart_m2, 0.0))
+            total[there] += weight * (beside - gap.mean(axis=0))
+            n[there] += weight
+    return derived(release, xy=total / n[:, None], sigma=None), n
 
 
 def smooth(release: Release, choice: _Choice, anchor: Release | None = None) -> Reconstruction:
