@@ -2,7 +2,8 @@
 
 from collections.abc import Callable
 from functools import wraps
-from typing import Concatenate, ParamSpec, TypeVar
+from operator import getitem
+from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 from weakref import WeakKeyDictionary, ref
 
 import numpy as np
@@ -13,6 +14,7 @@ from isac_track.types import Floats, Ints, Release
 _Rest = ParamSpec("_Rest")
 _Source = TypeVar("_Source")
 _Found = TypeVar("_Found")
+_Made = TypeVar("_Made", bound=Callable[..., Any])
 
 
 def remembered(
@@ -48,18 +50,32 @@ def part(release: Release, rows: Ints) -> Release:
 
 
 def whole(release: Release) -> tuple[Release, Ints]:
-    """Return the release that one is a part of, or itself, and which of its tracks are in it.
-
-    What is made track by track is made of the whole, once.
-    """
+    """Return the release that one is a part of, or itself, and which of its tracks are in it."""
     known = _PARTS.get(release)
     return (release, np.arange(len(release))) if known is None else known
 
 
-@remembered
+def by_track(take: Callable[[Any, Ints], Any] = getitem) -> Callable[[_Made], _Made]:
+    """Return what remembers what is made track by track: of a part it is made of the whole, once.
+
+    `take` takes what belongs to some tracks from what was made of all.
+    """
+
+    def decorate(function: _Made) -> _Made:
+        @remembered
+        @wraps(function)
+        def made(release: Release, /, *rest: object) -> Any:  # noqa: ANN401 - as the function
+            origin, rows = whole(release)
+            if origin is release:
+                return function(release, *rest)
+            return take(made(origin, *rest), rows)
+
+        return cast("_Made", made)
+
+    return decorate
+
+
+@by_track()
 def noise_m2(release: Release) -> Floats:
     """Return the error variance per axis of each track, (N,) m^2, as its innovations have it."""
-    origin, rows = whole(release)
-    if origin is not release:
-        return noise_m2(origin)[rows]
     return innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets)

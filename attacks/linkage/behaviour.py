@@ -7,7 +7,7 @@ import numpy as np
 
 from attacks.linkage.learning import Linking, mated, teaches
 from attacks.linkage.signals import STEP_S, Signals, motion_of, on_grid
-from attacks.remembered import noise_m2, remembered, whole
+from attacks.remembered import by_track, noise_m2
 from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 from isac_track.types import Floats, Release
 
@@ -92,12 +92,9 @@ def learnt_metric(train: LinkageTrainingSet, *, shrinkage: float) -> Floats:
     return np.asarray((vector * np.maximum(value, 0.0)) @ vector.T / np.outer(scale, scale))
 
 
-@remembered
+@by_track()
 def features(release: Release) -> Floats:
     """Return what describes each walk, (N, F) in the order of `FEATURES`."""
-    origin, rows = whole(release)
-    if origin is not release:
-        return features(origin)[rows]
     walks = on_grid(release)
     (speed, turn), count = motion_of(release, 1.0)
     live = np.arange(speed.shape[1]) < count[:, None]

@@ -17,7 +17,7 @@ from attacks.linkage.learning import LEAST_MATES, Linking, among, mated
 from attacks.linkage.likelihood_ratio import LikelihoodRatio
 from attacks.parameters import positive
 from attacks.reconstruction.kalman_rts import RadialRTS
-from attacks.remembered import noise_m2, part, remembered, whole
+from attacks.remembered import by_track, noise_m2, part
 from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 from isac_track.types import Floats, Ints, Knowledge, Release, derived
 
@@ -91,12 +91,9 @@ def _fitted(context: AttackContext, train: LinkageTrainingSet) -> Sequence[Linke
     ]
 
 
-@remembered
+@by_track(part)
 def _smoothed(release: Release) -> Release:
     """Return a release with the positions that `radial_rts` makes of it."""
-    origin, rows = whole(release)
-    if origin is not release:
-        return part(_smoothed(origin), rows)
     blind = AttackContext(rng=np.random.default_rng(0), epsilon_m=0.3, granted=frozenset())
     return derived(release, xy=RadialRTS().fit(blind)(release).xy)
 

@@ -10,7 +10,7 @@ from scipy.special import xlogy
 from attacks.linkage.learning import Linking, learn, linker
 from attacks.linkage.signals import Signals, factors, loops, motion_of
 from attacks.parameters import positive, tried
-from attacks.remembered import remembered, whole
+from attacks.remembered import by_track
 from isac_track.protocols import AttackContext, Linker
 from isac_track.types import Floats, Ints, Release
 
@@ -64,11 +64,8 @@ def _score(probe: Release, gallery: Release, factor: float, speeds: int) -> Floa
     return one_source(*(_counts(one, factor, speeds) for one in (probe, gallery)))
 
 
-@remembered
+@by_track()
 def _counts(release: Release, factor: float, speeds: int) -> Floats:
-    origin, rows = whole(release)
-    if origin is not release:
-        return _counts(origin, factor, speeds)[rows]
     return counts_of(motion_of(release, factor), speeds=speeds)
 
 

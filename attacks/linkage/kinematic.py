@@ -10,7 +10,7 @@ import numpy as np
 from attacks.linkage.learning import Linking, learn, linker, mated
 from attacks.linkage.signals import loops
 from attacks.parameters import positive, tried
-from attacks.remembered import noise_m2, remembered, whole
+from attacks.remembered import by_track, noise_m2
 from isac_track.kalman import Batch, kalman_last
 from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 from isac_track.types import Floats, Knowledge, Release, derived
@@ -53,17 +53,15 @@ class Kinematic(Linking):
 
     def fit(self, context: AttackContext) -> Linker:
         """Return what scores walks like those in the training set."""
-        options = (
-            tried(self.q, (self.DEFAULT_Q, 0.0125, 0.2)),
-            tried(self.floor_m2, (self.DEFAULT_FLOOR_M2, 0.001, 0.1)),
-        )
+        densities = tried(self.q, (self.DEFAULT_Q, 0.0125, 0.2))
+        floors_m2 = tried(self.floor_m2, (self.DEFAULT_FLOOR_M2, 0.001, 0.1))
 
         def scores(train: LinkageTrainingSet) -> Callable[[float, float], Floats]:
             # As releases of their own: several filters of everybody would cost more than they save.
             probe, gallery = derived(train.probe), derived(train.gallery)
             return partial(continuations, probe, gallery, gap_s=rivals(train))
 
-        return linker(continuations, *learn(context, options, scores=scores))
+        return linker(continuations, *learn(context, (densities, floors_m2), scores=scores))
 
 
 def rivals(train: LinkageTrainingSet) -> tuple[float, float]:
@@ -96,22 +94,14 @@ def continuations(
     return density
 
 
-@remembered
+@by_track(lambda ends, rows: tuple(one[rows] for one in ends))
 def _ends(release: Release, q: float, floor_m2: float, at: int) -> tuple[Floats, Floats, Floats]:
-    """Return times and states, mean and covariance, at the ends of walks, or (-1) their starts.
-
-    Each walk is as noisy as its innovations say.
-    """
-    origin, rows = whole(release)
-    if origin is not release:
-        until_s, mean, cov = _ends(origin, q, floor_m2, at)
-        return until_s[rows], mean[rows], cov[rows]
+    """Return times and states, mean and covariance, at the ends of walks, or (-1) their starts."""
     t, xy, sizes = release.t, release.xy, np.diff(release.offsets)
     if at < 0:  # back in time, from its last sample to its first
         ends = release.offsets[:-1] + release.offsets[1:] - 1
         turned = np.repeat(ends, sizes) - np.arange(t.size)
         t, xy = -t[turned], xy[turned]
     variance_m2 = np.repeat(np.maximum(noise_m2(release), floor_m2), sizes)
-    batch = Batch(t, xy, variance_m2, release.offsets, _PRIOR_STD)
-    state = kalman_last(batch, q=q)
+    state = kalman_last(Batch(t, xy, variance_m2, release.offsets, _PRIOR_STD), q=q)
     return t[release.offsets[1:] - 1], state.mean, state.cov

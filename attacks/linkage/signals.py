@@ -1,7 +1,4 @@
-"""What the linkage attacks share: walks on a common grid, their motion, and the best lag of two.
-
-Everything starts from a walk's first sample, in space and in time.
-"""
+"""What the linkage attacks share: walks on a common grid, their motion, and the best lag of two."""
 
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
@@ -12,13 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from attacks.linkage.learning import teaches
-from attacks.remembered import noise_m2, remembered, whole
+from attacks.remembered import by_track, noise_m2
 from isac_track.protocols import AttackContext
 from isac_track.types import Floats, Ints, Release, read_only
 
 STEP_S = 0.25  # Of the grid: 4 Hz, above what is left of a walk behind the noise of any network.
-LONGEST_S = 60.0
-"""What comes later in a walk is left out: it bounds the work, and no task shows more than 12 s."""
+LONGEST_S = 60.0  # What comes later is left out: it bounds the work; no task shows more than 12 s.
 _CLOCK_S = 1e-6
 SLOW_M_S = 0.4  # Below it a walk hardly has a direction; its turning rate is damped.
 _WIDTH_S = 3.0  # Of smoothing at errors of 1 m: tuned on the bundled crowd.
@@ -42,16 +38,13 @@ class Signals(NamedTuple):
         return Signals(self.values[:, rows], self.sizes[rows])
 
 
-@remembered
+@by_track(Signals.walks)
 def on_grid(release: Release) -> Signals:
     """Return x and y of the walks of a release less their first samples, in m.
 
     A cell's value is the mean over the cell of the line through the samples. Whole cells only, in
     the middle of what there is; a walk shorter than one cell is one cell.
     """
-    origin, rows = whole(release)
-    if origin is not release:
-        return on_grid(origin).walks(rows)
     t, xy, offsets = (np.ascontiguousarray(x) for x in (release.t, release.xy, release.offsets))
     lasts_s = t[offsets[1:] - 1] - t[offsets[:-1]]
     count = np.floor(np.minimum(lasts_s, LONGEST_S) / STEP_S + _CLOCK_S).astype(np.int64)
@@ -111,8 +104,7 @@ def widths_s(release: Release, factor: float = 1.0) -> Floats:
     rounded to `WIDTHS_S`.
     """
     wanted = factor * (_WIDTH_S * noise_m2(release) ** 0.25)
-    rounded: Floats = WIDTHS_S[np.searchsorted(np.sqrt(WIDTHS_S[1:] * WIDTHS_S[:-1]), wanted)]
-    return rounded
+    return np.asarray(WIDTHS_S[np.searchsorted(np.sqrt(WIDTHS_S[1:] * WIDTHS_S[:-1]), wanted)])
 
 
 def factors(context: AttackContext, given: float | None) -> tuple[float, ...]:
@@ -128,12 +120,9 @@ def factors(context: AttackContext, given: float | None) -> tuple[float, ...]:
     return tuple(found.values())
 
 
-@remembered
+@by_track(Signals.walks)
 def motion_of(release: Release, factor: float, turn_m: float = 1.0) -> Signals:
     """Return how the walks of a release go, smoothed over `widths_s`; turning times `turn_m`."""
-    origin, rows = whole(release)
-    if origin is not release:
-        return motion_of(origin, factor, turn_m).walks(rows)
     values, count = motion(on_grid(release), width_s=widths_s(release, factor))
     values[1] *= turn_m
     return Signals(values, count)
