@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import combinations
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 from numpy.random import Generator
@@ -24,12 +24,13 @@ from isac_track.resample import sampling_times, walk
 from isac_track.rng import stream
 from isac_track.types import Bools, Floats, Ints, Tracks, end_to_end, runs_of
 
-LEAST_PEOPLE = 24
-"""Fewer cannot be split into people to learn from, to calibrate on and to attack, twice."""
-MOST_SIMULATED = 300
-"""People of the two-session crowd: as many as there are can be simulated, and show no more."""
+LEAST_PEOPLE = 24  # Fewer cannot be split into who teaches, calibrates and is attacked, twice.
+MOST_SIMULATED = 300  # People of the two-session crowd: more can be simulated, and show no more.
 LEAST_COME_BACK = 8  # In a task that learns leaving one person out.
 CLOCK_S = 1e-9  # Room for the rounding of a frame clock: 12 s at 25 Hz is 300 frames.
+_Starts: TypeAlias = Callable[[Floats, Floats, Generator], Floats]
+"""Draws where both windows of a person begin, from the first samples of the tracks that they are
+cut from and by how much these are longer than needed, (2,) s each."""
 
 
 @lru_cache(maxsize=2048)  # all tasks of a recording cut their windows from the same walks
@@ -79,32 +80,22 @@ class Draft:
                 "recording, shorter windows (--set linkage....) or leave the task out (--task)"
             )
 
-    def windows(
-        self,
-        side: str,
-        rows: Ints,
-        start_s: Floats,
-        end_s: Floats,
-        *,
-        person: Ints,
-        search: Ints,
-        keys: Sequence[str] | None = None,
-    ) -> Windows:
-        """Return stretches of walks, as far as these go, each at sampling instants of its own.
+    def cut(
+        self, side: str, rows: Ints, start_s: Floats, end_s: Floats, keys: Sequence[str] = ()
+    ) -> tuple[Floats, Floats, Ints]:
+        """Return stretches of walks as far as these go: instants of their own, places, offsets.
 
         All are (N,). `rows` may hold a track more than once, each time with another of `keys`.
         """
         start_s = np.maximum(start_s, self.start_s[rows])
         end_s = np.minimum(end_s, self.end_s[rows])
-        t, xy = [], []
+        t, xy, resample = [], [], self.settings.resample
         each = zip(rows.tolist(), start_s, end_s.tolist(), keys or [""] * rows.size, strict=True)
         for row, start, end, key in each:
             rng = self.rng("sampling", side, self.tracks.source[row], key)
-            resample = self.settings.resample
             t.append(sampling_times(start_s=start, end_s=end, settings=resample, rng=rng))
             xy.append(_walk(self.tracks, row)(t[-1]))
-        offsets = np.cumsum([0, *map(len, t)])
-        return Windows(np.concatenate(t), np.concatenate(xy), offsets, person, search)
+        return np.concatenate(t), np.concatenate(xy), np.cumsum([0, *map(len, t)])
 
     def sessions(
         self, rows: Ints, *, group: tuple[str, ...], may_teach: Bools, **found: object
@@ -149,9 +140,9 @@ def rerelease(draft: Draft) -> Sessions:
 def split(draft: Draft) -> Sessions:
     """Return two windows of each walk with a gap between them."""
     length_s, gap_s = draft.settings.linkage.split_window_s, draft.settings.linkage.split_gap_s
+    apart_s = np.array([0.0, length_s + gap_s])
 
     def starts_s(first_s: Floats, slack_s: Floats, rng: Generator) -> Floats:
-        apart_s = np.array([0.0, length_s + gap_s])
         return np.asarray(first_s + apart_s + np.sort(rng.uniform(0.0, slack_s)))
 
     return _closed(draft, length_s, starts_s, needed_s=2.0 * length_s + gap_s)
@@ -204,20 +195,10 @@ def _named(tracks: Tracks, rows: Ints, names: Sequence[str]) -> Tracks:
     return Tracks(t, xy, offsets, source=tuple(names), group=group)
 
 
-def _closed(
-    draft: Draft,
-    length_s: float,
-    starts_s: Callable[[Floats, Floats, Generator], Floats],
-    *,
-    needed_s: float | None = None,
-) -> Sessions:
-    """Return sessions in which everybody is in both: one search for each half of the people.
-
-    `starts_s` draws where both windows of a person begin, from the first samples of the tracks
-    they are cut from and by how much these are longer than needed, (2,) s each.
-    """
+def _closed(draft: Draft, length_s: float, starts_s: _Starts, *, needed_s: float = 0.0) -> Sessions:
+    """Return sessions in which everybody is in both: one search for each half of the people."""
     tracks, later = draft.tracks, replace(draft, tracks=draft.later)
-    needed_s = length_s if needed_s is None else needed_s
+    needed_s = needed_s or length_s
     what = f"of {len(tracks)} tracks last {needed_s:g} s"
     if draft.task.simulated or draft.task.comes_back:
         what = f"people walk for {needed_s:g} s in both sessions"
@@ -241,24 +222,24 @@ def _closed(
     group = joined(
         [tracks.group[row] for row in rows], [later.tracks.group[row] for row in rows_later]
     )
-    searches: tuple[str, ...]
     if draft.task.comes_back:
         fold_of = np.zeros(rows.size, dtype=np.int64)
         cluster = np.unique(group, return_inverse=True)[1]
-        may_teach, searches = cluster[:, None] != cluster, ("everybody",)
+        may_teach, searches = cluster[:, None] != cluster, ["everybody"]
     else:
         fold_of = halves(group, rng=draft.rng("folds"))
-        may_teach, searches = np.stack([fold_of == 1, fold_of == 0]), ("half 1", "half 2")
+        may_teach, searches = np.stack([fold_of == 1, fold_of == 0]), ["half 1", "half 2"]
 
     def windows(side: str, day: Draft, track: Ints, start_s: Floats, person: Ints) -> Windows:
-        row, start_s, search = track[person], start_s[person], fold_of[person]
-        cut = day.windows(side, row, start_s, start_s + length_s, person=person, search=search)
+        start_s = start_s[person]
+        t, xy, offsets = day.cut(side, track[person], start_s, start_s + length_s)
         # Put where somebody, anybody, once was.
-        sizes = np.diff(cut.offsets)
-        middle_m = np.add.reduceat(cut.xy, cut.offsets[:-1]) / sizes[:, None]
+        sizes = np.diff(offsets)
+        middle_m = np.add.reduceat(xy, offsets[:-1]) / sizes[:, None]
         draws = [draft.rng("place", side, source[one]).random() for one in person]
         there_m = day.tracks.xy[(np.array(draws) * day.tracks.t.size).astype(np.int64)]
-        return replace(cut, xy=cut.xy + np.repeat(there_m - middle_m, sizes, axis=0))
+        xy += np.repeat(there_m - middle_m, sizes, axis=0)
+        return Windows(t, xy, offsets, person, fold_of[person])
 
     # In an order of its own, lest a place in the list tell who is who.
     order = draft.rng("order").permutation(rows.size)
@@ -270,7 +251,7 @@ def _closed(
         gallery=windows("gallery", later, rows_later, starts[:, 1], order),
         mate=np.argsort(order),
         fold=np.arange(len(searches)),
-        searches=searches,
+        searches=tuple(searches),
         too_short=len(tracks) - len(long),
         not_drawn=len(long) - rows.size,
     )
@@ -326,8 +307,8 @@ def handover(draft: Draft) -> Sessions:
         row = np.concatenate(order)
         search = np.repeat(np.arange(used.size), [part.size for part in order])
         start_s, end_s = (at_s[used][search] + after_s for after_s in (since_s, until_s))
-        person, keys = np.searchsorted(rows, row), [labels[n] for n in search]
-        return draft.windows(side, row, start_s, end_s, person=person, search=search, keys=keys)
+        stretches = draft.cut(side, row, start_s, end_s, [labels[n] for n in search])
+        return Windows(*stretches, np.searchsorted(rows, row), search)
 
     probe = windows("probe", before, -window_s, 0.0)
     gallery = windows("gallery", after, gap_s, gap_s + window_s)

@@ -32,8 +32,7 @@ class Control:
     score: Score | None
     """From probe, gallery and a stream to scores (P, G), higher = more alike; None: the scores
     of an attack, with shuffled mates."""
-    in_scene: Score | None = None
-    """The same where the task shows the true frame, if it must look another way there."""
+    in_scene: Score | None = None  # The same in the true frame, if it must look another way there.
     is_audit: bool = True
     hides_in_scene: bool = False  # Whether it sees what a task in the true frame shows on purpose.
     sees_times_only: bool = False
@@ -52,10 +51,7 @@ class Control:
 
 
 def _alike(features: Callable[[Release], Floats]) -> Score:
-    """Return what scores minus the distance of features, each scaled by its spread.
-
-    `features` takes a release to those of its tracks, (N,) or (N, F).
-    """
+    """Return what scores the closeness of what features of tracks, (N,) or (N, F), tell."""
 
     def score(probe: Release, gallery: Release, _rng: Generator) -> Floats:
         return closeness(*(features(one).reshape(len(one), -1) for one in (probe, gallery)))
@@ -94,8 +90,7 @@ def _noise(release: Release) -> Floats:
 def _over_neighbours(release: Release) -> Floats:
     """Return each track's noise level less the mean of its nearest few, (N, 1), of one release.
 
-    Where the true frame shows, noise that grows with the distance from the base station is no
-    shortcut but the place once more.
+    In the true frame noise that grows with the distance from the base station is but the place.
     """
     from scipy.spatial import cKDTree  # noqa: PLC0415 - heavy, and used here alone
 

@@ -14,8 +14,7 @@ from attacks.tasks.task_list import Task
 from isac_track.types import Bools, Floats, Ints, Tracks, read_only
 
 N_FOLDS = 2
-CALIBRATING_SHARE = 1 / 3
-"""Of the people to learn from, who are kept apart for the calibration of scores."""
+CALIBRATING_SHARE = 1 / 3  # Of the people to learn from, kept apart to calibrate scores on.
 COLUMNS: Final[Mapping[str, tuple[int, ...]]] = {
     "queue_place": (0, 1),
     "walking_direction": (2,),
@@ -38,10 +37,9 @@ class Windows:
     about: Floats | None = None  # (N, 6) `circumstances`, where a task controls for them.
 
     def __post_init__(self) -> None:
-        if self.about is not None:
-            object.__setattr__(self, "about", read_only(self.about))
-        for name in ("t", "xy", "offsets", "person", "search"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        for name in ("t", "xy", "offsets", "person", "search", "about"):
+            if (value := getattr(self, name)) is not None:
+                object.__setattr__(self, name, read_only(value))
 
     def __len__(self) -> int:
         return self.offsets.size - 1

@@ -22,9 +22,7 @@ class Task:
     about: str
     shows_scene: bool = False  # Whether the releases come in the true frame and on the true clock.
     gap_s: float = 0.0  # Silence before all pseudonyms rotate.
-    comes_back: bool = False
-    """Whether it needs people who are in two sessions of a recording: so few that an adversary
-    learns leaving one person out."""
+    comes_back: bool = False  # Of people in two sessions: so few that one is left out to learn.
     is_one_stretch: bool = False  # Whether both show the same steps, in part at least.
     simulated: bool = False  # Whether it needs the two-session crowd instead of a recording.
 
