@@ -20,8 +20,7 @@ _EDGES_S = np.geomspace(0.05, 3.0, 6) * np.sqrt(1.01)
 """Of the stretches whose means are looked at, to either side of a sample. No clock of round steps
 has a sample just there, which rounding would let in or out."""
 _REACH_S = 0.503  # To either side: where a walk heads for, and how fast.
-_STILL_M = 1e-3
-"""Who moves no farther heads nowhere, and is corrected the less the less they move."""
+_STILL_M = 1e-3  # Who moves no farther heads nowhere: the less they move, the less is corrected.
 _LEAST_WALKS = 5
 _FOLDS = 3
 _one_thread = partial(threadpool_limits, limits=1, user_api="openmp")
@@ -68,7 +67,8 @@ class Corrector:
         found = smooth(release)
         about, ahead = _looked_at(release, found)
         wanted = _turned(truth - found.xy, np.conj(ahead))
-        owner = np.repeat(np.arange(len(release)), np.diff(release.offsets))
+        offsets = release.offsets
+        owner = np.repeat(np.arange(len(release)), np.diff(offsets))
         seed = int(context.rng.integers(2**31))
         every = self.trees // _STAGES
         said = np.empty((_STAGES, *wanted.shape))
@@ -82,9 +82,7 @@ class Corrector:
 
         def loss(added: Floats) -> float:
             xy = found.xy + _turned(added, ahead)
-            return exposure_loss(
-                xy=xy, truth=truth, offsets=release.offsets, epsilon_m=context.epsilon_m
-            )
+            return exposure_loss(xy=xy, truth=truth, offsets=offsets, epsilon_m=context.epsilon_m)
 
         tried = {
             (every * (stage + 1), share): loss(share * added)

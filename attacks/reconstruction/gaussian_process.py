@@ -11,8 +11,7 @@ from attacks.reconstruction.learning import TOLD, around, smoother
 from isac_track.protocols import AttackContext, Reconstructor
 from isac_track.types import Floats, Ints, Knowledge, Reconstruction, Release
 
-TREND_STD = (100.0, 10.0)
-"""m and m/s: of the line that the process varies about, far more than any walk needs."""
+TREND_STD = (100.0, 10.0)  # m and m/s, of the line: far more than any walk needs.
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,16 +1,15 @@
 """What an adversary finds out first: hyper-parameters from other people, and how noisy samples are.
 
 Blind, an adversary reads one level of noise for each track off its innovations. With the declared
-standard deviations (the oracle) nothing is left to guess but the error law. In between, under
-FID-controlled sharing, the rule itself tells: a sample gets error if the information that it
-carries per second, ``(gap / sigma_raw)^2 / interval``, exceeds the public threshold. What an
-informed adversary finds is one raw standard deviation for each track, under which the rule explains
-best how the track's errors differ between short and long intervals; the gap of the network's
-estimator is a constant, learnt from other people.
+standard deviations (the oracle) only the error law is left to guess. In between, under
+FID-controlled sharing, the rule tells: a sample gets error if its information per second,
+``(gap / sigma_raw)^2 / interval``, exceeds the public threshold. Found is the raw standard
+deviation of each track under which the rule explains best how errors differ between short and long
+intervals; the gap of the network's estimator is a constant, learnt from other people.
 """
 
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from typing import TypeVar
 
@@ -62,15 +61,8 @@ def choose(
     if len(candidates) == 1:
         return candidates[0]
     release, truth = context.train.release, context.train.truth
-    losses = [
-        exposure_loss(
-            xy=reconstruct(candidate, release),
-            truth=truth,
-            offsets=release.offsets,
-            epsilon_m=context.epsilon_m,
-        )
-        for candidate in candidates
-    ]
+    loss = partial(exposure_loss, truth=truth, offsets=release.offsets, epsilon_m=context.epsilon_m)
+    losses = [loss(xy=reconstruct(candidate, release)) for candidate in candidates]
     return candidates[int(np.argmin(losses))]
 
 
@@ -158,9 +150,8 @@ def _learn_fid(train: TrainingSet, rule: Fid) -> Callable[[Release], Floats]:
     def fits(errors: Floats, sigmas_m: Floats, gap: float) -> Floats:
         """Return the log likelihood of each track under each raw error, (N, S), up to a factor.
 
-        `errors`, (2, N, B), are counts and sums of squares of each track by sampling interval. The
-        length of a radial error is |N(0, sigma)|: -log sigma - r^2 / (2 sigma^2) a sample. An
-        isotropic error has twice that, which moves no maximum.
+        `errors`, (2, N, B), are counts and sums of squares by sampling interval. The length of a
+        radial error is |N(0, sigma)|; an isotropic one has twice its log likelihood.
         """
         square_m2 = _total_m2(sigmas_m[:, None], middle_s, gap=gap, rule=rule)
         return -np.asarray(errors[0] @ np.log(square_m2).T + errors[1] @ (1.0 / square_m2).T)
@@ -195,10 +186,9 @@ def _total_m2(sigma_raw_m: Floats, interval_s: Floats, *, gap: float, rule: Fid)
     """Return the squared standard deviation as shared, by eqs. swarm_fid and fid_error_control."""
     fid = (gap / sigma_raw_m) ** 2 / interval_s
     added_m = fid_d_sigma(fid=fid, eta=rule.eta, alpha_m=rule.alpha, beta=rule.beta)
-    total_m2: Floats = (
-        (sigma_raw_m + added_m) ** 2 if rule.adding == "linear" else sigma_raw_m**2 + added_m**2
-    )
-    return total_m2
+    if rule.adding == "linear":
+        return np.square(sigma_raw_m + added_m)
+    return np.asarray(sigma_raw_m**2 + added_m**2)
 
 
 def _intervals(release: Release) -> Floats:

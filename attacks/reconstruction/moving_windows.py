@@ -11,8 +11,7 @@ from attacks.reconstruction.learning import around, smoother
 from isac_track.protocols import AttackContext, Reconstructor
 from isac_track.types import Floats, Ints, Knowledge, Reconstruction, Release
 
-REFERENCE_STD_M = 0.5
-"""Noise per axis at which a window has its nominal width; no matter but a scale."""
+REFERENCE_STD_M = 0.5  # Noise per axis at which a window has its nominal width: but a scale.
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +24,7 @@ class MovingAverage:
     the sample itself: a lopsided mean would lag behind the walk.
     """
 
-    width_s: float | None = None
-    """At errors of 0.5 m per axis; None: learnt from the training set, or `DEFAULT_WIDTH_S`."""
+    width_s: float | None = None  # At errors of 0.5 m per axis; None: learnt, or `DEFAULT_WIDTH_S`.
 
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
     uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})

@@ -28,8 +28,7 @@ _TAU_S = (1.0, 3.0, 9.0, 27.0)
 _STEPS = (1.5, 1.2, 1.08)  # Factors of the search about the best of the grid, one after the other.
 _MOST_STEPS = 8
 _N_FITTED = 40  # Tracks that the error is fitted to, at most.
-_LEAST_GAIN = 2.0
-"""Of log likelihood a track: below, a slow error explains no more than how people sway."""
+_LEAST_GAIN = 2.0  # Of log likelihood a track: below, it explains no more than how people sway.
 _LEAST_TOGETHER = 20  # Samples: who is there for less is no companion.
 _KNOWN_M2 = 1e-4  # A known position is so good, per axis.
 _LEAST_REST = 0.05  # Share of what innovations show that is never put down to a slow error.
