@@ -74,7 +74,7 @@ def _releases(settings: evaluation.Settings, seed: int) -> Iterator[tuple[Plugin
     )
     for level in axes(settings).mechanisms:
         release = sharing.share(level, sensed, "block", 0, seed=seed).without_sigma()
-        yield from ((level, release.tracks(half.tracks)) for half in block.victims)
+        yield from ((level, release.tracks(half)) for half in block.halves)
 
 
 def _show(settings: evaluation.Settings, rights: dict[str, list[bool]]) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from attacks.reconstruction.kalman_rts import PRIOR_STD, KalmanRTS
 from attacks.reconstruction.learning import N_CANDIDATES
 from evaluation.cells import sharing
-from evaluation.cells.adversary import SHOWS, Frame, declared, reconstructed, showing, view_of
+from evaluation.cells.adversary import SHOWS, Frame, reconstructed, showing, view_of
 from evaluation.cells.tables import Rows, described_rows, track_columns, track_means
 from evaluation.experiment.constants import MOST_SCENES
 from isac_track import privacy
@@ -47,6 +47,7 @@ class Victims(NamedTuple):
     """Some n of the tracks of a block, which are attacked at once: m samples, end to end."""
 
     tracks: Ints  # (n,) which of the block
+    own: Release  # of them, in the true frame
     truth: Floats  # (m, 2) m
 
 
@@ -56,7 +57,7 @@ class AttackedBlock:
 
     scenes: Scenes
     sensed: Sensed
-    victims: tuple[Victims, ...]  # Tracks of each half of the people.
+    halves: tuple[Ints, ...]  # Which tracks are of each half of the people.
     turn: Ints
     """(N,) pass over the recording: in none does a walk occur twice, in the first all do once"""
     training: tuple[tuple[Scenes, Sensed] | None, ...]
@@ -78,7 +79,6 @@ class AttackedLevel:
     scenes: Scenes  # Without the samples that the release left out.
     release: Release
     victims: tuple[Victims, ...]  # Each half of its tracks.
-    own: tuple[Release, ...]  # Each half of the release, in the true frame.
     views: Mapping[tuple[int, frozenset[Knowledge]], tuple[Release, Frame]]
     """Each half of the release as it shows to who is granted SIGMA, SCENE, both or neither; and in
     which frame."""
@@ -155,15 +155,16 @@ def attacked_block(
         **of,
         scenes=scenes,
         sensed=sensed,
-        victims=tuple(_victims(scenes, np.flatnonzero(half == fold)) for fold in _FOLDS),
+        halves=tuple(np.flatnonzero(half == fold) for fold in _FOLDS),
         turn=turn,
         training=tuple(training),
         again=tuple(sensed_scenes(scenes, "again", n, **of)[1] for n in range(n_again)),
     )
 
 
-def _victims(scenes: Scenes, tracks: Ints) -> Victims:
-    return Victims(tracks, scenes.xy[sharing.samples_of(scenes.offsets, tracks).rows])
+def _victims(scenes: Scenes, release: Release, tracks: Ints) -> Victims:
+    truth = scenes.xy[sharing.samples_of(scenes.offsets, tracks).rows]
+    return Victims(tracks, release.tracks(tracks), truth)
 
 
 def _people(half: Ints, *, fold: int, seed: int) -> Ints:
@@ -182,10 +183,8 @@ def attacked_level(
     granted = frozenset[Knowledge]().union(*(consumer.granted for consumer in consumers))
     first_scene = int(block.scenes.index[0])
     key = (mechanism.spec, "scene", first_scene, "part")
-    scenes, victims = sharing.restricted(block.scenes, left), block.victims
-    if left is not None:
-        victims = tuple(_victims(scenes, one.tracks) for one in victims)
-    own = tuple(release.tracks(one.tracks) for one in victims)
+    scenes = sharing.restricted(block.scenes, left)
+    victims = tuple(_victims(scenes, release, half) for half in block.halves)
     shows = {consumer.granted & SHOWS for consumer in consumers}
     views, training = {}, {}
     for fold, others in enumerate(block.training):
@@ -195,21 +194,19 @@ def attacked_level(
             truth_m = sharing.restricted(walks, sharing.samples_shared(shared, sensed)).xy
             for what, (shown, frame) in _views(shared, shows, *key, fold, "training", seed=seed):
                 training[fold, what] = TrainingSet(shown, frame.points(truth_m))
-        for what, view in _views(own[fold], shows, *key, fold, seed=seed):
+        for what, view in _views(victims[fold].own, shows, *key, fold, seed=seed):
             views[fold, what] = view
     again = [
         sharing.share(mechanism, sensed, "scenes", first_scene, "again", number, seed=seed)
         for number, sensed in enumerate(block.again)
         if Knowledge.REPEATS in granted
     ]
-    for one in again:
-        same_tracks = np.array_equal(one.offsets, release.offsets)
-        if not (same_tracks and (one.t is release.t or np.array_equal(one.t, release.t))):
-            raise PluginError(
-                f"mechanism {mechanism.spec!r} leaves out other samples when the same walks are "
-                "shared again; an attack that is granted REPEATS gets them at the same instants: "
-                "leave samples out by their times, or leave out the attacks that use repeats"
-            )
+    if not all(sharing.same_samples(one, release) for one in again):
+        raise PluginError(
+            f"mechanism {mechanism.spec!r} leaves out other samples when the same walks are "
+            "shared again; an attack that is granted REPEATS gets them at the same instants: "
+            "leave samples out by their times, or leave out the attacks that use repeats"
+        )
     known = sharing.restricted(block.sensed, left)
     along = (beside(block, mechanism),) if Knowledge.COMPANIONS in granted else ()
     return AttackedLevel(
@@ -219,7 +216,6 @@ def attacked_level(
         scenes=scenes,
         release=release,
         victims=victims,
-        own=own,
         views=views,
         training=training,
         again=tuple(again),
@@ -249,55 +245,52 @@ def attack_rows(consumer: Consumer, level: AttackedLevel) -> Rows:
     """
     if consumer.plugin is None:
         return {**track_columns(level.scenes, np.arange(len(level.release))), **level.bound}
-    who, block, release = f"attack {consumer.label}", level.block, level.release
-    granted = consumer.granted & declared(consumer.plugin)
+    who, block, granted = f"attack {consumer.label}", level.block, consumer.granted
     at_once = consumer.is_built_in and not consumer.is_slow
-    found, is_attacked = np.empty((5, len(release))), np.zeros(len(release), dtype=bool)
+    found = np.empty((5, len(level.release)))
+    is_attacked = np.zeros(len(level.release), dtype=bool)
     for fold, half in enumerate(level.victims):
         parts = [half]
         if not at_once:
             turn = block.turn[half.tracks]
             turns = [0] if consumer.is_slow else np.unique(turn)
-            parts = [_victims(level.scenes, half.tracks[turn == one]) for one in turns]
+            some = (half.tracks[turn == one] for one in turns)
+            parts = [_victims(level.scenes, level.release, tracks) for tracks in some]
         attack: Callable[..., object] | None = None
         for number, part in enumerate(parts):
             if not part.tracks.size:
                 continue
             if at_once:
-                own = level.own[fold]
-                shown, frame = level.views[fold, consumer.granted & SHOWS]
-                given = shown
+                shown, frame = level.views[fold, granted & SHOWS]
             else:
-                own = release.tracks(part.tracks)
                 rng = stream(block.seed, "frames", *level.key, fold, "pass", number)
-                shown, frame = view_of(own, granted=granted, rng=rng)
-                # A stranger may unlock arrays: what it writes to is its own.
-                given = sharing.copied(shown)
+                shown, frame = view_of(part.own, granted=granted, rng=rng)
             if attack is None or granted & OF_WALKS:
-                context = _context(consumer, level, granted, fold=fold, victims=part, frame=frame)
+                context = _context(consumer, level, fold=fold, victims=part, frame=frame)
                 attack = sharing.guarded(who, partial(consumer.plugin.instance.fit, context))
+            rebuilt = reconstructed(attack, sharing.handed(shown, consumer.plugin), who=who)
             # Only the correction is turned back: what is left alone stays as it was, bit by bit.
             found[:, part.tracks] = privacy.described(
-                xy=own.xy,
+                xy=part.own.xy,
                 truth=part.truth,
-                t=own.t,
-                offsets=own.offsets,
+                t=part.own.t,
+                offsets=part.own.offsets,
                 settings=block.stages.privacy,
-                moved=(reconstructed(attack, given, who=who).xy, shown.xy),
+                moved=(rebuilt.xy, shown.xy),
                 turn=complex(frame.turn),
             )
             is_attacked[part.tracks] = True
     rows = np.flatnonzero(is_attacked)
-    described = described_rows(found[:, rows])
-    # Who has more than the one release is beyond the bound.
-    has_more = bool(granted & OF_WALKS & declared(consumer.plugin))
-    best = np.full(rows.size, np.nan) if has_more else level.bound["plr_ceiling"][rows]
-    return {
+    columns = {
         **track_columns(level.scenes, rows),
-        **described,
+        **described_rows(found[:, rows]),
         **{name: values[rows] for name, values in level.benchmark.items()},
-        **({"plr_gap": best - described["plr"]} if block.is_model else {}),
     }
+    if block.is_model:
+        # Who has more than the one release is beyond the bound.
+        best = np.nan if granted & OF_WALKS else level.bound["plr_ceiling"][rows]
+        columns["plr_gap"] = best - columns["plr"]
+    return columns
 
 
 @lru_cache(maxsize=2)
@@ -356,16 +349,11 @@ def _bound(mechanism: Plugin, release: Release, sensed: Sensed, block: AttackedB
 
 
 def _context(
-    consumer: Consumer,
-    level: AttackedLevel,
-    granted: frozenset[Knowledge],
-    *,
-    fold: int,
-    victims: Victims,
-    frame: Frame,
+    consumer: Consumer, level: AttackedLevel, *, fold: int, victims: Victims, frame: Frame
 ) -> AttackContext:
     """Return what an attack on some tracks of one half prepares with."""
-    train = level.training.get((fold, consumer.granted & SHOWS))
+    granted = consumer.granted
+    train = level.training.get((fold, granted & SHOWS))
     if train is not None and not consumer.is_built_in:
         train = TrainingSet(sharing.copied(train.release), train.truth.copy())
     if Knowledge.TRAIN in granted and train is None:

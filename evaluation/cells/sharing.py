@@ -111,11 +111,7 @@ def samples_shared(release: Release, sensed: Sensed) -> Samples | None:
 
     Raises ValueError if it holds other tracks, or a sample when nothing was sensed.
     """
-    same = all(
-        ours is theirs or np.array_equal(ours, theirs)
-        for ours, theirs in ((sensed.offsets, release.offsets), (sensed.t, release.t))
-    )
-    if same:
+    if same_samples(sensed, release):
         return None
     if len(release) != len(sensed):
         raise ValueError(f"of {len(sensed)} tracks it returned {len(release)}")
@@ -132,6 +128,12 @@ def samples_shared(release: Release, sensed: Sensed) -> Samples | None:
             "samples may be left out, not moved or added"
         )
     return Samples(place, release.offsets)
+
+
+def same_samples(one: Sensed | Release, other: Sensed | Release) -> bool:
+    """Whether two batches hold the same number of samples of each track, at the same instants."""
+    pairs = (one.offsets, other.offsets), (one.t, other.t)
+    return all(mine is its or np.array_equal(mine, its) for mine, its in pairs)
 
 
 def samples_of(offsets: Ints, tracks: Ints) -> Samples:

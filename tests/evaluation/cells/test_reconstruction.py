@@ -436,7 +436,7 @@ def test_an_attack_that_breaks_its_contract_is_named_with_its_adversary(tracks, 
 def test_of_one_group_an_attack_that_learns_is_refused_and_the_others_run(tracks):
     crowd = in_groups(tracks, 1)
     block = World(crowd, n_scenes=N_SCENES).attacked()
-    (fold,) = (fold for fold, one in enumerate(block.victims) if one.tracks.size)
+    (fold,) = (fold for fold, half in enumerate(block.halves) if half.size)
     assert block.training[fold] is None
     with pytest.raises(DataError, match=r"'kalman_rts' learns .* leave the attack out"):
         computed(crowd, "kalman_rts")
