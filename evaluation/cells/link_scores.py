@@ -59,13 +59,10 @@ class Linked:
     """Outcome of one cell: raw scores, and all that is read off them."""
 
     searches: tuple[linkability.Search, ...]
-    probe_person: tuple[Ints, ...]  # Person of each probe, search by search.
-    gallery_person: tuple[Ints, ...]
     calibration: Mapping[int, linkability.Calibration]  # By fold.
     scored: linkability.Scorecard
     cohorts: Mapping[str, Mapping[str, float]]
     """Rank 1 without the confounders, by who is left out; none for a control."""
-    is_control: bool
     is_assigned: bool  # Whether probes can be left alone at a known cost, or need not be.
     checked: tuple[Floats, Floats] | None = None
     """Where some candidates alone are scored: hits of probes that are searched in full as well,
@@ -76,7 +73,7 @@ def read_off(
     scores: Mapping[int, Floats],
     *,
     known: SensedSessions,
-    drawn_from: Generator | tuple[int, *tuple[str, ...]],
+    drawn_from: Generator | tuple[str, ...],
     calibration: Mapping[int, linkability.Calibration] = _NOTHING,
     no_match: Mapping[int, float] = _NOTHING,
     control: Control | None = None,
@@ -94,19 +91,16 @@ def read_off(
     `checked` says what it lost.
     """
     sessions = known.sessions
-    searches, probes, galleries = [], [], []
-    for number, pairing in sorted(known.searches.items()):
-        probes.append(sessions.probe.person[pairing.probe])
-        galleries.append(sessions.gallery.person[pairing.gallery])
-        searches.append(
-            linkability.Search(
-                scores=scores[number],
-                mate=pairing.mate,
-                probe_cluster=known.cluster[probes[-1]],
-                gallery_cluster=known.cluster[galleries[-1]],
-                scale=int(sessions.fold[number]),
-            )
+    searches = tuple(
+        linkability.Search(
+            scores=scores[number],
+            mate=pairing.mate,
+            probe_cluster=known.cluster[sessions.probe.person[pairing.probe]],
+            gallery_cluster=known.cluster[sessions.gallery.person[pairing.gallery]],
+            scale=int(sessions.fold[number]),
         )
+        for number, pairing in sorted(known.searches.items())
+    )
     needed = None
     if sessions.task.shows_scene and scores.keys() <= no_match.keys():
         needed = [no_match[number] for number in sorted(scores)]
@@ -115,16 +109,16 @@ def read_off(
     is_calibrated = {search.scale for search in searches} <= set(calibration)
     n_shuffles = AUDIT_SHUFFLES if control is not None and control.is_audit else SHUFFLES
     if known.candidates:
-        rng = stream(*drawn_from) if isinstance(drawn_from, tuple) else drawn_from
+        rng = drawn_from if isinstance(drawn_from, Generator) else _stream(known.seed, *drawn_from)
         scored = linkability.rank_scorecard(
             searches, weights=known.weights, rng=rng, n_shuffles=n_shuffles
         )
     else:
         people = tuple(people_of(search) for search in searches)
-        if isinstance(drawn_from, tuple):
-            draws = _draws(people, drawn_from)
-        else:
+        if isinstance(drawn_from, Generator):
             draws = draw(people, drawn_from, n_shuffles)
+        else:
+            draws = _draws(people, known.seed, *drawn_from)
         scored = scorecard_of(
             searches,
             weights=known.weights,
@@ -146,22 +140,23 @@ def read_off(
         exact = replace(rank1, ci_low=low, ci_high=high)
         scored = replace(scored, estimates=scored.estimates | {"rank1": exact})
     return Linked(
-        searches=tuple(searches),
-        probe_person=tuple(probes),
-        gallery_person=tuple(galleries),
+        searches=searches,
         calibration=calibration,
         scored=scored,
         cohorts={} if control is not None else _cohorts(searches, known),
-        is_control=control is not None,
         is_assigned=is_assigned,
         checked=checked,
     )
 
 
+def _stream(seed: int, *names: str) -> Generator:
+    """Return the stream of the scorecard of the attack of this name, at whatever level."""
+    return stream(seed, "linkage", "scorecard", *names)
+
+
 @lru_cache(maxsize=32)
-def _draws(people: tuple[People, ...], names: tuple[int, *tuple[str, ...]]) -> tuple[Drawn, ...]:
-    """Return what an attack's scorecard draws, at whatever level, from the stream of this name."""
-    return draw(people, stream(*names), SHUFFLES)
+def _draws(people: tuple[People, ...], seed: int, *names: str) -> tuple[Drawn, ...]:
+    return draw(people, _stream(seed, *names), SHUFFLES)
 
 
 def _cohorts(
@@ -186,16 +181,14 @@ def _cohorts(
     cohorts = {}
     for number, (name, one) in enumerate(zip((WITHOUT_GROUPS, WITHOUT_FROZEN), found, strict=True)):
         mine = of_set == number
-        is_any = bool(mine.any())
+        hits, of_mine, is_any = hit[mine], chance[mine], bool(mine.any())
         cohorts[name] = {
             "rank1": one.value,
             "ci_low": one.ci_low,
             "ci_high": one.ci_high,
             "n_clusters": one.n,
-            "chance": float(chance[mine].mean()) if is_any else np.nan,
-            "p_rank1": linkability.rank1_p(hits=hit[mine], chance=chance[mine])
-            if is_any
-            else np.nan,
+            "chance": float(of_mine.mean()) if is_any else np.nan,
+            "p_rank1": linkability.rank1_p(hits=hits, chance=of_mine) if is_any else np.nan,
             "n_mated": int(mine.sum()),
         }
     return cohorts
@@ -274,9 +267,7 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
     - `about`: one row with all other numbers as JSON.
     """
     scored, probes, sessions = linked.scored, linked.scored.probes, known.sessions
-    persons = np.concatenate(linked.probe_person)
-    n_probes = [len(search.mate) for search in linked.searches]
-    assigned = probes.assigned + 1 if linked.is_assigned else np.full(persons.size, 3)
+    assigned = probes.assigned + 1 if linked.is_assigned else np.full_like(probes.assigned, 3)
     rows = {
         **_probe_names(known),
         "above": probes.above.astype(np.int32),
@@ -297,25 +288,26 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
             "rank1_loss": float((exact - approximate).mean()) if exact.size else None,
         }
     if keep_scores:
-        sizes = [one.scores.shape[1] for one in linked.searches]
         flat = np.concatenate([one.scores.ravel() for one in linked.searches]).astype(np.float32)
-        starts = np.concatenate([[0], np.cumsum(np.repeat(sizes, n_probes))])
+        sizes = [size for one in linked.searches for size in [one.scores.shape[1]] * len(one.mate)]
+        starts = np.cumsum([0, *sizes], dtype=np.int32)
         rows["mate"] = np.concatenate([one.mate for one in linked.searches]).astype(np.int32)
-        rows["scores"] = pa.ListArray.from_arrays(column(starts.astype(np.int32)), column(flat))
+        rows["scores"] = pa.ListArray.from_arrays(column(starts), column(flat))
         about["gallery"] = [
-            [sessions.source[one] for one in people] for people in linked.gallery_person
+            [sessions.source[person] for person in sessions.gallery.person[pairing.gallery]]
+            for _, pairing in sorted(known.searches.items())
         ]
     found = scored.estimates
-    fields = ("value", "ci_low", "ci_high", "n")
     estimates = {"metric": [*found]} | {
-        field: np.array([getattr(one, field) for one in found.values()]) for field in fields
+        field: np.array([getattr(one, field) for one in found.values()])
+        for field in ("value", "ci_low", "ci_high", "n")
     }
     tables = {
         ROWS: table(rows),
         ESTIMATES: table(estimates),
         ABOUT: table({"about": [_about_task(known) + _json(about)[1:]]}),
     }
-    if not linked.is_control:
+    if linked.cohorts:  # of controls nobody pairs two
         follow = {*DERIVED, *RANK_METRICS}
         tables[REPLICATES] = table(
             {

@@ -20,20 +20,13 @@ from attacks.remembered import part
 from attacks.tasks.controls import CONTROLS, closeness
 from evaluation.cells import sharing
 from evaluation.cells.adversary import declared, reconstructed, showing
-from evaluation.cells.candidates import (
-    AT_ONCE,
-    CHECKED,
-    Approximated,
-    among_candidates,
-    first_stage,
-)
+from evaluation.cells.candidates import AT_ONCE, CHECKED, among_candidates, first_stage
 from evaluation.cells.link_scores import Linked, calibrated, no_match_score, read_off
 from evaluation.cells.link_setup import SIDES, Pairing, SensedSessions
 from evaluation.cells.tables import (
     DESCRIPTORS,
     ON_TRIAL,
     ROWS,
-    Rows,
     Tables,
     descriptors,
     names_column,
@@ -62,8 +55,6 @@ WINDOW_COLUMNS = (
     *ON_TRIAL,
 )
 """Of the rows of a cell of windows."""
-
-
 _LAG_STEP_S = 0.2
 _LAG_WIDTH = 3  # Steps over which a lag counts.
 _LEAST_WEIGHT = 0.1
@@ -103,6 +94,21 @@ class LinkedLevel:
     def showing(self, granted: frozenset[Knowledge]) -> _Sides:
         """Return both releases as they show, the same ones every time."""
         return self.seen if Knowledge.SIGMA in granted else self.blind
+
+    def context(
+        self,
+        granted: frozenset[Knowledge],
+        *names: str | int,
+        train: TrainingSet | LinkageTrainingSet | None = None,
+    ) -> AttackContext:
+        """Return what an attack prepares with that is granted so much; `names` are its stream's."""
+        return AttackContext(
+            rng=stream(self.known.seed, *names),
+            epsilon_m=self.known.privacy.epsilon_m,
+            granted=granted,
+            mechanism=self.mechanism.instance,
+            train=train,
+        )
 
 
 def linked_level(mechanism: Plugin, whole: SensedSessions) -> LinkedLevel:
@@ -152,7 +158,7 @@ def link(consumer: Consumer, level: LinkedLevel) -> Linked:
     calibration: dict[int, Calibration] = {}
     no_match: dict[int, float] = {}
     for fold, half in enumerate(known.halves):
-        score, sides = _fitted(consumer, level, fold), _sides(consumer, level, fold)
+        score, sides = _fitted(consumer, level, fold)
         for number, pairing in half.searches:
             found = score(*sides.of(pairing))
             scores[number] = np.concatenate([scores.get(number, found[:0]), found])
@@ -166,7 +172,7 @@ def link(consumer: Consumer, level: LinkedLevel) -> Linked:
         known=known,
         calibration=calibration,
         no_match=no_match,
-        drawn_from=(known.seed, "linkage", "scorecard", consumer.spec, consumer.knowledge),
+        drawn_from=(consumer.spec, consumer.knowledge),
     )
 
 
@@ -182,8 +188,8 @@ def bound(level: LinkedLevel, motion: Motion | None) -> Linked:
     known, batches, (lags_s, weight) = level.known, [], _lags(level.known.sessions)
     for side, release, sensed in zip(SIDES, level.shared, known.sensed, strict=True):
         rng = stream(known.seed, "genie", "linkage", level.mechanism.spec, side)
-        of = {"release": release, "sensed": sensed, "mechanism": level.mechanism.instance}
-        errors = errors_of(**of, rng=rng)
+        mechanism = level.mechanism.instance
+        errors = errors_of(release=release, sensed=sensed, mechanism=mechanism, rng=rng)
         if errors is None or errors.slow is not None:
             raise PluginError(f"the optimum behind {level.mechanism.spec} is not known")
         batches.append((release, errors.variance))
@@ -195,8 +201,7 @@ def bound(level: LinkedLevel, motion: Motion | None) -> Linked:
             t, xy, var = (one[samples.rows] for one in (release.t, release.xy, variance))
             walks.append(Batch(t, xy, var, samples.offsets, prior))
         scores[number] = log_ratios(*walks, motion=motion, lags_s=lags_s, weight=weight)
-    drawn_from = (known.seed, "linkage", "scorecard", BOUND)
-    return read_off(scores, known=known, drawn_from=drawn_from)
+    return read_off(scores, known=known, drawn_from=(BOUND,))
 
 
 def _lags(sessions: Sessions) -> tuple[Floats, Floats]:
@@ -215,20 +220,18 @@ def _lags(sessions: Sessions) -> tuple[Floats, Floats]:
 
 def _approximated(consumer: Consumer, level: LinkedLevel) -> Linked:
     """Return what a linkage attack achieves that scores the best candidates of each probe alone."""
-    known = level.known
+    known, found = level.known, {}
     rng = stream(known.seed, "linkage", "candidates", consumer.spec, consumer.knowledge)
-    n_searches = sum(len(half.searches) for half in known.halves)
-    found: dict[int, Approximated] = {}
     for fold, half in enumerate(known.halves):
-        score, sides = _fitted(consumer, level, fold), _sides(consumer, level, fold)
+        score, sides = _fitted(consumer, level, fold)
         for number, pairing in half.searches:
             found[number] = among_candidates(
                 score,
                 *sides.of(pairing),
                 mate=pairing.mate,
-                first=_untaught(first_stage(known.sessions.task), sides, pairing, known),
+                first=_untaught(first_stage(known.sessions.task), level, sides, pairing),
                 n_candidates=known.candidates,
-                n_checked=-(-CHECKED // n_searches),
+                n_checked=-(-CHECKED // len(known.searches)),
                 n_at_once=AT_ONCE if consumer.is_built_in else 1,
                 rng=rng,
             )
@@ -237,21 +240,15 @@ def _approximated(consumer: Consumer, level: LinkedLevel) -> Linked:
     return read_off(
         {number: one.scores for number, one in found.items()},
         known=known,
-        drawn_from=(known.seed, "linkage", "scorecard", consumer.spec, consumer.knowledge),
+        drawn_from=(consumer.spec, consumer.knowledge),
         checked=(exact, approximate),
     )
 
 
-def _untaught(
-    attack: LinkageAttack, sides: _Sides, pairing: Pairing, known: SensedSessions
-) -> Floats:
+def _untaught(attack: LinkageAttack, level: LinkedLevel, sides: _Sides, pairing: Pairing) -> Floats:
     """Return the scores of a linker of ours that is granted what the task grants to everyone."""
-    context = AttackContext(
-        rng=stream(known.seed, "linkage", "untaught"),
-        epsilon_m=known.privacy.epsilon_m,
-        granted=attack.requires & known.sessions.task.everyone,
-    )
-    return attack.fit(context)(*sides.of(pairing))
+    granted = attack.requires & level.known.sessions.task.everyone
+    return attack.fit(level.context(granted, "linkage", "untaught"))(*sides.of(pairing))
 
 
 def _controlled(consumer: Consumer, level: LinkedLevel) -> Linked:
@@ -272,7 +269,7 @@ def _controlled(consumer: Consumer, level: LinkedLevel) -> Linked:
             scores[number] = score(*level.seen.of(pairing), rng)
         else:
             attack = Shape() if not (task.shows_scene or known.candidates) else first_stage(task)
-            real = _untaught(attack, level.blind, pairing, known)
+            real = _untaught(attack, level, level.blind, pairing)
             scores[number] = real[:, rng.permutation(real.shape[1])]
     return read_off(scores, known=known, drawn_from=rng, control=control)
 
@@ -306,9 +303,7 @@ def _smoothed(
     consumer: Consumer, behind: Plugin, level: LinkedLevel, fold: int, shows: frozenset[Knowledge]
 ) -> _Sides:
     """Return both releases with the positions that a reconstruction attack makes of them."""
-    name = f"attack {behind.spec}"
-    who = f"{name} (behind {consumer.label})"
-    known = level.known
+    who, known = f"attack {behind.spec} (behind {consumer.label})", level.known
     granted = consumer.granted & declared(behind)
     sides = level.showing(granted)
     train, rows = None, known.halves[fold].learns.probe
@@ -316,13 +311,8 @@ def _smoothed(
         truth = _true_walks(level, 0)[sharing.samples_of(known.sessions.probe.offsets, rows).rows]
         probe, _ = sides.of(known.halves[fold].learns)
         train = TrainingSet(sharing.handed(probe, behind), truth)
-    context = AttackContext(
-        rng=stream(known.seed, "attacks", behind.spec, "linkage", level.mechanism.spec, fold),
-        epsilon_m=known.privacy.epsilon_m,
-        granted=granted,
-        mechanism=level.mechanism.instance,
-        train=train,
-    )
+    names = ("attacks", behind.spec, "linkage", level.mechanism.spec, fold)
+    context = level.context(granted, *names, train=train)
     attack = sharing.guarded(who, lambda: behind.instance.fit(context))
     rebuilt, std = list[Release](), []
     for release, view in zip(level.seen.both, sides.both, strict=True):
@@ -341,8 +331,8 @@ def _true_walks(level: LinkedLevel, side: int) -> Floats:
 
 def _fitted(
     consumer: Consumer, level: LinkedLevel, fold: int
-) -> Callable[[Release, Release], Floats]:
-    """Return what a linker, prepared for a fold, makes of two releases: (p, g), in float32."""
+) -> tuple[Callable[[Release, Release], Floats], _Sides]:
+    """Return `scores_of` a linker that is prepared for a fold, and the releases that it gets."""
     assert consumer.plugin is not None
     plugin, known, who = consumer.plugin, level.known, f"attack {consumer.label}"
     sides = _sides(consumer, level, fold)
@@ -358,16 +348,10 @@ def _fitted(
             )
         probes, gallery = (sharing.handed(one, plugin) for one in sides.of(learns))
         train = LinkageTrainingSet(probes, gallery, learns.mate.copy())
-    key = (consumer.spec, consumer.knowledge, level.mechanism.spec, fold)
-    context = AttackContext(
-        rng=stream(known.seed, "attacks", *key),
-        epsilon_m=known.privacy.epsilon_m,
-        granted=granted,
-        mechanism=level.mechanism.instance,
-        train=train,
-    )
+    names = ("attacks", consumer.spec, consumer.knowledge, level.mechanism.spec, fold)
+    context = level.context(granted, *names, train=train)
     attack = sharing.guarded(who, lambda: plugin.instance.fit(context))
-    return partial(scores_of, attack, plugin=plugin, who=who)
+    return partial(scores_of, attack, plugin=plugin, who=who), sides
 
 
 def scores_of(
@@ -419,29 +403,25 @@ def window_tables(consumer: Consumer, level: LinkedLevel) -> Tables:
             for one, real in ((release.xy, truth), (attacked, walked))
         )
         std = smooth.std[number]
-        on_trial = (
+        columns = (
+            [side] * len(whole),
+            names_column(whole.search, sessions.searches),
+            names_column(whole.person, sessions.source),
+            names_column(whole.person, sessions.group),
+            np.diff(release.offsets),
+            *_walked(whole),  # which does not depend on which samples were shared
+            track_means(release.sigma, release.offsets),
+            *(exposed[name] for name in DESCRIPTORS),
             *(left[name] for name in DESCRIPTORS),
             privacy.alignment_error(xy=attacked, truth=walked, offsets=release.offsets),
             track_means(np.full(release.t.size, np.nan) if std is None else std, release.offsets),
         )
-        columns = {
-            "side": [side] * len(whole),
-            "search": names_column(whole.search, sessions.searches),
-            "source": names_column(whole.person, sessions.source),
-            "group": names_column(whole.person, sessions.group),
-            "n_samples": np.diff(release.offsets),
-            # What the walk was does not depend on which samples were shared.
-            **_walked(whole),
-            "sigma_m": track_means(release.sigma, release.offsets),
-            **{name: exposed[name] for name in DESCRIPTORS},
-            **dict(zip(ON_TRIAL, on_trial, strict=True)),
-        }
-        sides.append(table(columns))
+        sides.append(table(dict(zip(WINDOW_COLUMNS, columns, strict=True))))
     return {ROWS: pa.concat_tables(sides).combine_chunks()}
 
 
-def _walked(windows: Windows) -> Rows:
-    """Return how long each window lasted, and how fast its walk was."""
+def _walked(windows: Windows) -> tuple[Floats, Floats]:
+    """Return how long each window lasted, s, and how fast its walk was, m/s."""
     step_m = np.zeros(windows.t.size)
     step_m[1:] = np.hypot(*np.diff(windows.xy, axis=0).T)
     step_m[windows.offsets[:-1]] = 0.0  # from one window to the next
@@ -449,4 +429,4 @@ def _walked(windows: Windows) -> Rows:
     path_m = np.add.reduceat(step_m, windows.offsets[:-1])
     speed_mps = np.full(duration_s.size, np.nan)
     np.divide(path_m, duration_s, out=speed_mps, where=duration_s > 0)
-    return {"duration_s": duration_s, "speed_mps": speed_mps}
+    return duration_s, speed_mps

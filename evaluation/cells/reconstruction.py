@@ -163,15 +163,14 @@ def attacked_block(
 
 
 def _victims(scenes: Scenes, release: Release, tracks: Ints) -> Victims:
-    truth = scenes.xy[sharing.samples_of(scenes.offsets, tracks).rows]
-    return Victims(tracks, release.tracks(tracks), truth)
+    rows = sharing.samples_of(scenes.offsets, tracks).rows
+    return Victims(tracks, release.tracks(tracks), scenes.xy.take(rows, axis=0))
 
 
 def _people(half: Ints, *, fold: int, seed: int) -> Ints:
     """Return which tracks of a half train an attack."""
     rows = np.flatnonzero(half == fold)
-    drawn: Ints = stream(seed, "training", fold).permutation(rows)[:TRAINING_PEOPLE]
-    return drawn
+    return stream(seed, "training", fold).permutation(rows)[:TRAINING_PEOPLE]
 
 
 def attacked_level(
@@ -329,22 +328,21 @@ def _bound(mechanism: Plugin, release: Release, sensed: Sensed, block: AttackedB
 
     Of recorded walks the motion is that of who is easiest to smooth, so that the ceiling is high.
     """
-    motion, epsilon_m = motion_of(block.tracks), block.stages.privacy.epsilon_m
-    first_scene = int(block.scenes.index[0])
-    rng = stream(block.seed, "genie", mechanism.spec, first_scene)
-    of = {"release": release, "sensed": sensed, "mechanism": mechanism.instance}
-    errors, nothing = errors_of(**of, rng=rng), np.full(len(release), np.nan)
-    known = nothing  # of a mechanism that even the genie is blind to
-    if errors is not None:
-        known = known_share(
-            t=release.t,
-            offsets=release.offsets,
-            errors=errors,
-            q=motion.q if block.is_model else motion.q_low,
-            speed_mps=motion.speed_mps,
-            epsilon_m=epsilon_m,
-        )
-    is_exact = block.is_model and errors is not None and errors.is_gaussian
+    motion = motion_of(block.tracks)
+    rng = stream(block.seed, "genie", mechanism.spec, int(block.scenes.index[0]))
+    errors = errors_of(release=release, sensed=sensed, mechanism=mechanism.instance, rng=rng)
+    nothing = np.full(len(release), np.nan)
+    if errors is None:  # of a mechanism that even the genie is blind to
+        return {"plr_ceiling": nothing, "plr_optimum": nothing}
+    known = known_share(
+        t=release.t,
+        offsets=release.offsets,
+        errors=errors,
+        q=motion.q if block.is_model else motion.q_low,
+        speed_mps=motion.speed_mps,
+        epsilon_m=block.stages.privacy.epsilon_m,
+    )
+    is_exact = block.is_model and errors.is_gaussian
     return {"plr_ceiling": known, "plr_optimum": known if is_exact else nothing}
 
 
@@ -385,7 +383,7 @@ def _anchor(level: AttackedLevel, victims: Victims, frame: Frame) -> Release:
     scenes, offsets = level.scenes, level.scenes.offsets
     drawn = stream(level.block.seed, "anchors", int(scenes.index[0])).random(offsets.size - 1)
     at = (offsets[:-1] + drawn * np.diff(offsets)).astype(np.int64)[victims.tracks]
-    whose = level.release.tracks(victims.tracks).pseudonym
+    whose = victims.own.pseudonym
     return frame.release(Release(scenes.t[at], scenes.xy[at], None, np.arange(at.size + 1), whose))
 
 
@@ -428,11 +426,10 @@ def benchmark(release: Release, *, sensed: Sensed, mechanism: Plugin, epsilon_m:
     every sample: no linear estimator has a smaller expected squared error, and none at all if the
     errors are Gaussian. Its posterior covariance P per axis depends on no position: the expected
     squared error is 2 P, and a Gaussian error of that size leaks with probability
-    1 - exp(-epsilon^2 / 2P). NaN for a mechanism that says
-    (`errors_are_independent`) that its errors depend on each other from sample to sample.
+    1 - exp(-epsilon^2 / 2P). NaN for a mechanism whose `errors_are_independent` says that they are
+    not, from sample to sample.
     """
-    independent = getattr(mechanism.instance, "errors_are_independent", True)
-    if not independent:
+    if not getattr(mechanism.instance, "errors_are_independent", True):
         return dict.fromkeys(_BENCHMARK, np.full(len(release), np.nan))
     law = getattr(mechanism.instance, "law", None) or sensed.law
     assert release.sigma is not None  # `share` refuses what declares none

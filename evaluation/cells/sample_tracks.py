@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from attacks.reconstruction.kalman_rts import RadialRTS
-from evaluation.cells.sharing import copied, guarded, restricted, samples_shared
+from evaluation.cells.sharing import copied, guarded, restricted, samples_shared, share
 from evaluation.cells.tables import names_column, table
 from evaluation.experiment.constants import IDENTITY
 from isac_track.privacy import leakage_indicator
@@ -20,7 +20,6 @@ from isac_track.protocols import AttackContext
 from isac_track.rng import stream
 from isac_track.scenes import Cut, make_scenes, track_order
 from isac_track.sensing import sense_scenes
-from isac_track.types import Release
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -48,8 +47,8 @@ def chosen(mechanisms: Sequence[Plugin]) -> list[Plugin]:
         some = [one for one in mechanisms if one.name == name and one.level is not None]
         return sorted(some, key=lambda one: abs((one.level or 0.0) - level))[:1]
 
-    usual = [one for one in mechanisms if one.name == "raw"][:1]
-    usual += nearest("fid", 0.0) + nearest("fixed", _FIXED_M)
+    raw = [one for one in mechanisms if one.name == "raw"][:1]
+    usual = [*raw, *nearest("fid", 0.0), *nearest("fixed", _FIXED_M)]
     return usual if len(usual) == _MOST_MECHANISMS else list(mechanisms[:_MOST_MECHANISMS])
 
 
@@ -76,10 +75,7 @@ def gallery_rows(
     best = min(able, key=lambda one: one.name != "radial_rts", default=None)
     name, attack = ("radial_rts", RadialRTS()) if best is None else (best.spec, best.instance)
     epsilon_m = stages.privacy.epsilon_m
-    rng = stream(seed, "sharing", "gallery")
-    release: Release = guarded(
-        f"mechanism {mechanism.spec!r}", lambda: mechanism.instance.share(sensed, rng)
-    )
+    release = share(mechanism, sensed, "gallery", seed=seed)
     context = AttackContext(rng=stream(seed, "attack", "gallery"), epsilon_m=epsilon_m)
     hidden = copied(release.without_sigma())
     rebuilt = guarded(f"attack {name!r}", lambda: attack.fit(context)(hidden))

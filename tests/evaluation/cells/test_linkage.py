@@ -203,13 +203,13 @@ class TestWhatIsReadOff:
 
     def test_without_groups_neither_probes_nor_candidates_are_of_one(self):
         found, level = linked(sessions_of("rerelease"), "clean", Linker())
-        result, alone = found[SPY], level.known.sessions.alone
+        result, sessions, alone = found[SPY], level.known.sessions, level.known.sessions.alone
         hits = []
-        for search, probe, gallery in zip(
-            result.searches, result.probe_person, result.gallery_person, strict=True
+        for search, (_, pairing) in zip(
+            result.searches, sorted(level.known.searches.items()), strict=True
         ):
-            candidates = np.flatnonzero(alone[gallery])
-            for row in np.flatnonzero(alone[probe]):
+            candidates = np.flatnonzero(alone[sessions.gallery.person[pairing.gallery]])
+            for row in np.flatnonzero(alone[sessions.probe.person[pairing.probe]]):
                 best = candidates[search.scores[row, candidates].argmax()]
                 hits.append(best == search.mate[row])
         part = result.cohorts["without_groups"]
