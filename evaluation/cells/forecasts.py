@@ -7,22 +7,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from evaluation.cells.adversary import showing
-from evaluation.cells.sharing import guarded, handed
+from evaluation.cells.sharing import guarded, handed, samples_of
 from evaluation.cells.tables import Rows, descriptors, track_columns, track_means
 from isac_track.conflict import conflict_probability, is_conflict, minimum_separation
 from isac_track.errors import PluginError, SettingsError
 from isac_track.privacy import leakage_indicator
 from isac_track.protocols import knowing
 from isac_track.scenes import robot_positions
-from isac_track.types import (
-    Floats,
-    Prediction,
-    Reconstruction,
-    Release,
-    Scenes,
-    end_to_end,
-    runs_of,
-)
+from isac_track.types import Floats, Prediction, Reconstruction, Release, Scenes
 
 if TYPE_CHECKING:
     from evaluation.experiment.axes import Consumer
@@ -67,6 +59,11 @@ def sharing_rows(
     expected = scenes.xy_future.shape
     if not isinstance(prediction, Prediction) or prediction.mean.shape != expected:
         raise PluginError(f"{who} must return a Prediction with mean {expected}")
+    if prediction.cov is None and conflict.decision == "probability":
+        raise SettingsError(
+            f"{who} has no covariance, which conflict.decision=probability needs; leave it out or "
+            "decide by the mean"
+        )
     robot = robot_positions(scenes, settings=conflict)
     mean = prediction.mean.reshape(robot.shape)
     separation_m = minimum_separation(robot=robot, agents=mean)
@@ -78,15 +75,9 @@ def sharing_rows(
             cov=prediction.cov.reshape(*robot.shape, 2),
             radius_m=conflict.safety_radius_m,
         )
-    if conflict.decision == "mean":
-        predicted = is_conflict(separation_m=separation_m, safety_radius_m=conflict.safety_radius_m)
-    elif prediction.cov is not None:
+    predicted = is_conflict(separation_m=separation_m, safety_radius_m=conflict.safety_radius_m)
+    if conflict.decision == "probability":
         predicted = probability >= conflict.probability_threshold
-    else:
-        raise SettingsError(
-            f"{who} has no covariance, which conflict.decision=probability needs; leave it out or "
-            "decide by the mean"
-        )
     return {
         "scene": scenes.index,
         "track": scenes.track[:: scenes.n_agents],
@@ -114,11 +105,11 @@ def _own_plr(
     if track is None or not logged.size:
         return found
     rows = logged * scenes.n_agents
-    first, (runs, offsets) = release.tracks(rows), runs_of(scenes.offsets, rows)
+    first, samples = release.tracks(rows), samples_of(scenes.offsets, rows)
     places = guarded(who, lambda: Reconstruction(track(first)).xy)
     if places.shape != first.xy.shape:
         raise PluginError(f"{who} must track positions {first.xy.shape}, got {places.shape}")
-    truth, epsilon_m = end_to_end(scenes.xy, runs), stages.privacy.epsilon_m
+    truth, epsilon_m = scenes.xy.take(samples.rows, axis=0), stages.privacy.epsilon_m
     leaked = leakage_indicator(shared_xy=places, true_xy=truth, epsilon_m=epsilon_m)
-    found[logged] = track_means(leaked.astype(np.float64), offsets)
+    found[logged] = track_means(leaked.astype(np.float64), samples.offsets)
     return found

@@ -143,30 +143,23 @@ def _whole(parts: Iterable[tuple[int, Pairing]]) -> dict[int, Pairing]:
     for number, part in parts:
         one = found.setdefault(number, part)
         if one is not part:
-            probe, mate = (
-                np.concatenate([getattr(one, name), getattr(part, name)])
-                for name in ("probe", "mate")
-            )
-            found[number] = Pairing(probe, part.gallery, mate)
+            probe = np.concatenate([one.probe, part.probe])
+            found[number] = Pairing(probe, part.gallery, np.concatenate([one.mate, part.mate]))
     return found
 
 
 def _half(sessions: Sessions, fold: int) -> Half:
     mine = np.flatnonzero(sessions.fold == fold)
     others = np.flatnonzero(sessions.fold != fold)
-    attacked: Bools | None = None
+    attacked = everybody = np.ones(len(sessions.source), dtype=bool)
     if sessions.task.comes_back:  # a fold is a person, who is searched for among all
         mine = others = np.arange(sessions.fold.size)
-        attacked = sessions.probe.person == fold
+        attacked = np.arange(everybody.size) == fold
+    learns, calibrates = sessions.learns[fold], sessions.calibrates[fold]
 
-    def part(searches: Ints, people: Bools | None = None, probes: Bools | None = None) -> Pairing:
-        probe = np.isin(sessions.probe.search, searches)
-        gallery = np.isin(sessions.gallery.search, searches)
-        if probes is not None:
-            probe &= probes
-        if people is not None:
-            probe &= people[sessions.probe.person]
-            gallery &= people[sessions.gallery.person]
+    def part(searches: Ints, probes: Bools, candidates: Bools) -> Pairing:
+        probe = np.isin(sessions.probe.search, searches) & probes[sessions.probe.person]
+        gallery = np.isin(sessions.gallery.search, searches) & candidates[sessions.gallery.person]
         place = np.where(gallery, np.cumsum(gallery) - 1, -1)
         mate = sessions.mate[probe]
         return Pairing(
@@ -175,12 +168,12 @@ def _half(sessions: Sessions, fold: int) -> Half:
             mate=np.where(mate >= 0, place[mate], -1),
         )
 
-    calibrates = [part(one, sessions.calibrates[fold]) for one in others[:, None]]
-    mated = np.concatenate([np.zeros(0, dtype=bool), *(one.mate >= 0 for one in calibrates)])
+    known = [part(one, calibrates, calibrates) for one in others[:, None]]
+    mated = np.concatenate([np.zeros(0, dtype=bool), *(one.mate >= 0 for one in known)])
     return Half(
-        searches=tuple((int(one[0]), part(one, probes=attacked)) for one in mine[:, None]),
-        learns=part(others, sessions.learns[fold]),
-        calibrates=tuple(one for one in calibrates if (one.mate >= 0).any()),
+        searches=tuple((int(one[0]), part(one, attacked, everybody)) for one in mine[:, None]),
+        learns=part(others, learns, learns),
+        calibrates=tuple(one for one in known if (one.mate >= 0).any()),
         mate_rate=(int(mated.sum()) + 0.5) / (mated.size + 1.0),
     )
 
@@ -231,10 +224,9 @@ def _sensed(sessions: Sessions, side: str, *, stages: StageSettings, seed: int) 
 def _frames(sessions: Sessions, side: str, *, seed: int) -> Frame:
     """Return the frames of one side: those of a walk are its own, whoever else is there."""
     windows = getattr(sessions, side)
-    drawn = np.empty((len(windows), 4))
-    for row, person in enumerate(windows.person):
-        rng = stream(seed, "frames", "linkage", sessions.task.family, side, sessions.source[person])
-        drawn[row] = rng.random(4)
+    names = ("frames", "linkage", sessions.task.family, side)
+    draws = [stream(seed, *names, sessions.source[person]).random(4) for person in windows.person]
+    drawn = np.reshape(draws, (-1, 4))
     angle = 2.0 * np.pi * drawn[:, 0]
     return Frame(
         turn=np.cos(angle) + 1j * np.sin(angle),

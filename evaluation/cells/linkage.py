@@ -211,10 +211,8 @@ def _lags(sessions: Sessions) -> tuple[Floats, Floats]:
     lag_s = starts[1][sessions.mate[mated]] - starts[0][mated]
     most = int(np.ceil(np.abs(lag_s).max(initial=0.0) / _LAG_STEP_S)) + _LAG_WIDTH
     lags_s = np.arange(-most, most + 1, dtype=np.float64) * _LAG_STEP_S
-    near = 1.0 - np.abs(lags_s[:, None] - np.concatenate([lag_s, -lag_s])) / (
-        _LAG_WIDTH * _LAG_STEP_S
-    )
-    weight = np.maximum(near, 0.0).sum(axis=1) + _LEAST_WEIGHT
+    away_s, width_s = lags_s[:, None] - np.concatenate([lag_s, -lag_s]), _LAG_WIDTH * _LAG_STEP_S
+    weight = np.maximum(1.0 - np.abs(away_s) / width_s, 0.0).sum(axis=1) + _LEAST_WEIGHT
     return lags_s, weight / weight.sum()
 
 

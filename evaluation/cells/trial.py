@@ -79,11 +79,10 @@ def _call(trial: Trial, stages: StageSettings) -> None:
     order = track_order(
         n_tracks=len(tracks), n_scenes=-(-N_PEOPLE // agents), agents=agents, seed=_SEED
     )
-    own: dict[str, Any] = {"stages": stages, "seed": _SEED}
     mechanism, consumer = plugins.parse("mechanisms", _MECHANISM)[0], trial.consumer
     if consumer is None or consumer.kind != "linkage":
         level = (trial.plugin, ()) if consumer is None else (mechanism, (consumer,))
-        list(cells(Block(0, 0, order, (level,)), tracks=tracks, **own))
+        list(cells(Block(0, 0, order, (level,)), tracks=tracks, stages=stages, seed=_SEED))
         return
     scenes = make_scenes(tracks, order=order, first=0, settings=stages, seed=_SEED)
     sensed = sense_scenes(scenes, settings=stages.sensing, seed=_SEED)
