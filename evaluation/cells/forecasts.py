@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from evaluation.cells.adversary import showing
-from evaluation.cells.sharing import guarded, handed, samples_of
+from evaluation.cells.sharing import guarded, handed, samples_of, showing
 from evaluation.cells.tables import Rows, descriptors, track_columns, track_means
 from isac_track.conflict import conflict_probability, is_conflict, minimum_separation
 from isac_track.errors import PluginError, SettingsError

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from evaluation.cells.adversary import FAR_M, LONG_S, Frame
+from evaluation.cells.sharing import FAR_M, LONG_S, Frame
 from isac_track.intervals import cluster_weights
 from isac_track.model_world import Motion, simulated
 from isac_track.rng import stream

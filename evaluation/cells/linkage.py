@@ -19,10 +19,10 @@ from attacks.linkage.alignment import Shape
 from attacks.remembered import part
 from attacks.tasks.controls import CONTROLS, closeness
 from evaluation.cells import sharing
-from evaluation.cells.adversary import declared, reconstructed, showing
 from evaluation.cells.candidates import AT_ONCE, CHECKED, among_candidates, first_stage
 from evaluation.cells.link_scores import Linked, calibrated, no_match_score, read_off
 from evaluation.cells.link_setup import SIDES, Pairing, SensedSessions
+from evaluation.cells.sharing import declared, reconstructed, showing
 from evaluation.cells.tables import (
     DESCRIPTORS,
     ON_TRIAL,

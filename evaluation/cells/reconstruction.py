@@ -16,7 +16,7 @@ import numpy as np
 from attacks.reconstruction.kalman_rts import PRIOR_STD, KalmanRTS
 from attacks.reconstruction.learning import N_CANDIDATES
 from evaluation.cells import sharing
-from evaluation.cells.adversary import SHOWS, Frame, reconstructed, showing, view_of
+from evaluation.cells.sharing import SHOWS, Frame, reconstructed, showing, view_of
 from evaluation.cells.tables import Rows, described_rows, track_columns, track_means
 from evaluation.experiment.constants import MOST_SCENES
 from isac_track import privacy

@@ -1,16 +1,17 @@
-"""One release of a mechanism, checked: what it holds, and who sees nothing of a level but that.
+"""One release of a mechanism, checked: what it holds, and what of it whoever reads it is given.
 
-What a stranger wrote is called here as everywhere by `guarded`: their mistakes are named, and by
-`copied` their hands are kept off our arrays.
+An adversary gets it as it shows, in a frame and on a clock of its own. What a stranger wrote is
+called by `guarded`: their mistakes are named, and by `copied` their hands are kept off our arrays.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
+from numpy.random import Generator
 
 from attacks.tasks.sessions import Windows
 from isac_track.command_line import check_interrupt, may_be_ctrl_c
@@ -19,8 +20,11 @@ from isac_track.rng import stream
 from isac_track.sharing import names_of
 from isac_track.types import (
     SHARED_LIMIT_M,
+    Complexes,
+    Floats,
     Ints,
     Knowledge,
+    Reconstruction,
     Release,
     Scenes,
     Sensed,
@@ -37,6 +41,9 @@ _Batch = TypeVar("_Batch", Release, Scenes, Sensed, Windows)
 OURS = ("isac_track.", "attacks.", "predictors.")  # Where plug-ins come from that are no stranger's
 Digest: TypeAlias = tuple[tuple[tuple[int, ...], int] | None, ...]
 """Shape and hash of arrays: equal in one process for what is equal bit by bit."""
+SHOWS = frozenset({Knowledge.SIGMA, Knowledge.SCENE})  # Knowledge that shows in the release itself.
+FAR_M = 1000.0
+LONG_S = 86_400.0  # How far off, and how long ago, an adversary's frame and clock may begin.
 _PER_SAMPLE = ("t", "xy", "sigma", "unit_error", "sigma_raw", "information", "fid")
 
 
@@ -151,6 +158,68 @@ def restricted(batch: _Batch, to: Samples | None) -> _Batch:
         if (values := getattr(batch, name, None)) is not None
     }
     return derived(batch, offsets=to.offsets, **samples)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Frame:
+    """A frame and a clock, one for all samples or one each: turned by an angle, then shifted."""
+
+    turn: Complexes | complex = 1.0  # (M,) or one: cosine and sine of the angle
+    shift_m: Complexes | complex = 0.0  # (M,) or one: x and y, m
+    clock_s: Floats | float = 0.0
+
+    def points(self, xy: Floats) -> Floats:
+        """Return positions, (M, 2) m, in the frame."""
+        points = np.ascontiguousarray(xy).view(np.complex128)[:, 0]
+        return (self.turn * points + self.shift_m).view(np.float64).reshape(-1, 2)
+
+    def release(self, release: Release) -> Release:
+        """Return a release in the frame and on the clock."""
+        return replace(release, xy=self.points(release.xy), t=release.t + self.clock_s)
+
+    def of(self, offsets: Ints) -> Frame:
+        """Return the frame of each sample of walks that begin and end at offsets, of their own."""
+        arrays = (self.turn, self.shift_m, self.clock_s)
+        return Frame(*(np.repeat(one, np.diff(offsets)) for one in arrays))
+
+
+def view_of(
+    release: Release, *, granted: frozenset[Knowledge], rng: Generator
+) -> tuple[Release, Frame]:
+    """Return a release as it shows, without SCENE in a frame that is drawn; and the frame."""
+    release = showing(release, granted)
+    if Knowledge.SCENE in granted:
+        return release, Frame()
+    angle = float(rng.uniform(0.0, 2.0 * np.pi))
+    shift_m, clock_s = complex(*rng.uniform(-FAR_M, FAR_M, 2)), rng.uniform(0.0, LONG_S)
+    frame = Frame(np.cos(angle) + 1j * np.sin(angle), shift_m, clock_s)
+    return frame.release(release), frame
+
+
+def showing(release: Release, granted: frozenset[Knowledge]) -> Release:
+    """Return a release with its standard deviations for who is granted SIGMA alone."""
+    return release if Knowledge.SIGMA in granted else release.without_sigma()
+
+
+def declared(plugin: Plugin) -> frozenset[Knowledge]:
+    """Return what a plug-in says that it needs or takes."""
+    return frozenset(plugin.instance.requires | plugin.instance.uses)
+
+
+def reconstructed(
+    attack: Callable[[Release], object], release: Release, *, who: str
+) -> Reconstruction:
+    """Return what a fitted attack makes of a release, in its frame.
+
+    Raises PluginError if it raises or returns anything else; the message names it.
+    """
+    found = guarded(who, lambda: attack(release))
+    if not isinstance(found, Reconstruction) or found.xy.shape != release.xy.shape:
+        got = getattr(getattr(found, "xy", None), "shape", type(found).__name__)
+        raise PluginError(
+            f"{who} must return a Reconstruction with xy {release.xy.shape}, got {got}"
+        )
+    return found
 
 
 def release_digest(*releases: Release) -> Digest:

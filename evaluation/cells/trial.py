@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from evaluation.cells import sharing
-from evaluation.cells.adversary import declared, showing
 from evaluation.cells.linkage import scores_of
 from evaluation.cells.where import note
 from evaluation.cells.work import Block, cells
@@ -87,9 +86,9 @@ def _call(trial: Trial, stages: StageSettings) -> None:
     scenes = make_scenes(tracks, order=order, first=0, settings=stages, seed=_SEED)
     sensed = sense_scenes(scenes, settings=stages.sensing, seed=_SEED)
     # Everybody comes again, and who learns has learnt on the same people.
-    plugin, granted = trial.plugin, consumer.granted & declared(trial.plugin)
+    plugin, granted = trial.plugin, consumer.granted & sharing.declared(trial.plugin)
     releases = (sharing.share(mechanism, sensed, "trial", n, seed=_SEED) for n in range(2))
-    probe, gallery = (showing(one, granted) for one in releases)
+    probe, gallery = (sharing.showing(one, granted) for one in releases)
     train = None
     if Knowledge.TRAIN in granted:
         copies = sharing.copied(probe), sharing.copied(gallery)

@@ -15,11 +15,10 @@ from evaluation.experiment.constants import (
     MODEL,
     OTHER_LAW,
     OTHER_LAW_WORLD,
-    SHARED,
     WINDOWS,
     WORLDS,
 )
-from evaluation.experiment.presets import BREAKER, PRESETS, UTILITY_PREDICTORS
+from evaluation.experiment.presets import BREAKER, PRESETS, SHARED, UTILITY_PREDICTORS
 from isac_track import plugins
 from isac_track.errors import SettingsError
 from isac_track.protocols import USUAL, grants, kind_of
@@ -28,7 +27,6 @@ from isac_track.types import Knowledge
 if TYPE_CHECKING:
     from evaluation.experiment.settings import Settings
     from isac_track.plugins import Plugin
-
 
 MOST_DEFAULT_JOBS: Final = 8  # Unless more are asked for: each takes a few hundred MB.
 WORTH_WORKERS: Final = 5000
@@ -292,11 +290,10 @@ def _linked(
     """
     chosen: dict[str, list[Task]] = {}
     for link in links:
-        asked = settings.adversaries
         can = [
             task
             for task in tasks
-            if grants(link, everyone=task.everyone, nobody=task.nobody, asked=asked)
+            if grants(link, everyone=task.everyone, nobody=task.nobody, asked=settings.adversaries)
         ]
         linker = link.plugins[0].instance
         suited = [task for task in can if task.shows_scene == (Knowledge.SCENE in linker.requires)]

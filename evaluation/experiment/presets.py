@@ -83,10 +83,10 @@ BREAKER = "ou_rts"
 """Attack that uses all that `--adversary` grants: in every run that asks for one by name alone."""
 UTILITY_PREDICTORS = ("least_squares", "kalman_cv", "kalman_cv:aware=true")
 """Of a preset's own predictors those that are read in all scenes: the cheap ones."""
-_PAPER = Preset(
-    scenes=500,
-    utility_scenes=2000,
-    mechanisms=(*_SWEEP, *DISSOCIATION),
+_SMOKE = Preset(
+    scenes=40,
+    utility_scenes=40,
+    mechanisms=SMOKE_LEVELS,
     predictors=("least_squares", "kalman_cv", "kalman_ca", "kalman_imm"),
     attacks=(
         # All built-in ones but the slow: imm_rts and gaussian_process run when named.
@@ -97,6 +97,13 @@ _PAPER = Preset(
         *("likelihood_ratio", "behaviour", "histogram", "kinematic", "kinematic@radial_rts"),
     ),
     tasks=(*TASKS,),
+    summary="40 scenes, the 5 levels that the paper gives numbers for",
+)
+_PAPER = replace(
+    _SMOKE,
+    scenes=500,
+    utility_scenes=2000,
+    mechanisms=(*_SWEEP, *DISSOCIATION),
     protections=PROTECTIONS,
     other_law=SMOKE_LEVELS,
     model=(*SMOKE_LEVELS, "ou:0.4"),
@@ -105,17 +112,7 @@ _PAPER = Preset(
     "4 levels of slow, Laplace and white noise",
 )
 PRESETS = {
-    "smoke": replace(
-        _PAPER,
-        scenes=40,
-        utility_scenes=40,
-        mechanisms=SMOKE_LEVELS,
-        protections=(),
-        other_law=(),
-        model=(),
-        model_linked=(),
-        summary="40 scenes, the 5 levels that the paper gives numbers for",
-    ),
+    "smoke": _SMOKE,
     "paper": _PAPER,
     "full": replace(
         _PAPER,

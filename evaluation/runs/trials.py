@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from evaluation.cells.adversary import declared
+from evaluation.cells.sharing import declared
 from evaluation.cells.trial import Trial, attempted, code_of, defined_at
 from evaluation.experiment.fingerprint import has_strangers, is_strange
 from evaluation.experiment.plan import Plan, Unit
