@@ -5,21 +5,17 @@ The linker itself is asked about the first few; all others come below them, in t
 probes are searched in full as well: what is lost is measured, not believed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
 
 from attacks.linkage.histogram import Histogram
 from attacks.linkage.kinematic import Kinematic
+from attacks.tasks.task_list import Task
 from isac_track.linkability import rank1
 from isac_track.types import Floats, Ints, Release
-
-if TYPE_CHECKING:
-    from attacks.tasks.task_list import Task
 
 CHECKED = 100  # Probes with a mate that are searched in full as well, over all searches of a cell.
 AT_ONCE = 64

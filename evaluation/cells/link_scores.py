@@ -6,19 +6,18 @@ score metrics visit every pair, and are kept, but not of controls: each is held 
 permutation test, and nobody pairs two.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 from numpy.random import Generator
 
+from evaluation.cells.link_setup import Pairing, SensedSessions
 from evaluation.cells.tables import ROWS, Tables, column, names_column, table
 from isac_track import linkability
 from isac_track.intervals import Estimate, cluster_sums, exact_binomial, ratio_estimates
@@ -27,10 +26,6 @@ from isac_track.linkability.scoring import RANK_METRICS, Drawn, draw, scorecard_
 from isac_track.linkability.significance import People, people_of
 from isac_track.rng import stream
 from isac_track.types import Floats, Ints
-
-if TYPE_CHECKING:
-    from attacks.tasks.controls import Control
-    from evaluation.cells.link_setup import Pairing, SensedSessions
 
 WITHOUT_GROUPS, WITHOUT_FROZEN = "without_groups", "without_frozen"
 """Without people who walk in a group, and move alike; without nearly frozen annotations."""
@@ -76,19 +71,16 @@ def read_off(
     drawn_from: Generator | tuple[str, ...],
     calibration: Mapping[int, linkability.Calibration] = _NOTHING,
     no_match: Mapping[int, float] = _NOTHING,
-    control: Control | None = None,
+    is_audit: bool = False,
     checked: tuple[Floats, Floats] | None = None,
 ) -> Linked:
     """Return the scorecard of an attack or a control, and of an attack without confounders.
 
     `scores` are those of every search, (P, G) each, by its number, `calibration` those by fold that
     there was somebody for. `no_match` says by search what a pair of an open gallery must score to
-    be linked: without it there is no assignment. In a closed gallery everybody is linked. What
-    the scorecard draws is `drawn_from` a control's own stream, or from that of the attack of this
-    name, where it is the same at all levels.
-
-    With `known.candidates` all is read off the ranks; of an attack that scored so few of a gallery,
-    `checked` says what it lost.
+    be linked: without it there is no assignment. What the scorecard draws is `drawn_from` a
+    control's own stream, or from that of the attack of this name, alike at all levels. With
+    `known.candidates` all is read off the ranks, and `checked` says what the attack lost.
     """
     sessions = known.sessions
     searches = tuple(
@@ -107,7 +99,7 @@ def read_off(
     is_assigned = needed is not None or not sessions.task.shows_scene
     is_assigned &= not known.candidates  # what was not scored has no score to be summed
     is_calibrated = {search.scale for search in searches} <= set(calibration)
-    n_shuffles = AUDIT_SHUFFLES if control is not None and control.is_audit else SHUFFLES
+    n_shuffles = AUDIT_SHUFFLES if is_audit else SHUFFLES
     if known.candidates:
         rng = drawn_from if isinstance(drawn_from, Generator) else _stream(known.seed, *drawn_from)
         scored = linkability.rank_scorecard(
@@ -126,24 +118,20 @@ def read_off(
             no_match_score=needed,
             draws=draws,
         )
+    estimates = dict(scored.estimates)
     if not is_assigned:  # nobody knows what leaving somebody alone costs
-        unknown = {
-            name: Estimate(np.nan, n=one.n, replicates=np.full_like(one.replicates, np.nan))
-            for name, one in scored.estimates.items()
-            if name in ("rank1_assigned", "false_link_rate")
-        }
-        scored = replace(scored, estimates=scored.estimates | unknown)
+        for name in estimates.keys() & {"rank1_assigned", "false_link_rate"}:
+            unknown = np.full_like(estimates[name].replicates, np.nan)
+            estimates[name] = Estimate(np.nan, n=estimates[name].n, replicates=unknown)
     if sessions.task.comes_back:  # one outcome a person, and few
-        rank1 = scored.estimates["rank1"]
-        hits = int(rank1.value * scored.n_mated + 1e-9)  # a fraction, left by ties, is none
+        hits = int(estimates["rank1"].value * scored.n_mated + 1e-9)  # ties leave fractions
         low, high = exact_binomial(hits=hits, n=scored.n_mated)
-        exact = replace(rank1, ci_low=low, ci_high=high)
-        scored = replace(scored, estimates=scored.estimates | {"rank1": exact})
+        estimates["rank1"] = replace(estimates["rank1"], ci_low=low, ci_high=high)
     return Linked(
         searches=searches,
         calibration=calibration,
-        scored=scored,
-        cohorts={} if control is not None else _cohorts(searches, known),
+        scored=replace(scored, estimates=estimates),
+        cohorts={} if isinstance(drawn_from, Generator) else _cohorts(searches, known),
         is_assigned=is_assigned,
         checked=checked,
     )
@@ -181,14 +169,14 @@ def _cohorts(
     cohorts = {}
     for number, (name, one) in enumerate(zip((WITHOUT_GROUPS, WITHOUT_FROZEN), found, strict=True)):
         mine = of_set == number
-        hits, of_mine, is_any = hit[mine], chance[mine], bool(mine.any())
+        of_mine, is_any = chance[mine], bool(mine.any())
         cohorts[name] = {
             "rank1": one.value,
             "ci_low": one.ci_low,
             "ci_high": one.ci_high,
             "n_clusters": one.n,
             "chance": float(of_mine.mean()) if is_any else np.nan,
-            "p_rank1": linkability.rank1_p(hits=hits, chance=of_mine) if is_any else np.nan,
+            "p_rank1": linkability.rank1_p(hits=hit[mine], chance=of_mine) if is_any else np.nan,
             "n_mated": int(mine.sum()),
         }
     return cohorts
@@ -198,11 +186,11 @@ def _cohorts(
 def _without_some(
     known: SensedSessions,
 ) -> tuple[list[tuple[Any, ...]], Ints, Floats, Ints, Floats]:
-    """Return who searches for whom without some people, as at every attack on the same.
+    """Return who searches for whom without some people, the same at every attack.
 
-    Of each search its mated probes, their mates, who is a candidate, (G, sets), and which of the
-    probes counts in which set; of all these trials the set, the chance and the place in the number
-    of trials by set and cluster, which comes last.
+    Of each search mated probes, their mates, candidates, (G, sets), and which probe counts in which
+    set; of all these trials the set, the chance, the place among sets by clusters, and their number
+    at each place.
     """
     among, sessions = np.stack([known.sessions.alone, known.sessions.moving]), known.sessions
     parts, chances, clusters = [], [], []
@@ -289,7 +277,7 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
         }
     if keep_scores:
         flat = np.concatenate([one.scores.ravel() for one in linked.searches]).astype(np.float32)
-        sizes = [size for one in linked.searches for size in [one.scores.shape[1]] * len(one.mate)]
+        sizes = [row.size for one in linked.searches for row in one.scores]
         starts = np.cumsum([0, *sizes], dtype=np.int32)
         rows["mate"] = np.concatenate([one.mate for one in linked.searches]).astype(np.int32)
         rows["scores"] = pa.ListArray.from_arrays(column(starts), column(flat))

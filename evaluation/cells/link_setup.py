@@ -4,26 +4,21 @@ Both sessions are sensed like everything else. Unless the task shows the scene, 
 and shifted by itself and put on a clock of its own.
 """
 
-from __future__ import annotations
-
 import hashlib
 import pickle
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from attacks.tasks.sessions import Sessions
 from evaluation.cells.sharing import FAR_M, LONG_S, Frame
+from isac_track.config import PrivacySettings, StageSettings
 from isac_track.intervals import cluster_weights
 from isac_track.model_world import Motion, simulated
 from isac_track.rng import stream
 from isac_track.sensing import draw_channel, sense, walk_numbers
 from isac_track.types import Bools, Floats, Ints, Sensed, derived, read_only
-
-if TYPE_CHECKING:
-    from attacks.tasks.sessions import Sessions
-    from isac_track.config import PrivacySettings, StageSettings
 
 N_REPLICATES = 1000
 SIDES = ("probe", "gallery")

@@ -269,7 +269,7 @@ def _controlled(consumer: Consumer, level: LinkedLevel) -> Linked:
             attack = Shape() if not (task.shows_scene or known.candidates) else first_stage(task)
             real = _untaught(attack, level, level.blind, pairing)
             scores[number] = real[:, rng.permutation(real.shape[1])]
-    return read_off(scores, known=known, drawn_from=rng, control=control)
+    return read_off(scores, known=known, drawn_from=rng, is_audit=control.is_audit)
 
 
 def _sides(consumer: Consumer, level: LinkedLevel, fold: int) -> _Sides:

@@ -1,20 +1,15 @@
 """What a consumer leaves of a unit of work: tables, by name, most of them one called `rows`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 import pyarrow as pa
 
 from isac_track import privacy
-from isac_track.types import Floats, Ints, Scenes
-
-if TYPE_CHECKING:
-    from isac_track.config import PrivacySettings
-    from isac_track.scenes import Cut
+from isac_track.config import PrivacySettings
+from isac_track.types import Floats, Ints, Scenes, Tracks
 
 Rows: TypeAlias = dict[str, np.ndarray[Any, np.dtype[Any]]]
 Tables: TypeAlias = "dict[str, pa.Table]"
@@ -28,7 +23,7 @@ ON_TRIAL: Final = (
 """Columns of other descriptors of a window, after a blind smoother: fraction, s, s, m, and m."""
 
 
-def rows_table(rows: Rows, *, tracks: Cut) -> pa.Table:
+def rows_table(rows: Rows, *, tracks: Tracks) -> pa.Table:
     """Return rows with the source and the group of each row's track, in place of `track`."""
     columns: dict[str, Any] = {}
     for name, values in rows.items():

@@ -1,12 +1,10 @@
 """What a run crosses: the levels and consumers that its settings expand to."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import Any, Final, Literal
 
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import Task, task_named
@@ -19,14 +17,12 @@ from evaluation.experiment.constants import (
     WORLDS,
 )
 from evaluation.experiment.presets import BREAKER, PRESETS, SHARED, UTILITY_PREDICTORS
+from evaluation.experiment.settings import Settings
 from isac_track import plugins
 from isac_track.errors import SettingsError
+from isac_track.plugins import Plugin
 from isac_track.protocols import USUAL, grants, kind_of
 from isac_track.types import Knowledge
-
-if TYPE_CHECKING:
-    from evaluation.experiment.settings import Settings
-    from isac_track.plugins import Plugin
 
 MOST_DEFAULT_JOBS: Final = 8  # Unless more are asked for: each takes a few hundred MB.
 WORTH_WORKERS: Final = 5000

@@ -1,28 +1,24 @@
 """What a run will do, checked before anything is computed or written: data, axes and cells."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from attacks.tasks.build import sessions_of
+from attacks.tasks.sessions import Sessions
 from evaluation.experiment import fingerprint
 from evaluation.experiment.axes import Axes, Consumer, axes, jobs_of
 from evaluation.experiment.constants import BLOCK_SCENES
 from evaluation.experiment.presets import PRESETS
+from evaluation.experiment.settings import Settings
 from isac_track import datasets
 from isac_track.datasets import Dataset, crowd
 from isac_track.errors import DataError, PluginError, told
+from isac_track.plugins import Plugin
 from isac_track.scenes import Cut, cut
-
-if TYPE_CHECKING:
-    from attacks.tasks.sessions import Sessions
-    from evaluation.experiment.settings import Settings
-    from isac_track.plugins import Plugin
 
 
 @dataclass(frozen=True, eq=False, slots=True)

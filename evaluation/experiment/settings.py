@@ -1,7 +1,5 @@
 """What a run is asked for: every option of the command line and of the notebook, checked."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -9,7 +7,7 @@ from importlib import import_module
 from math import inf, nextafter
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from evaluation.experiment.constants import MOST_SCENES
 from evaluation.experiment.presets import PRESETS
@@ -122,7 +120,7 @@ class Settings:
         for name, value in given.items():
             object.__setattr__(self, name, value)
 
-    def changed(self, **options: Any) -> Settings:  # noqa: ANN401 - as many types as options
+    def changed(self, **options: Any) -> Self:  # noqa: ANN401 - as many types as options
         """Return settings with other options; SettingsError if one is unknown."""
         _check_known("option", options, [one.name for one in fields(self)])
         return replace(self, **options)

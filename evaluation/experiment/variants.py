@@ -3,12 +3,10 @@
 A variant's run has one assumption changed, and only the attacks that matter.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from evaluation.experiment.presets import PRESETS
 from evaluation.experiment.settings import Settings
@@ -16,9 +14,6 @@ from isac_track import datasets, plugins
 from isac_track.config import StageSettings
 from isac_track.datasets.registry import KNOWN, known
 from isac_track.errors import DataError, SettingsError, did_you_mean
-
-if TYPE_CHECKING:
-    from isac_track.plugins import Kind
 
 BASE: Final = "base"
 _FITTED: Final = ("processing_gain_db", "large_scale_db", "crb_gap_db")
@@ -188,7 +183,7 @@ def settings_of(
         except DataError as error:
             too_small[task] = str(error)
     predictors = () if variant.predictor else tuple(ran["predictors"][:1])
-    named: dict[Kind, Iterable[str]] = {
+    named: dict[plugins.Kind, Iterable[str]] = {
         "predictors": predictors,
         "attacks": [one for whole in attacks for one in whole.split("@")],
         "mechanisms": ran["mechanisms"],
