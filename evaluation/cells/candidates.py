@@ -33,10 +33,8 @@ class Approximated(NamedTuple):
 
 
 def first_stage(task: Task) -> Histogram | Kinematic:
-    """Return the cheap linker of a task.
-
-    Chosen by measurement (docs/linkage.md): of what takes a fifth of `shape`, it loses the least.
-    """
+    """Return the cheap linker of a task: of what takes a fifth of `shape`, it loses the least."""
+    # Measured: docs/linkage.md.
     return Kinematic() if task.shows_scene else Histogram()
 
 
@@ -92,13 +90,10 @@ def among_candidates(
 
 
 def _alike_together(first: Floats, rng: Generator) -> Ints:
-    """Return the probes in an order in which neighbours have much the same candidates.
-
-    That of the first principal component of their scores, (P, G), by power iteration.
-    """
+    """Return the probes by the first principal component of their scores: neighbours are alike."""
     mean, axis = first.mean(axis=0), rng.standard_normal(first.shape[1])
     component = np.zeros(len(first))
-    for _ in range(_ITERATIONS):
+    for _ in range(_ITERATIONS):  # power iteration
         component = first @ axis - mean @ axis
         axis = component @ first - component.sum() * mean
         axis /= np.linalg.norm(axis) or 1.0

@@ -39,9 +39,8 @@ class Half:
 
     searches: tuple[tuple[int, Pairing], ...]  # Number of the search, and its windows.
     learns: Pairing
-    calibrates: tuple[Pairing, ...]
-    """Searches of the people on whose scores those of this fold are calibrated."""
-    mate_rate: float  # Share of those people's probes that have a mate, kept off 0 and 1.
+    calibrates: tuple[Pairing, ...]  # Searches on whose scores those of this fold are calibrated.
+    mate_rate: float  # Share of the probes of those that have a mate, kept off 0 and 1.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -59,7 +58,7 @@ class SensedSessions:
     cluster: Ints  # (K,) cluster of each person: a column of the weights.
     privacy: PrivacySettings
     seed: int
-    candidates: int = 0  # How many of a gallery are scored for each probe; 0: all.
+    candidates: int  # How many of a gallery are scored for each probe; 0: all.
 
 
 _last: dict[bytes, SensedSessions] = {}
@@ -114,15 +113,16 @@ def sensed_sessions(
 def _modelled(found: SensedSessions, motion: Motion) -> SensedSessions:
     """Return sessions whose people walk as a motion says, one walk a person on both sides."""
     sides = (found.sessions.probe, found.sessions.gallery)
-    places = [np.empty_like(one.xy) for one in sides]
+    owner = np.concatenate([np.repeat(one.person, np.diff(one.offsets)) for one in sides])
+    t = np.concatenate([one.t for one in sides])
+    walks = np.empty((t.size, 2))
     for person, source in enumerate(found.sessions.source):
         rng = stream(found.seed, "model walks", "linkage", source)
-        own = [np.isin(np.repeat(one.person, np.diff(one.offsets)), person) for one in sides]
-        t = np.concatenate([one.t[mine] for one, mine in zip(sides, own, strict=True)])
-        instants, which = np.unique(t, return_inverse=True)
+        instants, which = np.unique(t[owner == person], return_inverse=True)
         offsets, start = np.array([0, instants.size]), np.zeros((1, 2))
-        walk = simulated(t=instants, offsets=offsets, start=start, motion=motion, rng=rng)[which]
-        places[0][own[0]], places[1][own[1]] = np.split(walk, [int(own[0].sum())])
+        walk = simulated(t=instants, offsets=offsets, start=start, motion=motion, rng=rng)
+        walks[owner == person] = walk[which]
+    places = np.split(walks, [sides[0].t.size])
     probe, gallery = (replace(one, xy=xy) for one, xy in zip(sides, places, strict=True))
     sensed = tuple(
         derived(one, xy=xy + one.sigma_raw[:, None] * one.unit_error)

@@ -83,8 +83,7 @@ class LinkedLevel:
 
     mechanism: Plugin
     whole: SensedSessions
-    known: SensedSessions
-    """Without the samples that were left out; the same as `whole` if there are none."""
+    known: SensedSessions  # Without the samples that were left out; `whole` if there are none.
     shared: tuple[Release, ...]  # Of the probe and of the gallery side, in the true frame.
     blind: _Sides  # The same in the frames of the adversary,
     seen: _Sides  # and with the declared standard deviations.
@@ -136,10 +135,9 @@ def sees_times_alone(consumer: Consumer, level: LinkedLevel) -> bool:
 
 
 def who_sees_alike(consumer: Consumer) -> tuple[str, str]:
-    """Return what consumers have in common who are given the same releases of a level.
+    """Return which reconstruction is in front and what it is granted: who has both sees alike.
 
-    That is the reconstruction in front and what it is granted. If they come one after the other,
-    these releases alone are in memory.
+    If they come one after the other, the releases that they see are alone in memory.
     """
     if consumer.behind is None:
         return "", ""
@@ -181,8 +179,7 @@ def bound(level: LinkedLevel, motion: Motion | None) -> Linked:
 
     It is told the motion, the variance of every sample and how lags are distributed: nobody who
     looks at one probe at a time links more of them, in expectation, where errors are Gaussian.
-
-    Raises PluginError for a mechanism whose errors are not white and of known laws.
+    PluginError for a mechanism whose errors are not white and of known laws.
     """
     assert motion is not None
     known, batches, (lags_s, weight) = level.known, [], _lags(level.known.sessions)
@@ -355,7 +352,7 @@ def _fitted(
 def scores_of(
     attack: Callable[..., object], probe: Release, gallery: Release, *, plugin: Plugin, who: str
 ) -> Floats:
-    """Return what a fitted linker makes of two releases: (p, g), in float32.
+    """Return what a fitted linker makes of two releases: (p, g), rounded to float32.
 
     Raises PluginError if it raises or returns anything else; the message names it.
     """

@@ -58,8 +58,7 @@ class AttackedBlock:
     scenes: Scenes
     sensed: Sensed
     halves: tuple[Ints, ...]  # Which tracks are of each half of the people.
-    turn: Ints
-    """(N,) pass over the recording: in none does a walk occur twice, in the first all do once"""
+    turn: Ints  # (N,) pass over the recording: none has a walk twice, the first has all of them.
     training: tuple[tuple[Scenes, Sensed] | None, ...]
     """For each half people of the other one, each once; None if there are none."""
     is_model: bool  # Whether they are walks of a model, in place of the recorded ones.
@@ -99,10 +98,9 @@ def folds(groups: tuple[str, ...], *, seed: int) -> Ints:
 
 
 def slow_cost_s(consumers: Sequence[Consumer], *, tracks: Cut, n_levels: int) -> float:
-    """Return about how long slow attacks take in one process, from what they say of themselves.
+    """Return about how long slow attacks take in one process, by their ``seconds_per_sample``.
 
-    An attack says its ``seconds_per_sample``; one that learns tries a few candidates on the
-    training people first. NaN if one does not say.
+    One that learns tries a few candidates on the training people first. NaN if one does not say.
     """
     n_samples = np.diff(tracks.offsets)
     n_training = 2 * min(TRAINING_PEOPLE, len(tracks) // 2) * float(n_samples.mean())
@@ -324,10 +322,7 @@ def sensed_scenes(
 
 
 def _bound(mechanism: Plugin, release: Release, sensed: Sensed, block: AttackedBlock) -> Rows:
-    """Return PLR of the genie, and of the exact posterior where a model's errors are Gaussian.
-
-    Of recorded walks the motion is that of who is easiest to smooth, so that the ceiling is high.
-    """
+    """Return PLR of the genie, and of the exact posterior where a model's errors are Gaussian."""
     motion = motion_of(block.tracks)
     rng = stream(block.seed, "genie", mechanism.spec, int(block.scenes.index[0]))
     errors = errors_of(release=release, sensed=sensed, mechanism=mechanism.instance, rng=rng)
@@ -338,6 +333,7 @@ def _bound(mechanism: Plugin, release: Release, sensed: Sensed, block: AttackedB
         t=release.t,
         offsets=release.offsets,
         errors=errors,
+        # Of recorded walks that of who is easiest to smooth, so that the ceiling is high.
         q=motion.q if block.is_model else motion.q_low,
         speed_mps=motion.speed_mps,
         epsilon_m=block.stages.privacy.epsilon_m,

@@ -37,11 +37,7 @@ _DIGITS = 3
 
 
 def chosen(mechanisms: Sequence[Plugin]) -> list[Plugin]:
-    """Return the mechanisms that are shown.
-
-    Raw, FID at its strictest threshold and fixed noise at 0.7 m or the next level, or else the
-    first three.
-    """
+    """Return those shown: raw, the strictest FID, fixed noise near 0.7 m; or the first three."""
 
     def nearest(name: str, level: float) -> list[Plugin]:
         some = [one for one in mechanisms if one.name == name and one.level is not None]

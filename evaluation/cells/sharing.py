@@ -85,9 +85,8 @@ def copied(batch: _Batch) -> _Batch:
 def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Release:
     """Return what a mechanism shares of what was sensed.
 
-    `key` names the stream. Every mechanism gets the same one: common random numbers.
-
-    Raises PluginError if the mechanism raises or breaks its contract; the message names it.
+    `key` names the stream. Every mechanism gets the same one: common random numbers. Raises
+    PluginError if the mechanism raises or breaks its contract; the message names it.
     """
     who = f"mechanism {mechanism.spec!r}"
     rng = stream(seed, "sharing", *key)

@@ -25,8 +25,7 @@ from isac_track.protocols import USUAL, grants, kind_of
 from isac_track.types import Knowledge
 
 MOST_DEFAULT_JOBS: Final = 8  # Unless more are asked for: each takes a few hundred MB.
-WORTH_WORKERS: Final = 5000
-"""Scenes times levels: below, workers take longer to start than they save."""
+WORTH_WORKERS: Final = 5000  # Scenes times levels: fewer take less time than workers to start.
 WORTH_WORKERS_LINKED: Final = 400  # Linkage cells: the same.
 
 
@@ -95,14 +94,11 @@ class Axes:
     mechanisms: tuple[Plugin, ...]
     predictors: tuple[Plugin, ...]
     attacks: tuple[Plugin, ...]  # Reconstruction attacks.
-    links: tuple[tuple[Task, Consumer], ...] = ()
-    """Who links in which task; for whom it is granted what, `readers` says."""
-    ceiling: Plugin | None = None
-    """Mechanism without any error, at which every linkage attack must succeed."""
+    links: tuple[tuple[Task, Consumer], ...] = ()  # Who links where; who it is, `readers` says.
+    ceiling: Plugin | None = None  # Without any error: every linkage attack must succeed.
     skipped: Mapping[str, str] = field(default_factory=dict)
     """Tasks of the preset that the recording is too small for, and why."""
-    utility: frozenset[str] = frozenset()
-    """SPECs of the predictors that are read in all scenes, not in the attacked ones alone."""
+    utility: frozenset[str] = frozenset()  # SPECs of predictors that are read in all scenes.
     worlds: Mapping[str, tuple[Plugin, ...]] = field(default_factory=dict)
     """Mechanisms of the scenes that are attacked in another of `WORLDS`, too."""
     slow_in_worlds: bool = False

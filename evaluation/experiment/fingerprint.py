@@ -41,32 +41,28 @@ _MODULE: Final = re.compile(rf"({'|'.join(OURS)})(\.\w+)+(:\w+)?")
 
 
 def code_hash() -> str:
-    """Return a digest of all installed source that cells may come from: the code version.
-
-    It tells two runs apart; what a single cell depends on is said by `sources`.
-    """
+    """Return a digest of all installed source that cells may come from, which tells runs apart."""
     whole = hashlib.sha256()
     root = Path(isac_track.__file__).parent.parent
     folders = ("isac_track", "predictors", "attacks", "evaluation/experiment", "evaluation/cells")
     for path in sorted(path for name in folders for path in (root / name).rglob("*.py")):
         name = path.relative_to(root).as_posix()
         if not _COMPUTES_NOTHING.fullmatch(name.removesuffix(".py").replace("/", ".")):
-            whole.update(name.encode() + b"\0")
-            whole.update(path.read_bytes())
+            whole.update(name.encode() + b"\0" + path.read_bytes())
     return whole.hexdigest()[:16]
 
 
 def sources(stage: str, *plugins: Plugin) -> tuple[str, ...]:
     """Return the modules whose import closures a stage, or some plug-ins, are computed by."""
-    own = (one.origin.partition(":")[0] for one in plugins)
-    return (*(_STAGES.get(stage, _LINKAGE) if stage else ()), *own)
+    of_stage = _STAGES.get(stage, _LINKAGE) if stage else ()
+    return (*of_stage, *(one.origin.partition(":")[0] for one in plugins))
 
 
 def has_strangers(crossed: Axes) -> bool:
     """Return whether not all plug-ins are ours: others may end their process, or spoil it."""
     consumers = (*crossed.consumers, *(link for _, link in crossed.links))
-    plugins = [*crossed.mechanisms, *(one for who in consumers for one in who.plugins)]
-    return any(map(is_strange, plugins))
+    used = (one for consumer in consumers for one in consumer.plugins)
+    return any(map(is_strange, (*crossed.mechanisms, *used)))
 
 
 def is_strange(plugin: Plugin) -> bool:
@@ -75,10 +71,8 @@ def is_strange(plugin: Plugin) -> bool:
 
 
 def consumer_key(consumer: Consumer, *, code: Iterable[str], keep_scores: bool) -> str:
-    """Return the key of a consumer: its plug-ins, what it is granted, and digests of its code.
-
-    That of a linkage attack or control with its raw scores is another.
-    """
+    """Return the key of a consumer: its plug-ins, what it is granted, and digests of its code."""
+    # That of a linkage attack or control with its raw scores is another.
     has_scores = keep_scores and consumer.kind in {"linkage", "control"}
     return digest(
         [
@@ -112,15 +106,13 @@ def source_digest(module: str) -> str:
     while names:
         name = names.pop()
         found = None if name in known else _read(name, root=root, tops=tops)
-        if found is None:
-            continue
-        known[name], is_package = found
-        names += _imported(known[name], package=name if is_package else name.rpartition(".")[0])
-        names += name.rpartition(".")[:1]  # the packages around it run first
+        if found is not None:
+            known[name], is_package = found
+            around = name.rpartition(".")[0]  # packages around it run first
+            names += [*_imported(known[name], package=name if is_package else around), around]
     whole = hashlib.sha256()
-    for name in sorted(known):
-        whole.update(name.encode() + b"\0")
-        whole.update(hashlib.sha256(known[name]).digest())
+    for name, source in sorted(known.items()):
+        whole.update(name.encode() + b"\0" + hashlib.sha256(source).digest())
     return whole.hexdigest()
 
 
@@ -137,9 +129,8 @@ def _where(module: str) -> tuple[Path | None, tuple[str, ...]]:
         found = None
     if found is None or not found.origin or not Path(found.origin).is_file():
         return None, ()
-    path = Path(found.origin)
+    path, top = Path(found.origin), module.partition(".")[0]
     root = path.parents[module.count(".") + (path.name == "__init__.py")]
-    top = module.partition(".")[0]
     if top in OURS:
         return root, OURS
     return root, (top,) if root in {Path(one) for one in sysconfig.get_paths().values()} else ()

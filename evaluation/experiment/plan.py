@@ -123,8 +123,8 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
             if task.comes_back and dataset.tracks.session is None:
                 continue  # of one session nobody expects it
             skipped[task.name] = str(error)
-    left = {one.task.name for one in sessions}
-    links = tuple((task, link) for task, link in crossed.links if task.name in left)
+    left = {one.task for one in sessions}
+    links = tuple((task, link) for task, link in crossed.links if task in left)
     crossed = replace(crossed, links=links, skipped=skipped)
     units, code_of = _units(crossed, settings, identity=identity)
     jobs = jobs_of(crossed, settings)
@@ -162,16 +162,13 @@ def _units(
 
     def code(stage: str, *plugins: Plugin) -> dict[str, str]:
         modules = fingerprint.sources(stage, *plugins)
-        known.update(
-            {one: fingerprint.source_digest(one)[:16] for one in modules if one not in known}
-        )
+        missing = (one for one in modules if one not in known)
+        known.update((one, fingerprint.source_digest(one)[:16]) for one in missing)
         return {module: known[module] for module in modules}
 
     units = []
-    attacked, every = (
-        range(-(-n_scenes // BLOCK_SCENES))
-        for n_scenes in (settings.n_scenes, settings.n_utility_scenes)
-    )
+    numbers = settings.n_scenes, settings.n_utility_scenes
+    attacked, every = (range(-(-n_scenes // BLOCK_SCENES)) for n_scenes in numbers)
     utility = tuple(one for one in crossed.consumers if one.spec in crossed.utility)
     for mechanisms, consumers, blocks in (
         (crossed.mechanisms, crossed.consumers, attacked),

@@ -59,28 +59,21 @@ class Settings:
     persistent_ids: bool = False  # Whether ids are the same people in all sessions.
     scenes: int | None = None  # Attacked ones, and all.
     utility_scenes: int | None = None  # All, where the attacked ones stay the preset's first.
-    precision: float | None = None
-    """Half-width that missed-conflict rates' intervals shall have: it finds `utility_scenes`."""
+    precision: float | None = None  # Half-width of missed-conflict rates: finds `utility_scenes`.
     pilot_half_width: float | None = None  # The widest in the 250 scenes that found them.
     seed: int = 0
-    mechanisms: tuple[str, ...] | None = None
-    """SPECs, or objects of plug-ins; they replace the preset's."""
+    # These replace the preset's; empty: no predictor, no attack, nothing is linked.
+    mechanisms: tuple[str, ...] | None = None  # SPECs, or objects of plug-ins.
     predictors: tuple[str, ...] | None = None
-    """SPECs; they replace the preset's. Empty: no predictor."""
-    attacks: tuple[str, ...] | None = None
-    """SPECs, LINKER@RECONSTRUCTION among them; they replace the preset's. Empty: no attack."""
+    attacks: tuple[str, ...] | None = None  # SPECs, LINKER@RECONSTRUCTION among them.
     tasks: tuple[str, ...] | None = None
-    """Linkage tasks; they replace the preset's. Empty: nothing is linked."""
     adversaries: tuple[str, ...] = ()  # Beside blind, informed and oracle.
     stages: StageSettings = field(default_factory=StageSettings)
-    jobs: int | None = None
-    """Worker processes; None: as many as there are cores where the work is worth it."""
-    cell_timeout_s: float | None = None
-    """Longest time that a cell may take; one that takes longer is killed and left out."""
+    jobs: int | None = None  # Worker processes; None: the cores, where the work is worth it.
+    cell_timeout_s: float | None = None  # A cell that takes longer is killed and left out.
     executor: str = "local"  # Or dask: the workers of a Dask cluster.
     scheduler: str | None = None  # Address of the cluster's scheduler.
-    keep_scores: bool = False
-    """Whether the raw scores of everybody who links stay in the folder: some hundred MB."""
+    keep_scores: bool = False  # Of everybody who links, raw: some hundred MB.
     out: Path | str | None = None
     fresh: bool = False
 

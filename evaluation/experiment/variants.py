@@ -3,7 +3,7 @@
 A variant's run has one assumption changed, and only the attacks that matter.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -27,11 +27,8 @@ RIDGE: Final[Mapping[str, Mapping[str, float]]] = {
         ("exponent=3.5", "path_loss_exponent", 3.5, (56.55, 11.19, 13.29)),
     )
 }
-"""Stage `sensing`: what is fixed elsewhere, and the constants that then fit the paper's numbers.
-
-As `python -m evaluation.calibrate --ridge` prints them (Students03, 5,000 scenes, seed 0); the same
-table is in docs/reproduction.md.
-"""
+"""Stage `sensing`: what is fixed elsewhere, and the constants that then fit the paper's numbers, as
+`evaluation.calibrate --ridge` prints them (Students03, 5,000 scenes; docs/reproduction.md)."""
 _SHORT: Final = {"law": "sensing.law", "epsilon": "privacy.epsilon_m"}
 _USUAL: Final = (
     *("law=isotropic", "law=fixed_direction"),
@@ -84,10 +81,9 @@ def variants(manifest: Mapping[str, Any] | None = None) -> list[Variant]:
         return found
     found = [one for one in found if not one.changes_nothing(manifest)]
     # One other predictor will do: a run whose first is the paper's own is tried with the tracker.
-    others = [
-        one.predictor for one in found if one.predictor and manifest["settings"]["predictors"]
-    ]
-    return [one for one in found if one.predictor in ("", *others[:1])]
+    predictors = [one.predictor for one in found if one.predictor]
+    kept = predictors[:1] if manifest["settings"]["predictors"] else []
+    return [one for one in found if one.predictor in ("", *kept)]
 
 
 def chosen(
@@ -95,9 +91,8 @@ def chosen(
 ) -> list[Variant]:
     """Return the variants to run, each once, the base first.
 
-    By default they are those of `variants`; `also` names further ones by STAGE.KEY=VALUE.
-
-    Raises IsacTrackError for an unknown one, or one that is what the run did.
+    By default they are those of `variants`; `also` names further ones by STAGE.KEY=VALUE. Raises
+    IsacTrackError for an unknown one, or one that is what the run did.
     """
     added = [parse(text) for text in also]
     for text, one in zip(also, added, strict=True):
@@ -164,17 +159,16 @@ def settings_of(
 
     ran = manifest["settings"]
     stages = StageSettings().changed(ran["stages"]).changed(variant.stages)
-    name, own = manifest["dataset"]["name"], dict[str, Any]()
-    source = variant.recording or name
-    if not variant.recording and name not in KNOWN:
-        source = manifest["dataset"]["path"]
-        own = {name: manifest["identity"].get(name) for name in ("format", "fps", "unit")}
-        own["sessions"] = tuple(manifest["dataset"].get("sessions", ()))
-        own["persistent_ids"] = bool(manifest["identity"].get("persistent_ids"))
-        source = None if own["sessions"] else source
+    recording, identity, own = manifest["dataset"], manifest["identity"], dict[str, Any]()
+    source = variant.recording or recording["name"]
+    if not variant.recording and recording["name"] not in KNOWN:
+        own = {name: identity.get(name) for name in ("format", "fps", "unit")}
+        own["sessions"] = tuple(recording.get("sessions", ()))
+        own["persistent_ids"] = bool(identity.get("persistent_ids"))
+        source = None if own["sessions"] else recording["path"]
     # Nobody waits for a network here: a data set that is missing fails with how to get it.
     data = datasets.load(source, download=False, **own)
-    if not variant.recording and data.sha256 != manifest["dataset"]["sha256"]:
+    if not variant.recording and data.sha256 != recording["sha256"]:
         raise DataError(f"{data.path} is no longer the recording that was run; run it again")
     too_small, asked = dict[str, str](), set().union(*attacks.values()) - {""}
     for task in sorted(asked):
@@ -183,19 +177,16 @@ def settings_of(
         except DataError as error:
             too_small[task] = str(error)
     predictors = () if variant.predictor else tuple(ran["predictors"][:1])
-    named: dict[plugins.Kind, Iterable[str]] = {
-        "predictors": predictors,
-        "attacks": [one for whole in attacks for one in whole.split("@")],
-        "mechanisms": ran["mechanisms"],
-    }
-    for kind, specs in named.items():
-        for spec in specs:
-            # Only the user's own command line decides what is imported, never a file.
-            if plugins.is_own_class(kind, spec) and spec not in trust:
-                raise SettingsError(
-                    f"the run's files name {spec!r}, a class that is not built in; "
-                    f"if it is yours, say so: --trust {spec}"
-                )
+    named: list[tuple[plugins.Kind, str]] = [("predictors", spec) for spec in predictors]
+    named += [("attacks", spec) for whole in attacks for spec in whole.split("@")]
+    named += [("mechanisms", spec) for spec in ran["mechanisms"]]
+    for kind, spec in named:
+        # Only the user's own command line decides what is imported, never a file.
+        if plugins.is_own_class(kind, spec) and spec not in trust:
+            raise SettingsError(
+                f"the run's files name {spec!r}, a class that is not built in; "
+                f"if it is yours, say so: --trust {spec}"
+            )
     run = (asked - too_small.keys()) | {""}
     usual = PRESETS[ran["preset"]]
     is_usual = [ran["scenes"], ran["scenes_utility"]] == [usual.scenes, usual.utility_scenes]
