@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from isac_track.plugins import Kind
 
 WIDTH: Final = 80  # Columns of the first screen.
-CONSUMERS: Final = ("predictor", "attack", "task")
 _COMMANDS = ("matrix.py", "isac-track", "__main__.py")
 _TOLD_WHOLE: Final = ("header", "unit", "frame-clock")
 _LARGE_GALLERY = 3000  # People, above which it is proposed to score some alone.
@@ -38,12 +37,9 @@ def near(path: Path) -> Path:
 
 def wrapped(text: str) -> list[str]:
     """Return a text in lines; a number and its unit stay together."""
+    kept = text.replace(" %", "\0%")
     lines = textwrap.wrap(
-        text.replace(" %", "\0%"),
-        WIDTH,
-        subsequent_indent="  ",
-        break_on_hyphens=False,
-        break_long_words=False,
+        kept, WIDTH, subsequent_indent="  ", break_on_hyphens=False, break_long_words=False
     )
     return [line.replace("\0", " ") for line in lines]
 
@@ -140,7 +136,7 @@ def plan_lines(ready: Plan) -> Iterator[str]:
 def _said(part: str, **of: Any) -> list[str]:  # noqa: ANN401 - what a macro takes
     from evaluation.reporting.markup import paragraphs  # noqa: PLC0415 - names alone need none
 
-    return paragraphs("run.txt.j2", part, {}, **of)
+    return paragraphs(f"run.{part}", **of)
 
 
 def data_notices(dataset: Mapping[str, Any]) -> list[str]:
@@ -203,8 +199,8 @@ def _same_run(manifest: Mapping[str, Any]) -> list[str]:
     own = {} if known else {"format": dataset["format"] or None}
     own |= {} if known else {name: identity.get(name) for name in ("fps", "unit")}
     scenes = identity["scenes"]
-    is_usual = scenes == usual.scenes
-    is_usual &= identity.get("scenes_utility", scenes) == usual.utility_scenes
+    every = identity.get("scenes_utility", scenes)
+    is_usual = (scenes, every) == (usual.scenes, usual.utility_scenes)
     sessions = [("session", path) for path in dataset.get("sessions", ())]
     options = [
         ("preset", name if name in PRESETS and name != "paper" else None),
@@ -213,7 +209,7 @@ def _same_run(manifest: Mapping[str, Any]) -> list[str]:
         ("scenes", None if is_usual else scenes),
         ("seed", identity["seed"] or None),
     ]
-    for option in ("mechanism", *CONSUMERS):
+    for option in ("mechanism", "predictor", "attack", "task"):
         used = settings.get(f"{option}s", [])
         usually = set(getattr(usual, f"{option}s"))
         # Of one session a run leaves the task of those who come back out by itself.

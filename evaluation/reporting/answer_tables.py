@@ -84,9 +84,7 @@ def paper_table(run: Results) -> Table:
     far = [row for row in rates if paper.differs(row)]
     is_own = run.dataset == paper.DATASET
     notes = paragraphs(
-        "run.txt.j2",
-        "paper_notes",
-        {},
+        "run.paper_notes",
         identity=run.manifest["identity"],
         paper=paper,
         dataset=run.dataset,

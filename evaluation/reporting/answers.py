@@ -63,8 +63,7 @@ def answers(run: Results, of: Headline | None = None) -> tuple[Answer, ...]:
     who = of.attacked.measure.source.label if of.attacked else ""
     told = _told(run.verdict.get("items", []) if run.verdict else [])
     said = paragraphs(
-        "answers.txt.j2",
-        "sentences",
+        "answers.sentences",
         _WORDS,
         of=of,
         level=of.name(where),

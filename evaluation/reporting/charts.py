@@ -66,7 +66,6 @@ class Point(NamedTuple):
     """A level on two axes of shares."""
 
     look: Look
-    mechanism: str
     name: str
     x: Estimate
     y: Estimate
@@ -149,20 +148,17 @@ def rows_chart(
     step = 4.5 * len(series) + 7.0
     longest = max(map(len, rows), default=0)
     chart = Chart(x_label, 12.0 + step * len(rows) + 30.0, min(150.0, 10.0 + CHARACTER * longest))
-    known = [one for _, of in series.values() for one in of if one is not None]
-    at = chart.x_axis(_shares(known))
+    at = chart.x_axis(_shares([one for _, of in series.values() for one in of if one]))
     for place, row in enumerate(rows):
         middle = 8.0 + step * (place + 0.5)
         chart.y_ticks.append((middle, row))
         chart.grid.append(chart.across(middle))
         for turn, (name, (look, of)) in enumerate(series.items()):
-            one = of[place]
-            if one is None:
-                continue
-            y = middle + 4.5 * (turn - 0.5 * (len(series) - 1))
-            x, *ends = at(_shares([one]))
-            chart.lines.append((f"bar k{look.place}", bar(ends, at=y)))
-            chart.marks.append((look, [(x, y)], f"{row}: {name} {share(one)}"))
+            if one := of[place]:
+                y = middle + 4.5 * (turn - 0.5 * (len(series) - 1))
+                x, *ends = at(_shares([one]))
+                chart.lines.append((f"bar k{look.place}", bar(ends, at=y)))
+                chart.marks.append((look, [(x, y)], f"{row}: {name} {share(one)}"))
     for look, value in across:
         if np.isfinite(value):
             chart.lines.append((f"across k{look.place}", [chart.down(at(PERCENT * value))]))
@@ -190,7 +186,7 @@ def plane_chart(
     if limit is not None:
         chart.lines.append(("across k6", [chart.across(at_y(PERCENT * limit))]))
     for curve in curves:
-        way = [(at_x(_shares([one.x]))[0], at_y(_shares([one.y]))[0]) for one in curve]
+        way = [(at_x(PERCENT * one.x.value), at_y(PERCENT * one.y.value)) for one in curve]
         chart.lines.append((f"curve k{curve[0].look.place}", [way]))
     if has_front and points:
         values = np.array([(one.x.value, one.y.value) for one in points])
@@ -221,11 +217,10 @@ def curves_chart(
     their values and names, the first of which is infinite at the right edge.
     """
     chart = Chart(x.label, 190.0, 40.0, y.label)
-    shown = [*(one.y.ravel() for one in curves), [one for _, one in across]]
     at_x = chart.x_axis(np.concatenate([one.x for one in curves]), log=x.log)
-    at_y = chart.y_axis(
-        np.concatenate([*shown, [value for _, _, value, _ in marked]]).astype(np.float64), log=y.log
-    )
+    others = [value for _, value in across] + [value for _, _, value, _ in marked]
+    shown = np.concatenate([*(one.y.ravel() for one in curves), np.array(others)])
+    at_y = chart.y_axis(shown, log=y.log)
     for css, value in across:
         chart.lines.append((f"across {css}", [chart.across(at_y(value))]))
     for one in curves:

@@ -108,7 +108,7 @@ def reasons(scheme: design.Scheme) -> list[str]:
 
 
 def _said(part: str, **of: Any) -> list[str]:  # noqa: ANN401 - what a macro takes
-    return paragraphs("design.txt.j2", part, _WORDS, **of)
+    return paragraphs(f"design.{part}", _WORDS, **of)
 
 
 def _told(metric: str, one: Estimate) -> str:

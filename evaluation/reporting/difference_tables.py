@@ -95,9 +95,7 @@ def _printed(comparison: comparing.Comparison, *, every: bool, room: int) -> Ite
         for name, pair in values.items()
     ]
     said = paragraphs(
-        "compare.txt.j2",
-        "compared",
-        {},
+        "compare.compared",
         scenes_text=scenes_text,
         of=comparison,
         others=comparison.rows[~comparison.rows["headline"]],
@@ -217,9 +215,7 @@ def show_variants(rows: pd.DataFrame, *, left_out: Mapping[str, str]) -> None:
     found = rows.loc[rows["variant"] != BASE, "changed"].value_counts()
     rest = [one for one in found.index if one not in (sensitivity.SAME, sensitivity.TURNED)]
     said = paragraphs(
-        "compare.txt.j2",
-        "varied",
-        {},
+        "compare.varied",
         left_out=left_out,
         same=found.get(sensitivity.SAME, 0),
         others="".join(f", {found[one]} {one}" for one in sensitivity.CHANGES if one in rest),

@@ -105,9 +105,7 @@ def _doubts(run: Results, of: Headline) -> list[str]:
     linkage = run.manifest.get("linkage") or {}
     tasks = linkage.get("tasks", {}).values()
     return paragraphs(
-        "run.txt.j2",
-        "doubts",
-        {},
+        "run.doubts",
         n_failed=len(run.failed),
         bare=list(dict.fromkeys(bare)),
         least=f"{LEAST_CLUSTERS:.0f}",

@@ -68,13 +68,14 @@ def latex(tables: Iterable[Table]) -> str:
     return PREAMBLE + "\n".join(parts)
 
 
-def paragraphs(template: str, part: str, words: dict[str, Any], **of: Any) -> list[str]:  # noqa: ANN401 - see jinja2
+def paragraphs(name: str, words: dict[str, Any] | None = None, /, **of: Any) -> list[str]:  # noqa: ANN401 - see jinja2
     """Return the paragraphs of a macro of a text template, a line each; none is empty.
 
-    Behind a tag, which takes the end of its line, two empty lines stand between them.
-    `words` are names that the whole template knows, always the same for one.
+    `run.notices` is that of `run.txt.j2`. Behind a tag, which takes the end of its line, two empty
+    lines stand between them. `words` are names that the whole template knows, always the same.
     """
-    said = getattr(_TEXT.get_template(template, globals=words).module, part)(**of)
+    template, _, part = name.partition(".")
+    said = getattr(_TEXT.get_template(f"{template}.txt.j2", globals=words).module, part)(**of)
     return [" ".join(one.split()) for one in re.split(r"\n\s*\n", said) if one.strip()]
 
 

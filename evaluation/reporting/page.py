@@ -12,9 +12,8 @@ from evaluation.analysis import weak_attacks
 from evaluation.reporting.announcements import command, data_notices, scenes_text
 from evaluation.reporting.answers import answers, headline_of
 from evaluation.reporting.figures.figure import Figure
-from evaluation.reporting.gallery import panels
 from evaluation.reporting.markup import HTML
-from evaluation.reporting.pictures import pictures, planes
+from evaluation.reporting.pictures import panels, pictures, planes
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import decision
 from evaluation.reporting.tables import page_tables

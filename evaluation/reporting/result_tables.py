@@ -203,9 +203,7 @@ def rank_table(run: picked.Results, task: LinkedTask) -> Table:
     invalid = (",".join(row[INVALID] for row in block.values()) for block in task.cells.values())
     linked = (run.manifest.get("linkage") or {}).get("tasks", {})
     notes = paragraphs(
-        "run.txt.j2",
-        "ranked",
-        {},
+        "run.ranked",
         row=some[0],
         people=linked.get(task.name, {}).get("people"),
         usual=_USUAL,

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from helpers.finished_runs import levels, make_gallery, make_run, make_summary, with_links
 
-from evaluation.reporting import gallery
 from evaluation.reporting.answers import headline_of
 from evaluation.reporting.headline import levels_of
-from evaluation.reporting.pictures import pictures, planes
+from evaluation.reporting.pictures import SIZE, panels, pictures, planes
 
 SHARES = re.compile(r" (\d+\.\d) %")
 
@@ -95,7 +94,7 @@ def test_what_a_run_lacks_has_no_picture_and_stops_nothing(changes):
 
 def test_walks_are_drawn_to_scale_and_leaks_are_counted():
     rows = make_gallery()
-    found = gallery.panels(rows)
+    found = panels(rows)
     assert [(one.person, one.mechanism) for one in found] == list(
         product((1, 2, 3, 4), rows["mechanism"].unique())
     )
@@ -107,4 +106,4 @@ def test_walks_are_drawn_to_scale_and_leaks_are_counted():
         step = np.hypot(*np.diff(walk, axis=0).T)
         assert step == pytest.approx(length_px / float(text.split()[0]), abs=1e-6)  # of 1 m each
         assert len(paths["shared leak"]) == 4
-        assert ((walk >= 0) & (walk <= gallery.SIZE)).all()
+        assert ((walk >= 0) & (walk <= SIZE)).all()
