@@ -38,19 +38,23 @@ class KalmanRTS:
 
 
 @dataclass(frozen=True, slots=True)
-class RadialRTS(KalmanRTS):
+class RadialRTS:
     """Constant velocity; samples that lie close to the walk count for more, again and again.
 
     That is right for errors of the radial law alone, and which law holds nobody tells: the release
     shows it (`looks_radial`). If it is another, one pass is left: `KalmanRTS`.
     """
 
+    q: float | None = None  # As of `KalmanRTS`.
     passes: int | None = None
     """Smoothers; None: learnt from the training set, 1, `USUAL_PASSES` or twice as many; without
     one `USUAL_PASSES` if the errors look radial, else 1. Twice as many gain 1.3 to 2.3 points of
     PLR where much error is added linearly, and lose about as much where it is independent."""
     anneal: float = 0.15
 
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = TOLD
+    DEFAULT_Q: ClassVar[float] = 0.04
     USUAL_PASSES: ClassVar[int] = 5
 
     def __post_init__(self) -> None:
