@@ -22,8 +22,7 @@ Reuse: TypeAlias = Literal["release", "session"]
 """Whether errors are drawn anew for every release, or once for a walk and session."""
 _REMEMBERED = 24  # Correlation times after which what was is forgotten: 1e-10 of it is left.
 _POINTS = 512  # Of the path of a session within one correlation time; between them it is a line.
-_PRIOR_STD = (100.0, 10.0)
-"""m around the first sample, m/s: far more than any walk, so that nothing is tuned."""
+_PRIOR_STD = (100.0, 10.0)  # m around the first sample, m/s: far more than any walk; not tuned.
 _MEMORY_S = 6.0  # What a filter of a walk has long forgotten.
 
 
@@ -227,5 +226,4 @@ MECHANISMS: Final[Mapping[str, type]] = {
     "ou_fid": OuFid,
     "laplace": Laplace,
     "forecast": Forecast,
-}
-"""By the name in a SPEC."""
+}  # By the name in a SPEC.

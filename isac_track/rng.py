@@ -16,13 +16,12 @@ def stream(seed: int, *names: str | int) -> np.random.Generator:
         raise ValueError(f"the seed must not be negative, got {seed}")
     if not names:
         raise ValueError("a stream needs a name: stream(seed, stage, ...)")
-    parts: list[bytes] = []
+    hashed = hashlib.sha256()
     for name in names:
         # int() folds numpy integers; a bool would silently be 0 or 1 and is not a name.
-        text = f"s{name}" if isinstance(name, str) else f"i{int(name)}"
-        encoded = text.encode()
-        parts += len(encoded).to_bytes(8, "little"), encoded
-    key = hashlib.sha256(b"".join(parts)).digest()[:16]
+        text = (f"s{name}" if isinstance(name, str) else f"i{int(name)}").encode()
+        hashed.update(len(text).to_bytes(8, "little") + text)
+    key = hashed.digest()[:16]
     # The words into which a `SeedSequence` turns the seed and a spawn key: told so, it need not.
     words = max(4, -(-int(seed).bit_length() // 32))
     entropy = np.frombuffer(int(seed).to_bytes(4 * words, "little") + key, dtype="<u4")

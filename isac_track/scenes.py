@@ -24,8 +24,7 @@ FEW_PEOPLE = 20  # With fewer nothing is decided.
 class Cut(Tracks):
     """N resampled tracks up to now, which is known history, and their future on the grid."""
 
-    t_future: Floats = field(metadata=TRACK)
-    """(N, H) s, prediction grid; step 0 is the last history sample."""
+    t_future: Floats = field(metadata=TRACK)  # (N, H) s; step 0 is the last history sample.
     xy_future: Floats = field(metadata=TRACK)  # (N, H, 2) m, true positions on the grid.
     too_short: int  # Recorded tracks below `min_duration_s`.
     no_future: int  # Tracks that are long enough but do not cover the horizon after the split.

@@ -22,12 +22,10 @@ SPEED_OF_LIGHT_MPS = 299_792_458.0
 class Channel:
     """Random part of the link of N tracks and M samples, without the two fitted spreads."""
 
-    large_scale: Floats
-    """(N,) standard normal; times `large_scale_db` it is the track's two-way gain in dB."""
+    large_scale: Floats  # (N,) standard normal; times `large_scale_db` the track's gain in dB.
     path_power: Floats  # (N, N_p) power of each path, exponential with mean 1 (Rayleigh amplitude).
-    path_delay: Floats
-    """(N, N_p) excess delay as a share of `delay_spread_s`; the first path is direct, 0."""
-    beam: Floats  # (M,) standard normal; times `beam_fluctuation_db` it is the sample's gain in dB.
+    path_delay: Floats  # (N, N_p) excess delay, share of `delay_spread_s`; 0 of the first, direct.
+    beam: Floats  # (M,) standard normal; times `beam_fluctuation_db` the sample's gain in dB.
     unit_error: Floats  # (M, 2) standardised raw error.
 
 

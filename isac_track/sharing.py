@@ -16,8 +16,7 @@ from numpy.random import Generator
 from isac_track.sensing import unit_errors
 from isac_track.types import Adding, ErrorLaw, Floats, Release, Sensed, positive, read_only, within
 
-_REMEMBERED = 5
-"""Errors kept: of a block, of those who are learnt from in both halves, and two repeats."""
+_REMEMBERED = 5  # Errors of a block, of both halves of who is learnt from, and of two repeats.
 
 
 def perturb(

@@ -18,8 +18,7 @@ from isac_track.types import ErrorLaw, Floats, Knowledge, Prediction, Release, e
 GATE = 18.4  # Chi-square quantile of 0.9999 with two degrees of freedom.
 WINDOW = 160  # Samples; what came before no longer moves the prediction (tested).
 LEAST_REST = 0.05  # Share of what innovations show that is never put down to a slow error.
-_PRIOR_STD = (100.0, 10.0, 10.0)
-"""m around the first sample, m/s, m/s^2: far more than any walk, so that nothing is tuned."""
+_PRIOR_STD = (100.0, 10.0, 10.0)  # m around the first sample, m/s, m/s^2: more than any walk.
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,15 +29,12 @@ class KalmanCV:
     gate: float = GATE
     window: int = WINDOW
     noise: Literal["estimated", "declared"] = "estimated"
-    law: ErrorLaw = "radial"
-    """With declared noise: a radial error of std sigma has the variance sigma^2 / 2 per axis."""
+    law: ErrorLaw = "radial"  # Of declared noise: a radial one has sigma^2 / 2 per axis.
     engine: Literal["kernels", "filterpy"] = "kernels"
-    aware: bool = False
-    """Whether the robot is told what mechanism shares; `knowing` is then called before a run."""
+    aware: bool = False  # Told by `knowing`, before a run, which mechanism shares.
     added_std_m: float = 0.0  # Per axis, of the error that is added as far as the robot knows.
     tau_s: float = 0.0
-    """Time over which that error's correlation falls to 1/e; 0: white. One that is slow is a state
-    of its own, and the whole history counts."""
+    """Of its correlation; 0: white. A slow error is a state, and the whole history counts."""
 
     states: ClassVar[int] = 2
 
@@ -156,9 +152,9 @@ class KalmanIMM(KalmanCV):
 
     q: float = 0.001  # m^2/s^3 while walking on, from ``python -m benchmarks.tune``
     q_turn: float = 0.12  # m^2/s^3 while stopping or turning, likewise
+    # Mean times of either; set, not tuned: the likelihood would make modes of whole tracks.
     walk_s: float = 4.0
-    """Mean time of walking on; set, not tuned: the likelihood would make modes of whole tracks"""
-    turn_s: float = 1.5  # Mean time of stopping or turning; set, not tuned
+    turn_s: float = 1.5
 
     def __post_init__(self) -> None:
         KalmanCV.__post_init__(self)

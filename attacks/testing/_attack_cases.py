@@ -22,17 +22,15 @@ from isac_track.types import Bools, ErrorLaw, Floats, Ints, Knowledge, Reconstru
 
 N_TRACKS = 24  # And people.
 _MODEL_SIGMA_M = 0.7
-EXTENTS, EXTRA_M = 3.0, 10.0
-"""How far an answer may lie from the middle of its track: 3 times its extent and 10 m."""
+EXTENTS, EXTRA_M = 3.0, 10.0  # How far an answer may lie from the middle of its track.
 GAP_S = 1.0  # Silence before the gallery goes on, where the scene is shown.
 PEOPLE, OTHERS = (128,) * N_TRACKS, (128,) * 20  # Samples of each: 12 s at 8 to 16 Hz.
-ODD = (
+ODD = (  # Samples of probes, of the gallery and of the training set.
     *(((128,) * probes, (128,) * gallery, OTHERS) for probes, gallery in ((1, 1), (4, 1), (1, 4))),
     ((1, 1, 1), (1, 1, 1, 1), (40,) * 8),
     ((1, 2, 3, 128), (3, 2, 128, 1, 2), (40,) * 8),
     ((128, 128, 2), (128, 3, 1, 128), (1, 2, 3, 1, 2, 3, 40, 40, 40, 40)),
 )
-"""Samples of probes, of the gallery and of the training set."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -260,8 +258,8 @@ class LinkageCase(made.Case):
     def hits(self, scores: Floats) -> Floats:
         """Return how often each probe's mate comes first, (P,), over a random order of ties."""
         # One by one, since two may have drawn one mate.
-        rows = range(len(self.mate))
-        return np.concatenate([rank1(scores=scores[[row]], mate=self.mate[[row]]) for row in rows])
+        each = zip(scores[:, None], self.mate[:, None], strict=True)
+        return np.concatenate([rank1(scores=row, mate=mate) for row, mate in each])
 
     def success(self, scores: Floats) -> Floats:
         """Return the logarithm of candidates over the mate's rank, (P,)."""

@@ -17,14 +17,12 @@ from isac_track.rng import stream
 from isac_track.testing.engine import Body, by_name, call
 from isac_track.types import Floats, Knowledge, Release
 
-Case: TypeAlias = Any
-"""One of those of `_attack_cases` or `_plugin_checks`."""
+Case: TypeAlias = Any  # One of those of `_attack_cases` or `_plugin_checks`.
 
 SAME = 1e-6  # Room for rounding: m, or a share of the spread of the scores.
 SAME_FRAME = 1e-5  # The same after a motion by some hundred metres and seconds.
 SAME_LEARNT = 0.01  # Room for what a learner makes of the same examples in another order.
-SPREADS = 3.0
-"""Two runs of an attack that draws may differ by so many times what two seeds differ by."""
+SPREADS = 3.0  # So many times what two seeds of an attack that draws differ by, two runs may.
 SURPRISE = 1e-6  # Probability with which chance alone would fail an attack.
 LEAK_ERRORS = 4.5  # Of ten thousand sound attacks hardly one leaks so many standard errors.
 STANDARD_ERRORS = 2.5  # One-sided 99 % for 24 people (Student's t).
@@ -38,8 +36,7 @@ class Row:
     subject: Any
     adversary: str  # Empty: a mechanism or a predictor.
     granted: frozenset[Knowledge]  # What the adversary grants it, or a predictor requires.
-    given: frozenset[Knowledge]
-    """What it is given here: all there is, if it cannot keep to what it was granted."""
+    given: frozenset[Knowledge]  # All there is, if it cannot keep to what it was granted.
     ordinary: Case  # For checks that compare two runs.
     another: Case  # What it may be asked after the ordinary case.
 

@@ -30,8 +30,7 @@ from isac_track.types import (
 SHORT = (1, 2, 3, 40)  # Samples of the tracks of the odd cases.
 HORIZON_S, N_STEPS = 3.0, 16
 SIGMA_ERRORS, SIGMA_ROOM = 4.0, 0.02
-"""The variance may differ from what is declared by so many standard errors over the tracks, and by
-this share."""
+"""How far a variance may be from what is declared: in standard errors over the tracks, a share."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

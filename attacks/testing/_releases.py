@@ -17,16 +17,14 @@ from isac_track.testing.engine import call
 from isac_track.types import ErrorLaw, Floats, Knowledge, Release, Sensed
 
 Person: TypeAlias = Callable[[Floats], Floats]
-Walk: TypeAlias = tuple[Floats, Floats]
-"""Times of one walk, (n,) s, and where somebody truly was then, (n, 2) m."""
+Walk: TypeAlias = tuple[Floats, Floats]  # Times, (n,) s, and where somebody then was, (n, 2) m.
 Theirs: TypeAlias = Any  # A plug-in, or what is called of it.
 Holder = TypeVar("Holder", bound=Any)  # A case, or a training set.
 
 EPSILON_M = 0.3
 RAW_SIGMA_M = 0.05  # Of the sensing; all else is added by the mechanism.
 BOX_M = 20.0  # Side of the square in which walks start.
-STEADY_S, IRREGULAR_S = (1 / 16, 1 / 8), (1e-3, 30.0)
-"""Shortest and longest step between two samples, of a recording and of an odd one."""
+STEADY_S, IRREGULAR_S = (1 / 16, 1 / 8), (1e-3, 30.0)  # Shortest and longest step.
 SPEEDS_MPS = (0.6, 2.0)  # Slowest and fastest of the people.
 _GRID_S = 0.02
 _FARTHEST_M, _LATEST_S = 100.0, 1000.0
@@ -142,8 +140,7 @@ class Case:
         """Return what is wrong with a result that can be read all the same; empty if nothing."""
         return ""
 
-    out_of_bounds = fault
-    """The same of an answer that flies off."""
+    out_of_bounds = fault  # The same of an answer that flies off.
 
     def gaps(self, one: Floats, other: Floats) -> Floats:
         """Return how far apart the numbers of two answers are, a row for each sort of number."""

@@ -24,8 +24,7 @@ from isac_track.testing.engine import Check, Outcome
 __all__ = ["CHECKS", "OWN", "Check", "Metrics", "Outcome"]
 __all__ += ["parametrize_metric_checks", "run_checks", "select_checks"]
 
-CHECKS: tuple[Check, ...] = tuple(_metrics.CHECKS.values())
-"""All checks, in the order in which they run."""
+CHECKS: tuple[Check, ...] = tuple(_metrics.CHECKS.values())  # In the order in which they run.
 
 
 def select_checks(names: Sequence[str] | None = None) -> tuple[Check, ...]:

@@ -23,8 +23,7 @@ from isac_track.types import ErrorLaw, Floats
 EPSILON_M = 0.3
 EPSILONS_M = np.linspace(0.02, 1.5, 25).tolist()
 STANDARD_ERRORS = 5.0  # Width of the Monte Carlo tolerances.
-_NAMES = {"plr": "PLR", "ael_s": "AEL", "mel_s": "MEL"}
-"""What the functions of the descriptors return."""
+_NAMES = {"plr": "PLR", "ael_s": "AEL", "mel_s": "MEL"}  # What these functions return.
 _LARGE = 20_000
 
 
