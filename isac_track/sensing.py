@@ -235,17 +235,11 @@ def sense_scenes(
     scenes: Scenes, *, settings: SensingSettings, seed: int, names: tuple[str | int, ...] = ()
 ) -> Sensed:
     """Return what the network senses of the histories; with other `names` of the streams anew."""
-    channel = draw_channel(
-        n_samples=np.diff(scenes.offsets).reshape(len(scenes), -1),
-        keys=[("scene", int(index), *names) for index in scenes.index],
-        settings=settings,
-        seed=seed,
-    )
+    n_samples, numbers = np.diff(scenes.offsets).reshape(len(scenes), -1), scenes.index.tolist()
+    keys = [("scene", one, *names) for one in numbers]
+    channel = draw_channel(n_samples=n_samples, keys=keys, settings=settings, seed=seed)
     # A walk is shown in many scenes, each time elsewhere: every showing is a session of its own.
-    walks = [
-        walk_numbers("scene", int(index), n_walks=scenes.n_agents, seed=seed)
-        for index in scenes.index
-    ]
+    walks = [walk_numbers("scene", one, n_walks=scenes.n_agents, seed=seed) for one in numbers]
     return sense(
         t=scenes.t,
         xy=scenes.xy,

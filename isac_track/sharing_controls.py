@@ -50,8 +50,7 @@ def correlated_errors(
     remembers = np.ones(t.size)
     remembers[first] = 0.0
     angle = _recursion(remembers, turn[:, None])
-    direction: Floats = np.hstack([np.cos(angle), np.sin(angle)])
-    return amplitude * direction
+    return np.asarray(amplitude * np.hstack([np.cos(angle), np.sin(angle)]))
 
 
 def _recursion(decay: Floats, step: Floats) -> Floats:

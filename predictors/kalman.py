@@ -111,9 +111,7 @@ class KalmanCV:
         The clock of each track is 0 at its last sample, so that late clocks lose no precision. If
         it `is_causal`, all samples, each with what was known of the noise by then.
         """
-        last = release.offsets[1:]
-        error = self._slow_error
-        sizes = np.diff(release.offsets)
+        last, sizes, error = release.offsets[1:], np.diff(release.offsets), self._slow_error
         if error is None and not is_causal:
             sizes = np.minimum(sizes, self.window)
         runs = list(zip((last - sizes).tolist(), last.tolist(), strict=True))

@@ -26,14 +26,12 @@ class LeastSquares:
 
     def predict(self, release: Release, t_future: Floats) -> Prediction:
         """Return the extrapolated lines at `t_future`, (N, H) s; no covariance."""
-        last = release.offsets[1:, None] - 1
+        first, last = release.offsets[:-1, None], release.offsets[1:, None] - 1
         sample = last - np.arange(self.window)[::-1]  # (N, q), newest last
-        used = sample >= release.offsets[:-1, None]
-        sample = np.maximum(sample, release.offsets[:-1, None])
-        weight = used.astype(np.float64)
+        weight = (sample >= first).astype(np.float64)
         count = weight.sum(axis=1, keepdims=True)
-        t = release.t[sample]
-        xy = release.xy[sample]  # (N, q, 2)
+        sample = np.maximum(sample, first)
+        t, xy = release.t[sample], release.xy[sample]  # (N, q), (N, q, 2) m
         t_mean = (weight * t).sum(axis=1, keepdims=True) / count
         xy_mean = (weight[..., None] * xy).sum(axis=1, keepdims=True) / count[..., None]
         # Centred times: absolute ones would cancel badly late in a recording.

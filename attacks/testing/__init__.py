@@ -57,7 +57,7 @@ def _in_every_row(body: engine.Body, subject: Hashable) -> None:
 @lru_cache(maxsize=16)
 def _rows(subject: Hashable) -> list[Row]:
     """Return the rows of a plug-in, weakest adversary first, as all checks but one run them."""
-    world, _ = _KITS[_kind(subject)]
+    world, _ = _WORLDS[_kind(subject)]
     rows = []
     for granted, adversary in _granted(subject).items():
         row = Row(subject, adversary, granted, granted, *world.ordinary_and_another(granted))
@@ -91,27 +91,21 @@ def _granted(subject: Any) -> dict[frozenset[Knowledge], str]:  # noqa: ANN401 -
     return made
 
 
-def _kit(bodies: Mapping[str, engine.Body]) -> dict[str, Check]:
-    return {
+_WORLDS: dict[str, tuple[Any, Mapping[str, engine.Body]]] = {
+    "reconstruction": (ReconstructionCase, _checks.RECONSTRUCTION),
+    "linkage": (LinkageCase, _checks.LINKAGE),
+    "mechanism": (_plugin_checks.MechanismCase, _plugin_checks.MECHANISM),
+    "predictor": (_plugin_checks.PredictorCase, _plugin_checks.PREDICTOR),
+}  # What makes up the cases of each kind of plug-in, and what holds for it.
+_KITS = {
+    kind: {
         name: Check(name, engine.statement_of(one), partial(_in_every_row, one))
         for name, one in bodies.items()
     }
-
-
-# All checks of each kind by name, in the order in which they run
-
-CHECKS = _kit(_checks.RECONSTRUCTION)
-LINKAGE_CHECKS = _kit(_checks.LINKAGE)
-MECHANISM_CHECKS = _kit(_plugin_checks.MECHANISM)
-PREDICTOR_CHECKS = _kit(_plugin_checks.PREDICTOR)
-
-_KITS: dict[str, tuple[Any, dict[str, Check]]] = {
-    "reconstruction": (ReconstructionCase, CHECKS),
-    "linkage": (LinkageCase, LINKAGE_CHECKS),
-    "mechanism": (_plugin_checks.MechanismCase, MECHANISM_CHECKS),
-    "predictor": (_plugin_checks.PredictorCase, PREDICTOR_CHECKS),
+    for kind, (_, bodies) in _WORLDS.items()
 }
-"""What makes up the cases of each kind of plug-in, and what holds for it."""
+# All checks of each kind by name, in the order in which they run.
+CHECKS, LINKAGE_CHECKS, MECHANISM_CHECKS, PREDICTOR_CHECKS = _KITS.values()
 _NOUNS = {"fit": "attack", "share": "mechanism", "predict": "predictor"}
 
 
@@ -137,7 +131,7 @@ def checks_for(subject: Any) -> dict[str, Check]:  # noqa: ANN401 - a stranger's
     plugins.check_class(kind, type(subject), name)
     plugins.check_declared(kind, subject, name)
     _granted(subject)
-    return _KITS[_kind(subject)][1]
+    return _KITS[_kind(subject)]
 
 
 def adversaries_of(attack: Attack) -> tuple[str, ...]:

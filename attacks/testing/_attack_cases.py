@@ -56,9 +56,8 @@ class ReconstructionCase(made.Case):
     companions: tuple[Release, ...]
 
     def fault(self, result: object) -> str:
-        if isinstance(result, Reconstruction):
-            return ""
-        return "expected a Reconstruction, got ndarray; wrap the positions: Reconstruction(xy)"
+        wrong = "expected a Reconstruction, got ndarray; wrap the positions: Reconstruction(xy)"
+        return "" if isinstance(result, Reconstruction) else wrong
 
     def read(self, result: Any) -> Floats:  # noqa: ANN401 - a stranger's
         """Return positions, of either type, and std, if claimed, (M, 2 or 3) m; or ValueError."""

@@ -38,7 +38,6 @@ class MechanismCase(made.Case):
     """What a mechanism is asked to share."""
 
     asked: ClassVar[tuple[str, ...]] = ("sensed",)
-    everything: ClassVar[frozenset[Knowledge]] = frozenset()
     compared: ClassVar[str] = "t, xy or sigma"
     unit: ClassVar[str] = " s or m"
 
@@ -185,7 +184,6 @@ class PredictorCase(made.Case):
     """A release, and the times for which a predictor is asked."""
 
     asked: ClassVar[tuple[str, ...]] = ("release", "t_future")
-    everything: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.SIGMA})
     compared: ClassVar[str] = "mean or cov"
     unit: ClassVar[str] = " m or m^2"
     mechanism: ClassVar[Fixed] = Fixed(0.25)  # One that is aware is told of it.

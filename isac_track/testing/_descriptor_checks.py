@@ -45,8 +45,7 @@ class Track:
 def of(function: Function, track: Track) -> float:
     """Return what the function of a descriptor makes of a trajectory."""
     clock = () if function.__name__ == "plr" else (track.t,)
-    value: float = function(track.shared_xy, track.true_xy, *clock, track.epsilon_m)
-    return value
+    return float(function(track.shared_xy, track.true_xy, *clock, track.epsilon_m))
 
 
 def expect_of(function: Function, track: Track, value: float) -> None:

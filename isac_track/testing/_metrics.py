@@ -79,11 +79,8 @@ OWN = Metrics(
     prediction_grid=lambda t, window, horizon_steps: conflict.prediction_grid(
         t=t, offsets=np.array([0, len(t)]), window=window, horizon_steps=horizon_steps
     )[0],
-    robot_path=lambda start, destination, speed_mps, elapsed_s: conflict.robot_path(
-        start=start[None],
-        destination=destination[None],
-        speed_mps=speed_mps,
-        elapsed_s=elapsed_s[None, None],
+    robot_path=lambda start, end, speed, elapsed: conflict.robot_path(
+        start=start[None], destination=end[None], speed_mps=speed, elapsed_s=elapsed[None, None]
     )[0, 0],
     minimum_separation=lambda a, b: conflict.minimum_separation(robot=a[None], agents=b[None])[0],
     is_conflict=_by_position(conflict.is_conflict),
