@@ -25,7 +25,7 @@ from isac_track.kalman.slow_errors import SlowError, smooth_tracks
 from isac_track.protection import Laplace, Ou, OuFid
 from isac_track.sharing import Clean, Fid, Fixed, Raw
 from isac_track.sharing_controls import Thin
-from isac_track.types import ErrorLaw, Floats, Ints, Release, Sensed, Tracks, squared_lengths
+from isac_track.types import Floats, Ints, Release, Sensed, Tracks, squared_lengths
 
 _LAG_S: Final = 1.0  # Over which acceleration is measured: what a smoother averages over.
 _EVERY = 4  # Of them within one lag.
@@ -113,25 +113,23 @@ def errors_of(
     raw, shared = sensed.sigma_raw, release.sigma
     if sensed.law == "fixed_direction" or shared is None:
         return None
-    added: ErrorLaw = getattr(mechanism, "law", None) or sensed.law
     if isinstance(mechanism, Clean):
         return Errors(np.full(raw.shape, _LEAST_VARIANCE_M2), is_gaussian=True)
     if not isinstance(mechanism, (Raw, Fixed, Fid, Thin, Laplace, Ou, OuFid)):
         return None
+    law = "laplace" if isinstance(mechanism, Laplace) else getattr(mechanism, "law", None)
+    added, slow = law or sensed.law, None
     scale = scale_m2(raw, squared_lengths(sensed.unit_error), law=sensed.law, rng=rng)
+    std_m = np.sqrt(np.maximum(np.square(shared) - np.square(raw), 0.0))
     if getattr(mechanism, "adding", "linear") == "linear":
         scale *= np.square(np.divide(shared, raw, out=np.ones_like(raw), where=raw > 0.0))
-        return Errors(np.maximum(scale, _LEAST_VARIANCE_M2), is_gaussian=sensed.law == "isotropic")
-    std_m = np.sqrt(np.maximum(np.square(shared) - np.square(raw), 0.0))
-    slow = None
-    if isinstance(mechanism, Ou | OuFid):
+    elif isinstance(mechanism, Ou | OuFid):
         slow = SlowError(std_m, mechanism.tau_s)
     else:
         unit = np.ones_like(std_m)
         np.divide(squared_lengths(release.xy - sensed.xy), std_m**2, out=unit, where=std_m > 0.0)
-        law = "laplace" if isinstance(mechanism, Laplace) else added
-        scale += scale_m2(std_m, unit, law=law, rng=rng)
-    gaussian = sensed.law == added == "isotropic" and not isinstance(mechanism, Laplace)
+        scale += scale_m2(std_m, unit, law=added, rng=rng)
+    gaussian = sensed.law == added == "isotropic"
     return Errors(np.maximum(scale, _LEAST_VARIANCE_M2), slow, is_gaussian=gaussian)
 
 

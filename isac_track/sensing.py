@@ -6,7 +6,7 @@ sigma_raw, and Fisher information density (eq. swarm_fid). Two-way (monostatic) 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.random import Generator
@@ -171,25 +171,17 @@ def _drawn(
     settings: SensingSettings,
     seed: int,
 ) -> Channel:
-    size = (len(n_samples[0]), settings.n_paths)
-    batches = []
+    draw, batches = partial(stream, seed, "sensing"), []
     for sizes, key in zip(n_samples, keys, strict=True):
-        offsets = np.concatenate([[0], np.cumsum(sizes)])
-        total = int(offsets[-1])
-        paths = stream(seed, "sensing", "paths", *key)
-        error = stream(seed, "sensing", "error", *key)
-        batches.append(
-            (
-                stream(seed, "sensing", "large scale", *key).standard_normal(size[0]),
-                paths.standard_exponential(size),
-                paths.random(size),
-                stream(seed, "sensing", "beam", *key).standard_normal(total),
-                unit_errors(n_samples=total, law=settings.law, rng=error, offsets=offsets),
-            )
-        )
-    large_scale, power, delay, *rest = map(np.concatenate, zip(*batches, strict=True))
-    delay[:, 0] = 0.0  # the direct path
-    return Channel(*map(read_only, (large_scale, power, delay, *rest)))
+        total, offsets = sum(sizes), np.cumsum([0, *sizes])
+        large_scale = draw("large scale", *key).standard_normal(len(sizes))
+        paths, shape = draw("paths", *key), (len(sizes), settings.n_paths)
+        power, delay = paths.standard_exponential(shape), paths.random(shape)
+        delay[:, 0] = 0.0  # the direct path
+        beam, rng = draw("beam", *key).standard_normal(total), draw("error", *key)
+        error = unit_errors(n_samples=total, law=settings.law, rng=rng, offsets=offsets)
+        batches.append((large_scale, power, delay, beam, error))
+    return Channel(*(read_only(np.concatenate(each)) for each in zip(*batches, strict=True)))
 
 
 def sense(
