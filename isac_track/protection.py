@@ -202,8 +202,7 @@ class Forecast:
         owner = np.repeat(np.arange(len(sensed)), np.diff(sensed.offsets))
         left_s = sensed.t[sensed.offsets[1:] - 1][owner] - sensed.t
         turn = np.floor(left_s / self.every_s)
-        is_last = np.append((turn[1:] != turn[:-1]) | (owner[1:] != owner[:-1]), True)
-        rows = np.flatnonzero(is_last)
+        rows = np.flatnonzero((np.diff(turn, append=-1.0) != 0) | (np.diff(owner, append=-1) != 0))
         # What each filter has seen: its own stretch of the walk, back to its start or far enough.
         known = owner + 1j * sensed.t
         first = np.searchsorted(known, owner[rows] + 1j * (sensed.t[rows] - _MEMORY_S))

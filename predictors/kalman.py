@@ -126,12 +126,11 @@ class KalmanCV:
             variance = np.maximum(variance * share, 1e-12 if error is None else MIN_VARIANCE_M2)
         else:
             level = innovation_variance_m2(t=t, xy=xy, offsets=offsets, running=is_causal)
-            if error is not None:  # a little of it looks like noise
-                shown = error.innovation_share(t=t, offsets=offsets, running=is_causal)
-                rest = level - slow_m2 * shown
-                level = np.maximum(rest, LEAST_REST * level)
-            elif self.added_std_m > 0.0:  # no less than what is added
+            if error is None:  # no less than what is added
                 level = np.maximum(level, self.added_std_m**2)
+            else:  # a little of it looks like noise
+                shown = error.innovation_share(t=t, offsets=offsets, running=is_causal)
+                level = np.maximum(level - slow_m2 * shown, LEAST_REST * level)
             variance = level if is_causal else np.repeat(level, sizes)
         return Batch(t, xy, variance, offsets, _PRIOR_STD[: self.states])
 

@@ -117,8 +117,8 @@ def inputs_are_not_mutated(row: Row) -> None:
     """What a plug-in is given, an attack's context too, is left as it came."""
     case, own = row.ordinary, copied(row.ordinary)
     row.raw(own)
-    arrays = zip(arrays_of(case).items(), arrays_of(own).values(), strict=True)
-    paths = [path[1:] for (path, came), left in arrays if came.tobytes() != left.tobytes()]
+    arrays = zip(arrays_of(case), arrays_of(own), strict=True)
+    paths = [path[1:] for (path, came), (_, left) in arrays if came.tobytes() != left.tobytes()]
     if paths:
         of_context = ("train", "repeats")
         changed = ", ".join("context." * path.startswith(of_context) + path for path in paths)

@@ -1,6 +1,6 @@
 """Made-up people under pseudonyms, and the same release seen otherwise: shared by all cases."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, ClassVar, TypeAlias, TypeVar
@@ -167,19 +167,18 @@ def of_each(case: Holder, change: Callable[[Release], Release]) -> Holder:
 def copied(case: Holder) -> Holder:
     """Return the case in arrays of its own; nothing done to them reaches another run."""
     own = deepcopy(case)
-    for array in arrays_of(own).values():
+    for _, array in arrays_of(own):
         array.flags.writeable = False  # as `Release` has it
     return own
 
 
-def arrays_of(held: object, name: str = "") -> dict[str, NDArray[Any]]:
-    """Return every array in a case or a part of it, by the path to it behind `name`."""
+def arrays_of(held: object, name: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
+    """Yield every array in a case or a part of it, behind the path to it."""
     if isinstance(held, np.ndarray):
-        return {name: held}
-    inside: dict[str, object] = {}
-    if isinstance(held, tuple):
-        inside = {f"{name}[{place}]": one for place, one in enumerate(held)}
+        yield name, held
+    elif isinstance(held, tuple):
+        for place, one in enumerate(held):
+            yield from arrays_of(one, f"{name}[{place}]")
     elif is_dataclass(held):
-        inside = {f"{name}.{item.name}": getattr(held, item.name) for item in fields(held)}
-    deeper = (arrays_of(one, path) for path, one in inside.items())
-    return {path: array for found in deeper for path, array in found.items()}
+        for item in fields(held):
+            yield from arrays_of(getattr(held, item.name), f"{name}.{item.name}")
