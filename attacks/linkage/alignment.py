@@ -21,15 +21,13 @@ _TAUGHT_BY = 80  # Mated pairs to learn from: three widths on all would cost mor
 class Shape(Linking):
     """Least mean squared distance of two paths over shift, rotation and lag; no reflection.
 
-    For every lag, that of the overlapping stretches a and b (complex, less their means) after the
-    rotation that fits best is d = (|a|^2 + |b|^2 - 2 |a b*|) / m with m the cells of the overlap.
-    Before, both are projected on polynomials of degree up to `rank`: below what they hold of a walk
-    of 12 s there is little but noise. The score is -log of the least ``(d + floor) (L / m)^3``
-    over the lags, L the cells of 12 s.
+    For every lag, that of the overlapping stretches a and b (complex, less their means, projected
+    on polynomials of degree up to `rank`: beyond is little but noise) after the rotation that fits
+    best is d = (|a|^2 + |b|^2 - 2 |a b*|) / m with m the cells of the overlap. The score is -log of
+    the least ``(d + floor) (L / m)^3`` over the lags, L the cells of 12 s.
 
-    The logarithm is that of a Gaussian likelihood whose noise is unknown and has been maximised
-    over: tracks of one release differ in noise a hundredfold. The floor is the misfit that says no
-    more: without it, pairs that happen to fit would beat longer overlaps.
+    The logarithm is that of a Gaussian likelihood maximised over the unknown noise, which differs
+    between tracks a hundredfold. Without the floor short pairs that happen to fit would win.
 
     References
     ----------
@@ -74,11 +72,9 @@ class Profile(Linking):
     """Least mean squared distance of two profiles of speed and turning over all lags.
 
     The profile is the speed in m/s and the signed turning rate in rad/s times `turn_m`, four
-    times a second, both from parabolas over a stretch that grows with the noise of the track
-    (`attacks.linkage.signals.widths_s`): both are then about as wrong as each other. For every
-    lag, d is the mean squared difference over the overlap of m cells, of its first eight
-    polynomials; the score is -log of the least ``(d + floor) (L / m)^3``, L the cells of 12 s.
-    `Shape` says why a logarithm and why a floor.
+    times a second, smoothed the more the noisier the track (`attacks.linkage.signals.widths_s`).
+    For every lag, d is the mean squared difference over the overlap of m cells, of its first eight
+    polynomials; the score is that of `Shape`.
     """
 
     factor: float | None = None  # Of the widths; None: learnt from the training set, or 1.

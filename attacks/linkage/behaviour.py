@@ -44,9 +44,8 @@ class Behaviour(Linking):
     Blind, each is divided by a fixed scale and the score is minus the squared distance. Informed,
     the score is minus ``x' (W^-1 - T^-1) x`` of the difference x, with W its covariance over mated
     pairs and T over strangers: the log likelihood ratio of two Gaussians, up to a constant. Both
-    are shrunk by `shrinkage` towards their diagonals, since some 90 pairs do not fill a matrix of
-    this size, and of the difference only the positive part is kept, lest a distance should speak
-    for a pair.
+    are shrunk by `shrinkage` towards their diagonals, since some 90 pairs do not fill them; only
+    the positive part is kept, lest a distance should speak for a pair.
 
     References
     ----------

@@ -21,10 +21,9 @@ class DTW(Linking):
     """Least squared distance of two profiles of speed and turning under warping of time.
 
     The profiles, (speed in m/s, turning rate in rad/s times `turn_m`) twice a second, may be
-    warped within a Sakoe-Chiba band of `band` of the longer one, and as much at either end may be
-    left out (the windows of two releases do not start together). Each step of warping costs
-    `penalty` squared. The score is ``-log((d^2 / m + floor) * (L / m)^3)`` of the distance d, the
-    length m of the shorter profile and L, that of 12 s.
+    warped within a Sakoe-Chiba band of `band` of the longer one, and as much left out at either end
+    (two releases do not start together). A step of warping costs `penalty` squared. The score is
+    ``-log((d^2 / m + floor) * (L / m)^3)`` of the distance d, m cells of the shorter and L of 12 s.
 
     References
     ----------

@@ -33,10 +33,9 @@ class Fusion(Linking):
 
     Scores of `likelihood_ratio`, `behaviour` and `histogram`, of `shape`, `profile` and `dtw`
     behind `radial_rts`, and minus the squared differences of mean speed, log duration and log
-    error variance, weighted (`conditional_logit`) and shrunk towards `likelihood_ratio` alone. The
-    scores learnt from are those of people from whom the linkers have not learnt: of either half of
-    the mates, by linkers fitted on the other. All linkers are then fitted on everybody.
-    Before, they are scaled by what the training set holds: a pair's score hangs on nobody else.
+    error variance, scaled by what the training set holds, weighted (`conditional_logit`) and shrunk
+    towards `likelihood_ratio` alone. Learnt from is either half of the mates, scored by linkers
+    fitted on the other. All linkers are then fitted on everybody.
 
     References
     ----------
@@ -116,10 +115,7 @@ def _summary(release: Release) -> Floats:
 
 
 def _scaler(found: Sequence[Floats], mates: Sequence[Ints]) -> Callable[[Floats], Floats]:
-    """Return what cuts scores off and divides them by their spread, both as found of strangers.
-
-    The likelihood ratio keeps its own scale.
-    """
+    """Return what cuts scores off and divides all but the first by the spread of strangers'."""
     each = zip(found, mates, strict=True)
     strangers = np.concatenate([x[mate[:, None] != np.arange(x.shape[1])] for x, mate in each])
     least = np.quantile(strangers, _WEAKEST, axis=0)

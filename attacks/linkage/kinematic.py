@@ -26,10 +26,9 @@ class Kinematic(Linking):
     """Likelihood that a gallery walk starts in the state that a probe's has got to by then.
 
     A constant-velocity filter runs along every probe and, back in time, along every gallery walk.
-    The probe's last state, predicted across the gap (back in time, too, with process noise all the
-    same), differs from the gallery's first by an error of both covariances and the process noise of
-    the gap; the score is the log density of the difference in position and velocity: Student's t
-    with five degrees of freedom, whose tail is a gate that never closes.
+    The score is the log density of the difference of the probe's last state, predicted across the
+    gap, from the gallery's first, under both covariances and the process noise of the gap:
+    Student's t with five degrees of freedom, whose tail is a gate that never closes.
 
     References
     ----------
@@ -65,10 +64,8 @@ class Kinematic(Linking):
 
 
 def rivals(train: LinkageTrainingSet) -> tuple[float, float]:
-    """Return the least and the longest gap, s, of pairs of a training set that may be mates.
-
-    Where pseudonyms rotated more than once only those compete whose gap is that of one rotation.
-    """
+    """Return the least and the longest gap, s, of pairs of a training set that may be mates."""
+    # Where pseudonyms rotated more than once only those compete whose gap is that of one rotation.
     rows = mated(train)
     begun_s = train.gallery.t[train.gallery.offsets[train.mate[rows]]]
     known_s = begun_s - train.probe.t[train.probe.offsets[rows + 1] - 1]

@@ -26,22 +26,20 @@ _LEAST_OVERLAP_S = 2.0
 class LikelihoodRatio(Linking):
     """ln p(y1, y2) - ln p(y1) - ln p(y2), over all rotations, shifts and lags.
 
-    A walk's overlap with another is a sum of Legendre polynomials of degree 1 to `rank` (the mean
-    is a shift, which hidden frames leave open). Of their coefficients c the prior is that of a walk
-    driven by white acceleration of spectral density `q`, isotropic; a release tells of them
-    A = sum w p p' and h = sum w p z over its samples z, w the information of each: where errors are
-    radial few samples hold most of it. With M = A1 + A2 + S^-1 the ratio at one lag and rotation is
-    Gaussian; averaged over rotations it is
+    A walk's overlap with another is a sum of Legendre polynomials p of degree 1 to `rank` (the mean
+    is a shift, which hidden frames leave open). The prior covariance S of their coefficients is
+    that of white acceleration of spectral density `q`; a release tells A = sum w p p' and
+    h = sum w p z over its samples z, w the information of each. With M = A1 + A2 + S^-1 the ratio
+    at one lag and rotation is Gaussian; averaged over rotations it is
 
         ln I0(|h1* M^-1 h2|) + (h1* M^-1 h1 + h2* M^-1 h2) / 2 - ln |M| + ln |S|
             + sum over both of ln |A + S^-1| - h* (A + S^-1)^-1 h / 2
 
     and the score is the log of its mean over lags, which weighs a lag by exp(-|lag| / `lag_s`). To
-    the error of every coefficient is added `floor_m2`, and to that of a mechanism whose errors are
-    slow what these do to it. Exact for walks whose coefficients are independent and Gaussian, and
-    Gaussian errors, at each lag by the overlap alone (of white acceleration coefficients two
-    degrees apart are correlated, which S leaves out); a pair that shares no stretch of a walk is
-    not told by it.
+    the error of every coefficient is added `floor_m2`, and what slow errors of a mechanism do to
+    it. Exact for Gaussian errors and independent Gaussian coefficients, at each lag by the overlap
+    alone (S leaves out that of white acceleration those two degrees apart are correlated); a pair
+    that shares no stretch of a walk is not told by it.
 
     References
     ----------
