@@ -1,7 +1,4 @@
-"""What a run says of itself in lines: what can be named, what is to be done, and how once more.
-
-Nothing heavy is imported: `--list` answers at once.
-"""
+"""What a run says of itself in lines; nothing heavy is imported: `--list` answers at once."""
 
 from __future__ import annotations
 

@@ -3,22 +3,15 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from evaluation.analysis import paper
 from evaluation.analysis.frontier import GAP, LEVEL_READ, VALUE
-from evaluation.analysis.keys import AS_SHARED, Source, level_text, rows_of
+from evaluation.analysis.keys import AS_SHARED, Source, rows_of, where_text
 from evaluation.analysis.matching import AT_EQUAL_ALARMS, MISSED
-from evaluation.analysis.metrics import (
-    EXPOSURE,
-    METRICS,
-    MISSED_RATE,
-    OF_ROBOT,
-    SUCCESS,
-    SUCCESS_OF_100,
-)
+from evaluation.analysis.metrics import EXPOSURE, METRICS, OF_ROBOT, SUCCESS, SUCCESS_OF_100
 from evaluation.analysis.strongest import HEADLINE
 from evaluation.reporting import table as make
 from evaluation.reporting.markup import paragraphs
@@ -40,8 +33,6 @@ _EFFECTS = {
     "correlation": (1.0, 2, ""),
     "ratio": (1.0, 2, "times"),
 }
-_ASPECTS: Final = ("mechanism", "descriptor", "task", "criterion", "about")
-"""What identifies an item beside its adding rule, in the words of `_told`."""
 
 
 def effect(row: Mapping[str, Any], *, signed: bool = False) -> Cell:
@@ -55,14 +46,6 @@ def effect(row: Mapping[str, Any], *, signed: bool = False) -> Cell:
 
 def paper_table(run: Results) -> Table:
     """Return the paper's numbers beside ours; judged only on the paper's own recording."""
-    columns = [
-        *mechanism_columns(run.families),
-        make.said("metric", lambda row: METRICS[row["metric"]].title),
-        make.measured("paper", "paper"),
-        make.measured("ours", "ours", "ci_low", "ci_high"),
-        make.measured("ours - paper", "bias", sign="+"),
-        make.measured("paper's own error", "paper_error"),
-    ]
     judged = "paper in our interval", "tolerance at 5,000 scenes"
     frame = run.paper_table
     records = frame.assign(bias=frame["ours"] - frame["paper"]).to_dict("records")
@@ -80,8 +63,7 @@ def paper_table(run: Results) -> Table:
         row[judged[1]] = text if np.isfinite(row["ours"]) else ""
     linear = [row for row in records if "adding=" not in row["mechanism"]]
     seen = [row for row in linear if not paper.is_fitted(row)]
-    rates = [row for row in records if row["metric"] == MISSED_RATE]
-    far = [row for row in rates if paper.differs(row)]
+    rates = [row for row in records if np.isfinite(row["paper_error"])]  # the missed ones
     is_own = run.dataset == paper.DATASET
     notes = paragraphs(
         "run.paper_notes",
@@ -89,10 +71,18 @@ def paper_table(run: Results) -> Table:
         paper=paper,
         dataset=run.dataset,
         n=(len(linear), len(seen), sum(row[judged[1]].startswith("yes") for row in seen)),
-        far=[f"{row['mechanism']} {level_text(row['level'])}".strip() for row in far],
+        far=[where_text(row["mechanism"], row["level"]) for row in rates if paper.differs(row)],
         n_rates=len(rates),
     )
-    columns += [replace(make.decided(name), align="right") for name in judged if is_own]
+    columns = [
+        *mechanism_columns(run.families),
+        make.said("metric", lambda row: METRICS[row["metric"]].title),
+        make.measured("paper", "paper"),
+        make.measured("ours", "ours", "ci_low", "ci_high"),
+        make.measured("ours - paper", "bias", sign="+"),
+        make.measured("paper's own error", "paper_error"),
+        *(replace(make.decided(name), align="right") for name in judged if is_own),
+    ]
     title = "The paper's numbers beside ours, privacy as shared; 95 % intervals"
     return make.built("paper", title, records, columns, notes=notes, n_headings=2, n_keys=4)
 
@@ -170,21 +160,20 @@ def flag_table(run: Results) -> Table:
 def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
     """Return the items of the verdict, a table for each section."""
     found = {}
-    sections = dict.fromkeys([*rules.SECTIONS, *(str(one["section"]) for one in items)])
-    for section in sections:
-        of = [one for one in items if one["section"] == section]
-        if not of:
+    for section in dict.fromkeys([*rules.SECTIONS, *(str(one["section"]) for one in items)]):
+        records = [_told(one) for one in items if one["section"] == section]
+        if not records:
             continue
-        records = [_told(one) for one in of]
-        aspects = ["adding", *(key for key in _ASPECTS if any(one[key] for one in records))]
+        aspects = "mechanism", "descriptor", "task", "criterion", "about"
+        keys = ["adding", *(key for key in aspects if any(one[key] for one in records))]
         columns = [
             make.decided("decision"),
             replace(make.said("what it says"), is_long=True),
-            *map(make.said, aspects),
+            *map(make.said, keys),
             Column("effect", partial(effect, signed=True)),
             make.counted("people", "", "n", digits=0),
         ]
-        if all("power" in one for one in of):
+        if all("power" in one for one in records):
             ends = ("prediction_error", "prediction_error_low", "prediction_error_high")
             columns += [
                 make.counted("people that show an equal", "", "n_needed", digits=0),
@@ -192,9 +181,9 @@ def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
                 make.said("power to show", _power),
                 make.counted("prediction error", "points", *ends, scale=100.0),
             ]
-        name, n_keys = f"verdict-{section}", 1 + len(aspects)
-        shape: dict[str, Any] = {"n_keys": n_keys, "notes": _untestable(records)}
-        found[section] = make.built(name, section.capitalize(), records, columns, **shape)
+        about = f"verdict-{section}", section.capitalize()
+        notes, n_keys = _untestable(records), 1 + len(keys)
+        found[section] = make.built(*about, records, columns, notes=notes, n_keys=n_keys)
     return found
 
 
@@ -218,8 +207,8 @@ def _power(item: Mapping[str, Any]) -> str:
 
 def _told(item: Mapping[str, Any]) -> dict[str, Any]:
     """Return an item with what it says in one sentence, and what it is about as over a column."""
-    why, descriptor, decision = item["why"], item["descriptor"], item["decision"].capitalize()
-    why = "" if why in item["sentence"] else why
+    descriptor, decision = item["descriptor"], item["decision"].capitalize()
+    why = "" if item["why"] in item["sentence"] else item["why"]
     of, is_claim = item.get("of", ""), item["section"] == rules.CLAIM
     return {
         **item,

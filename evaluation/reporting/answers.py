@@ -51,33 +51,25 @@ class Answer:
 
 
 def answers(run: Results, of: Headline | None = None) -> tuple[Answer, ...]:
-    """Return the five answers of a run, in the order in which they are asked.
-
-    `of` is what the first table shows, if who calls has it already.
-    """
-    if of is None:
-        of = headline_of(run)
+    """Return the five answers of a run in their order; `of` is its first table, if at hand."""
+    of = headline_of(run) if of is None else of
     where, choices = reference(of), list(_choices(of).items())
-    linked = [(one, value) for one in of.linked if (value := _both(of, where, one))]
     is_headline = where[0] not in of.known or of.known[where[0]].family in (*SWEPT, CLEAN)
     who = of.attacked.measure.source.label if of.attacked else ""
-    told = _told(run.verdict.get("items", []) if run.verdict else [])
+    told = _told(run.verdict.get("items", ()))
+    found = {one: text for one in (*of.robots, *of.linked) if (text := _both(of, where, one))}
     said = paragraphs(
         "answers.sentences",
         _WORDS,
         of=of,
         level=of.name(where),
-        lost=[
-            (robot_name(one.measure.consumer), value)
-            for one in of.robots
-            if (value := _both(of, where, one, is_raw_told=where[0] != RAW))
-        ],
+        lost=[(robot_name(one.measure.consumer), found[one]) for one in of.robots if one in found],
         shared=_both(of, where, of.shared),
         attacked=of.attacked and _both(of, where, of.attacked),
         other_law=of.attacked and of.at(where, of.attacked, other_law=True),
         who=who if is_headline else "the strongest attack on it",
         near=gap_text(of.gaps, where),
-        linked=linked,
+        linked=[(one, found[one]) for one in of.linked if one in found],
         told=told,
         linked_near=gap_text(of.gaps, where, told[0]["task"]) if told else "",
         # Where both rules say the same, it is said once.
@@ -100,25 +92,20 @@ def reference(of: Headline) -> Where:
     Raw of a run that adds nothing, or what else there is.
     """
     wheres = [where for where in of.wheres if of.known[where[0]].is_added]
-    if named := [where for one in HEADLINE for where in wheres if where == one]:
+    if named := [where for where in HEADLINE if where in wheres]:
         return named[0]
-
     plain = min(of.wheres, key=lambda where: where[0] != RAW, default=(RAW, None))
     costs = {where: one.value if (one := of.cost(where)) else -1.0 for where in wheres}
     return max(costs, key=costs.__getitem__, default=plain)
 
 
 def _told(items: Sequence[Mapping[str, Any]]) -> tuple[Any, ...] | None:
-    """Return the item that tells most whether descriptors tell, and what the others say.
+    """Return the item of the widest spread, how often each was decided, of which descriptors so.
 
-    That is the one with the widest spread; how often each decision was made; the descriptors of
-    which the same was decided; the spread and both ends of it.
+    Behind these the spread and both ends of it, of 100 people.
     """
-    mine = [
-        one
-        for one in items
-        if one["section"] == rules.VALIDITY and one["descriptor"] in DESCRIPTORS
-    ]
+    mine = [one for one in items if one["section"] == rules.VALIDITY]
+    mine = [one for one in mine if one["descriptor"] in DESCRIPTORS]
     if not mine:
         return None
     counts = Counter(one["decision"] for one in mine)
@@ -140,10 +127,7 @@ class _Choice(NamedTuple):
 
 
 def _choices(of: Headline) -> dict[str, _Choice]:
-    """Return the level of fewest missed conflicts that keeps the limit, or the closest to it.
-
-    By adding rule: "" where no mechanism has one.
-    """
+    """Return by adding rule, if any, the level that keeps the limit and misses fewest conflicts."""
     # By the adversary of the table: `design` asks who is strongest at each level.
     options = [
         _Choice(where, cost, left)
@@ -199,19 +183,18 @@ _WORDS: dict[str, Any] = {
 """What the template calls."""
 
 
-def _both(of: Headline, where: Where, one: Shown, *, is_raw_told: bool = False) -> str:
-    """Return a number at a level; in brackets the other adding rule's if it is another, and raw's.
-
-    It is another if the intervals are apart, by what matters at least.
-    """
-    value, raw = of.at(where, one), of.at((RAW, None), one) if is_raw_told else None
-    more = [f"raw {100 * raw.value:.1f} %"] if raw else []
+def _both(of: Headline, where: Where, one: Shown) -> str:
+    """Return a number at a level; in brackets the other adding rule's, and raw's of a robot."""
+    value = of.at(where, one)
     if value is None:
         return ""
+    raw = of.at((RAW, None), one) if one in of.robots and where[0] != RAW else None
+    more = [f"raw {100 * raw.value:.1f} %"] if raw else []
     mine = of.known[where[0]]
     for twin in of.known.values():
         other = of.at((twin.mechanism, where[1]), one) if twin.name == mine.name else None
         if other and twin.adding not in ("", mine.adding):
+            # Only if it is another: the intervals are apart, by what matters at least.
             apart = max(other.ci_low - value.ci_high, value.ci_low - other.ci_high)
             if apart > 0 and abs(other.value - value.value) >= _MATTERS:
                 more.insert(0, f"{twin.adding.replace('independent', 'ind.')} {share(other)}")

@@ -23,8 +23,7 @@ INKS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9",
 MARKERS: Final = "os^DvP*"
 """Colours as in `colours.css`, and shapes as in `chart.html.j2`, as matplotlib has them."""
 LOOKS: Final = len(INKS)
-Stroke: TypeAlias = "Sequence[Any]"
-"""Places (x, y) that a line goes through."""
+Stroke: TypeAlias = "Sequence[Any]"  # Places (x, y) that a line goes through.
 _STEPS: Final = (1.0, 2.0, 5.0, 10.0)
 _MOST_STEPS: Final = 5
 _TOP: Final = 6.0
@@ -78,6 +77,9 @@ class Curve(NamedTuple):
     name: str
     x: Floats  # (P,) in the unit of the axis
     y: Floats  # (3, P) values and both ends of their intervals, NaN where unknown
+
+
+Mark: TypeAlias = tuple[Look, float, float, str]  # x (infinite: the right edge), y, and name.
 
 
 class Axis(NamedTuple):
@@ -191,8 +193,8 @@ def plane_chart(
     if has_front and points:
         values = np.array([(one.x.value, one.y.value) for one in points])
         corners = values[front(*values.T)]
-        corners = corners[np.argsort(corners[:, 0])] * PERCENT
-        x, y = (np.repeat(of, 2) for of in (at_x(corners[:, 0]), at_y(corners[:, 1])))
+        across, up = corners[np.argsort(corners[:, 0])].T * PERCENT
+        x, y = np.repeat(at_x(across), 2), np.repeat(at_y(up), 2)
         chart.lines.append(("front", [[*zip([*x, _RIGHT], [_TOP, *y], strict=True)]]))
     for one in points:
         (x, *x_ends), (y, *y_ends) = at_x(_shares([one.x])), at_y(_shares([one.y]))
@@ -209,12 +211,11 @@ def curves_chart(
     x: Axis,
     y: Axis,
     across: Sequence[tuple[str, float]] = (),
-    marked: Sequence[tuple[Look, float, float, str]] = (),
+    marked: Sequence[Mark] = (),
 ) -> Chart:
     """Return curves on two axes from zero or logarithmic.
 
-    `across` are lines from side to side, a class and a value each; `marked` further marks with
-    their values and names, the first of which is infinite at the right edge.
+    `across` are lines from side to side, a class and a value each.
     """
     chart = Chart(x.label, 190.0, 40.0, y.label)
     at_x = chart.x_axis(np.concatenate([one.x for one in curves]), log=x.log)

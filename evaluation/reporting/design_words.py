@@ -2,7 +2,7 @@
 
 import math
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import partial
 from operator import itemgetter
@@ -26,8 +26,7 @@ from evaluation.verdict import choose_level as design
 from isac_track.intervals import Estimate
 from isac_track.kalman import steady
 
-_Row: TypeAlias = "tuple[str, str, str, design.Level | None]"
-"""Adding rule, mechanism, level, and what it comes to."""
+_Row: TypeAlias = "tuple[str, str, str, design.Level | None]"  # Rule, mechanism, level, numbers.
 _ANSWERED = ("met", "chosen", "stricter", "also_meets", "is_saturated")
 _CHECKED = ("name", "limit", "measured", "status")
 _UNMET = {
@@ -57,24 +56,22 @@ def to_json(choice: design.Choice) -> dict[str, Any]:
         }
         for one in choice.schemes
     ]
-    found: dict[str, Any] = _plain(
-        {
-            "met": choice.met,
-            "answer": sentence(choice),
-            "out": str(choice.out),
-            "dataset": dataset["name"],
-            "simulated": bool(dataset["simulated"]),
-            "scenes": identity["scenes"],
-            "seed": identity["seed"],
-            "predictor": choice.predictor,
-            "adding": choice.adding,
-            "limits": limits | {"as_shared": choice.limits.as_shared},
-            "raw": choice.raw,
-            "schemes": schemes,
-            "notes": notes(choice),
-        }
-    )
-    return found
+    answer = {
+        "met": choice.met,
+        "answer": sentence(choice),
+        "out": str(choice.out),
+        "dataset": dataset["name"],
+        "simulated": bool(dataset["simulated"]),
+        "scenes": identity["scenes"],
+        "seed": identity["seed"],
+        "predictor": choice.predictor,
+        "adding": choice.adding,
+        "limits": limits | {"as_shared": choice.limits.as_shared},
+        "raw": choice.raw,
+        "schemes": schemes,
+        "notes": notes(choice),
+    }
+    return {name: _plain(of) for name, of in answer.items()}
 
 
 def _plain(value: Any) -> Any:  # noqa: ANN401 - what JSON has
@@ -217,15 +214,10 @@ def notes(choice: design.Choice) -> list[str]:
 
 def show(choice: design.Choice, *, console: Console | None = None) -> None:
     """Print the answer in one sentence, the levels behind it, and why."""
-    console = terminal.standard_output() if console is None else console
-    terminal.show(_printed(choice, width=console.width), console=console)
-
-
-def _printed(choice: design.Choice, *, width: int) -> Iterator[terminal.Part]:
-    identity, dataset = choice.manifest["identity"], choice.manifest["dataset"]
+    console, identity = console or terminal.standard_output(), choice.manifest["identity"]
     about = (
-        f"{dataset['name']}: {scenes_text(identity)}, seed {identity['seed']}; predictor "
-        f"{choice.predictor}; 95 % intervals, whose upper ends must meet the limits"
+        f"{choice.manifest['dataset']['name']}: {scenes_text(identity)}, seed {identity['seed']}; "
+        f"predictor {choice.predictor}; 95 % intervals, whose upper ends must meet the limits"
     )
     units = ", ".join(f"{family} {unit}" for family, unit in LEVEL_UNITS.items())
     parts: list[terminal.Part] = [
@@ -246,20 +238,20 @@ def _printed(choice: design.Choice, *, width: int) -> Iterator[terminal.Part]:
     parts += [*[""] * bool(found), *((f"NOTICE: {note}", "yellow") for note in found)]
     for part in parts:
         if isinstance(part, Table) or not part:
-            yield part
+            terminal.show([part], console=console)
             continue
         text, style = (part, "") if isinstance(part, str) else part
         # The further lines of an item stand below its first word.
-        options: dict[str, Any] = {"subsequent_indent": "  " * text.startswith("- ")}
-        for line in textwrap.wrap(text, width, break_on_hyphens=False, **options):
-            yield line, style
+        below = "  " * text.startswith("- ")
+        lines = textwrap.wrap(text, console.width, break_on_hyphens=False, subsequent_indent=below)
+        terminal.show([(line, style) for line in lines], console=console)
 
 
 def answer_tables(choice: design.Choice) -> list[Table]:
     """Return the chosen levels beside raw: as shared, after a reconstruction, and linked."""
     rows: list[_Row] = [("", "raw", "", choice.raw)] if choice.raw else []
     for scheme in choice.schemes:
-        at = "none" if scheme.chosen is None else level_text(scheme.chosen.level)
+        at = level_text(scheme.chosen.level) if scheme.chosen else "none"
         rows.append((scheme.adding, scheme.name, at, scheme.chosen))
     keys = [make.said("adding", itemgetter(0)), make.said("", itemgetter(1))]
     keys.append(Column("level", lambda row: make.word(row[2])))

@@ -1,7 +1,7 @@
 """What differs, on the terminal and as JSON: two runs, other assumptions, other constants."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,6 @@ from evaluation.reporting import terminal
 from evaluation.reporting.announcements import scenes_text
 from evaluation.reporting.markup import paragraphs
 from evaluation.reporting.table import Cell, Column, Table
-from evaluation.reporting.terminal import Part
 from evaluation.verdict import sensitivity
 from evaluation.verdict.rules import SECTIONS
 
@@ -41,10 +40,7 @@ _ABOUT_CONSTANTS = (
 
 
 def to_json(comparison: comparing.Comparison, *, every: bool = False) -> dict[str, Any]:
-    """Return a comparison as one object of plain values; what is unknown is None.
-
-    `every` adds the numbers that are not in the headline.
-    """
+    """Return a comparison, its headline or `every` number, in plain values; None is unknown."""
     rows = comparison.rows if every else comparison.headline
     return {
         "a": comparison.a,
@@ -76,15 +72,8 @@ def _plain(rows: pd.DataFrame) -> list[dict[Any, Any]]:
 def show(
     comparison: comparing.Comparison, *, every: bool = False, console: Console | None = None
 ) -> None:
-    """Print what changed, how much of it counts, and the surest differences.
-
-    `every` shows all numbers that are not identical instead of the surest of the headline.
-    """
-    console = terminal.standard_output() if console is None else console
-    terminal.show(_printed(comparison, every=every, room=console.width), console=console)
-
-
-def _printed(comparison: comparing.Comparison, *, every: bool, room: int) -> Iterator[Part]:
+    """Print what changed, how much of it counts, and the surest differences, or `every` one."""
+    console = console or terminal.standard_output()
     rows = comparison.rows if every else comparison.headline
     other = rows[rows["finding"] != comparing.IDENTICAL]
     shown = other if every else other.head(_MOST_SHOWN)
@@ -107,12 +96,13 @@ def _printed(comparison: comparing.Comparison, *, every: bool, room: int) -> Ite
         short_list=comparing.short_list,
         significance=f"{comparing.SIGNIFICANCE:g}",
     )
-    yield from terminal.laid_out(
+    parts = terminal.laid_out(
         said,
         lead=[lead(comparison.lead)],
         changed=terminal.aligned(changed, left={0, 1, 2}),
-        differences=[differences(shown, of=len(other), room=room)],
+        differences=[differences(shown, of=len(other), room=console.width)],
     )
+    terminal.show(parts, console=console)
 
 
 def _value(setting: object) -> str:
@@ -121,12 +111,8 @@ def _value(setting: object) -> str:
 
 def lead(shown: pd.DataFrame) -> Table:
     """Return the table of what tells most."""
-
-    def of(row: Mapping[Any, Any]) -> str:
-        return f"{METRICS[row['metric']].title}, {Source(row['consumer'], row['knowledge']).label}"
-
     keys = [
-        make.said("", of),
+        make.said("", lambda row: f"{METRICS[row['metric']].title}, {_source(row)}"),
         make.said("", lambda row: where_text(row["mechanism"], row["level"])),
     ]
     title = "What tells most, B - A with 95 % intervals, p after Holm"
@@ -160,16 +146,19 @@ def _table(name: str, title: str, shown: pd.DataFrame, keys: Sequence[Column]) -
 
     columns = [*keys, make.measured("A", "a"), make.measured("B", "b")]
     columns += [Column("B - A", change), Column("p", p_value)]
-    options: dict[str, Any] = {"marks": {mark: _PAIRED[kind] for kind, mark in _MARKS.items()}}
-    options |= {"n_headings": 1, "n_keys": len(keys)}
+    meaning = {mark: _PAIRED[kind] for kind, mark in _MARKS.items()}
+    options: dict[str, Any] = {"marks": meaning, "n_headings": 1, "n_keys": len(keys)}
     return make.built(name, title, shown.to_dict("records"), columns, **options)
 
 
 def _heading(row: Mapping[Any, Any], *, room: int) -> str:
-    source = Source(row["consumer"], row["knowledge"]).label
-    if len(full := f"{source}: {with_unit(row['mechanism'])}") <= room:
+    if len(full := f"{_source(row)}: {with_unit(row['mechanism'])}") <= room:
         return full
-    return make.shortened(f"{source}: {row['mechanism']}", room=room)
+    return make.shortened(f"{_source(row)}: {row['mechanism']}", room=room)
+
+
+def _source(row: Mapping[Any, Any]) -> str:
+    return Source(row["consumer"], row["knowledge"]).label
 
 
 def turned(rows: pd.DataFrame) -> list[str]:
@@ -190,10 +179,7 @@ def _short(value: float, unit: str) -> str:
 def variants_json(
     rows: pd.DataFrame, variants: list[dict[str, Any]], *, out: Path
 ) -> dict[str, Any]:
-    """Return the table as one object of plain values; what is unknown is None.
-
-    `variants` is what became of those that were asked for.
-    """
+    """Return the table and what became of the `variants` in plain values; None is unknown."""
     return {
         "out": str(out),
         "variants": variants,

@@ -1,7 +1,4 @@
-"""The first screen of a run: the data, one table, five answers, doubts, and where to read on.
-
-At most 40 lines of 80 columns, with what was said before it; all else is in `tables.txt`.
-"""
+"""The first screen of a run, at most 40 lines of 80 columns; all else is in `tables.txt`."""
 
 import math
 import shlex
@@ -37,12 +34,9 @@ _SLACK: Final = 0.05  # Of missed conflicts, above what raw costs: what the next
 def first_screen(run: Results, *, before: int = _BEFORE) -> list[str]:
     """Return the lines; `before` of them were printed already, which leaves levels less room."""
     of = headline_of(run)
-    said = [
-        f"{place} {one.topic}: {one.sentence}"
-        for place, one in enumerate(answers(run, of), start=1)
-    ]
-    rest = [*said, f"Doubts: {', '.join(_doubts(run, of)) or 'none'}."]
-    lines = [line for text in rest for line in wrapped(text)]
+    said = [f"{n} {one.topic}: {one.sentence}" for n, one in enumerate(answers(run, of), start=1)]
+    said.append(f"Doubts: {', '.join(_doubts(run, of)) or 'none'}.")
+    lines = [line for text in said for line in wrapped(text)]
     top, last = wrapped(data_line(run.manifest)), _next(run, of)
     # Heads; chance and widths; where to read on.
     fixed = len([*top, *lines, *last, *_read_on(run, _MANY)]) + 2 + 2
@@ -101,7 +95,7 @@ def _doubts(run: Results, of: Headline) -> list[str]:
     ]
     is_linked = (run.linkability["cohort"] == "all") & (run.linkability["knowledge"] != "")
     linked = run.linkability.loc[is_linked, "invalid"].fillna("")
-    controls = (run.verdict or {}).get("controls", ())
+    controls = run.verdict.get("controls", ())
     linkage = run.manifest.get("linkage") or {}
     tasks = linkage.get("tasks", {}).values()
     return paragraphs(

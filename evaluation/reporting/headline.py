@@ -1,12 +1,10 @@
-"""The table that comes first, on the screen and in the README: few levels, few numbers, all kinds.
-
-What noise costs a robot, what is known of positions, and who is found again, level by level.
-"""
+"""The first table: what noise costs a robot, what is known, and who is found again, by level."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from typing import Final
 
 import numpy as np
@@ -16,7 +14,7 @@ from evaluation.analysis.bounds import Gap, gaps
 from evaluation.analysis.families import CLEAN, SWEPT, Family, families_in
 from evaluation.analysis.keys import AS_SHARED, Key, Measure, Source, Where, worlds_of
 from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE, SUCCESS, SUCCESS_OF_100
-from evaluation.analysis.strongest import by_task, strongest, strongest_of
+from evaluation.analysis.strongest import by_mechanism, by_task, strongest, strongest_of
 from evaluation.experiment.constants import OTHER_LAW_WORLD
 from evaluation.reporting import table as make
 from evaluation.reporting.rows import HEADLINE, estimates, short_name, spoken
@@ -113,56 +111,48 @@ def headline(
     if attacks is None:
         attacks = {task: one.attack for task, one in strongest(found, known).items()}
     able = own.loc[own["metric"] == MISSED_RATE, "consumer"].unique().tolist()
-    best = attacks.get("")
+    best, wheres = attacks.get(""), dict.fromkeys(key.where for key in found)
     return Headline(
         known=known,
         found=found | _own_strongest(found, known, attacks),
         other_law=estimates(rows[world == OTHER_LAW_WORLD]),
         gaps=gaps(summary),
-        robots=[
-            Shown(_MISSED, robot_name(name).split()[-1], Measure(name, MISSED_RATE))
-            for name in _robots(able)
-        ],
+        robots=_robots(able),
         shared=Shown(_KNOWN, "shared", AS_SHARED.measure(EXPOSURE)),
         attacked=Shown(_KNOWN, "attack", best.measure(EXPOSURE)) if best else None,
         linked=_linked(attacks, found, linkability),
-        wheres=sorted(
-            dict.fromkeys(key.where for key in found),
-            key=lambda where: known[where[0]].family == CLEAN,
-        ),
+        wheres=sorted(wheres, key=lambda where: known[where[0]].family == CLEAN),
     )
 
 
-def _robots(able: Sequence[str]) -> list[str]:
+def _robots(able: Sequence[str]) -> list[Shown]:
     """Return the predictors that are shown: after the first of `ROBOTS` comes what a user adds."""
     known = [one for one in ROBOTS if one in able]
     others = [one for one in able if one not in ROBOTS]
     added = [one for one in others if one not in _BESIDE]
-    rest = [*known[1:], *others] if len(known) <= 1 else known[1:]
-    return list(dict.fromkeys([*known[:1], *added, *rest]))[:_MOST_ROBOTS]
+    names = list(dict.fromkeys([*known[:1], *added, *(known[1:] or others)]))[:_MOST_ROBOTS]
+    return [
+        Shown(_MISSED, robot_name(name).split()[-1], Measure(name, MISSED_RATE)) for name in names
+    ]
 
 
 def _own_strongest(
     found: Mapping[Key, Estimate], known: Mapping[str, Family], attacks: Mapping[str, Source]
 ) -> dict[Key, Estimate]:
-    """Return, under the headline's name, who is strongest against each other mechanism.
-
-    The headline is chosen over raw, fixed noise and FID: others it would flatter.
-    """
+    """Return, under the headline's name, who is strongest against each other mechanism."""
+    # The headline is chosen over raw, fixed noise and FID: others it would flatter.
     mine: dict[Key, Estimate] = {}
     for by, metrics in ((EXPOSURE, (EXPOSURE,)), (SUCCESS, (SUCCESS, SUCCESS_OF_100))):
         for task, blocks in by_task(found, metric=by).items():
-            others = {name for name, _ in blocks if known[name].family not in (*SWEPT, CLEAN)}
-            for name in others if task in attacks else ():
-                of = {where: block for where, block in blocks.items() if where[0] == name}
-                headline = _headline(task, attacks)
-                best = strongest_of(of.values()) or headline
-                mine |= {
-                    headline.measure(metric).at(*where): found[key]
-                    for where in of
-                    for metric in metrics
-                    if (key := best.measure(metric).at(*where)) in found
-                }
+            for name, of in by_mechanism(blocks).items():
+                if task in attacks and known[name].family not in (*SWEPT, CLEAN):
+                    headline = _headline(task, attacks)
+                    best = strongest_of(of) or headline
+                    mine |= {
+                        headline.measure(metric).at(*where): found[key]
+                        for where, metric in product(blocks, metrics)
+                        if where[0] == name and (key := best.measure(metric).at(*where)) in found
+                    }
     return mine
 
 
@@ -236,19 +226,15 @@ def screen_table(of: Headline, levels: Sequence[Where]) -> Table:
         for where in levels
     ]
     sizes = [f"{one.candidates:.0f}" for one in shown if math.isfinite(one.candidates)]
-    widths = [
-        pd.Series([0.5 * (x.ci_high - x.ci_low) for where in levels if (x := of.at(where, one))])
-        for one in shown
-    ]
+    known = [[x for where in levels if (x := of.at(where, one))] for one in shown]
+    widths = (pd.Series([0.5 * (x.ci_high - x.ci_low) for x in some]) for some in known)
     below = {
         "chance" + f" of {', '.join(sizes)}" * bool(sizes): [one.chance for one in shown],
-        "+- (95 %, typical)": [of_one.median() for of_one in widths],
+        "+- (95 %, typical)": [some.median() for some in widths],
     }
-    rows += [
-        [make.word(name), *(make.number(value, scale=100.0) for value in values)]
-        for name, values in below.items()
-        if np.isfinite(values).any()
-    ]
+    for name, values in below.items():
+        if np.isfinite(values).any():
+            rows.append([make.word(name), *(make.number(one, scale=100.0) for one in values)])
     columns = [Column("sharing"), *(Column(one.name, above=one.above) for one in shown)]
     return Table("screen", "", columns, rows)
 

@@ -4,8 +4,7 @@ import math
 
 from isac_track.kalman import steady
 
-_TAU_S, _SEEN_S = 5.0, 30.0
-"""Of the slow error that is proposed beside, and for how long a walk is seen."""
+_TAU_S, _SEEN_S = 5.0, 30.0  # Of the slow error that is proposed; how long a walk is seen.
 
 
 def told(*, plr: float, epsilon_m: float, q: float, dt_s: float) -> list[str]:

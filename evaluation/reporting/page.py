@@ -1,7 +1,4 @@
-"""`report.html`: the whole run on one page that asks nothing of anybody.
-
-One file without a request to anywhere, readable on a phone and in print, light and dark.
-"""
+"""`report.html`: the whole run in a file without requests, for phone and print, light and dark."""
 
 import re
 from collections.abc import Sequence

@@ -55,11 +55,10 @@ def progress_bar(said: list[str]) -> Iterator[Callable[[int, int | None, str], N
 
     is_notebook = Console().is_jupyter
     console, clock, marks = Console(stderr=True, force_jupyter=False), Clock(), list(_MARKS)
-    columns = "{task.description}", "{task.fields[clock]}"
     with progress.Progress(
-        progress.TextColumn(columns[0], markup=False),
+        progress.TextColumn("{task.description}", markup=False),
         progress.BarColumn(bar_width=_BAR),
-        progress.TextColumn(columns[1], markup=False),
+        progress.TextColumn("{task.fields[clock]}", markup=False),
         console=console,
         disable=not console.is_terminal,
         transient=True,

@@ -84,7 +84,6 @@ def sweep_tables(summary: pd.DataFrame) -> list[Table]:
 def _by_level(
     name: str, title: str, rows: pd.DataFrame, columns: list[Column], *, notes: list[str]
 ) -> Table:
-    """Return a table with a row for each mechanism level."""
     records = [
         {"mechanism": mechanism, "level": at, "of": of}
         for (mechanism, at), of in picked.by_level(rows).items()
@@ -95,7 +94,6 @@ def _by_level(
 
 
 def _cell(source: Source, metric: str, level: Mapping[str, Any]) -> Cell:
-    """Return the cell of a metric of some positions at a level with its rows."""
     one = level["of"].get(source, {}).get(metric)
     return make.estimated(metric, one) if one else Cell()
 
@@ -115,10 +113,9 @@ def sources_of(rows: pd.DataFrame) -> list[Source]:
 
 
 def exposure_table(summary: pd.DataFrame, *, slow: Collection[str] = ()) -> Table:
-    """Return PLR as shared and after each attack, all levels.
+    """Return PLR as shared and after each attack, of the adversary that knows most, all levels.
 
-    Of each attack the adversary is shown that knows most, short of the oracle. `slow` attacks saw
-    one release of each source track only; a note says so.
+    `slow` attacks saw one release of each source track only; a note says so.
     """
     rows = after_attack(summary)
     rows = rows[rows["metric"] == EXPOSURE]
@@ -143,10 +140,8 @@ def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
     known, blocks = families_in(rows), picked.by_level(rows)
     title = "After attack, every adversary" if only is None else f"After {only.label}"
     title = "As shared" if only == AS_SHARED else title
-    told = []
-    for where in picked.telling(blocks, known) if only is None else blocks:
-        about = {"mechanism": where[0], "level": where[1]}
-        told += [about | row for row in _merged(blocks[where])]
+    wheres = picked.telling(blocks, known) if only is None else blocks
+    told = [row for where in wheres for row in _merged(*where, blocks[where])]
     columns = [
         *picked.mechanism_columns(known),
         *map(make.said, ("positions", "adversary")),
@@ -156,7 +151,7 @@ def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
     return make.built("attacks", title, told, columns, n_headings=3, n_keys=5)
 
 
-def _merged(found: Mapping[Source, Any]) -> list[dict[str, Any]]:
+def _merged(name: str, at: float | None, found: Mapping[Source, Any]) -> list[dict[str, Any]]:
     """Return the rows of a level; one for adversaries whose numbers are the same."""
     cells = {
         source: {metric: _cell(source, metric, {"of": found}) for metric in RECONSTRUCTION}
@@ -175,9 +170,10 @@ def _merged(found: Mapping[Source, Any]) -> list[dict[str, Any]]:
     for (consumer, _), sources in groups.items():
         knows = [source.knowledge for source in sources]
         is_any = len(sources) == consumers.count(consumer) > 1
-        positions = "as shared" if knows == [""] else consumer
-        adversary = "any" if is_any else ", ".join(knows)
-        rows.append({"positions": positions, "adversary": adversary, **cells[sources[0]]})
+        row: dict[str, Any] = {"mechanism": name, "level": at, **cells[sources[0]]}
+        row["positions"] = "as shared" if knows == [""] else consumer
+        row["adversary"] = "any" if is_any else ", ".join(knows)
+        rows.append(row)
     return rows
 
 

@@ -14,15 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.families import (
-    ADDING_RULES,
-    FID,
-    FIXED,
-    LEVEL_UNITS,
-    RAW,
-    Family,
-    families_in,
-)
+from evaluation.analysis.families import ADDING_RULES, FID, FIXED, LEVEL_UNITS, Family, families_in
 from evaluation.analysis.keys import Key, Source, Where, keys_of, level_text
 from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS
 from evaluation.experiment.presets import DISSOCIATION, SHARED
@@ -41,8 +33,7 @@ CONTROLS: Final = frozenset(spec.partition(":")[0] for spec in DISSOCIATION)
 """Families that are there to tear a descriptor and linkability apart."""
 HEADLINE: Final = (("raw", None), ("fid", 1.0), ("fid", 1000.0), ("fixed", 0.7), ("fixed", 1.0))
 """The few levels that tell the story: mechanism without its adding rule, and level."""
-_LOG_SPAN = 30.0
-"""An axis is logarithmic where the levels of a mechanism that we do not know span more."""
+_LOG_SPAN = 30.0  # The axis of a mechanism that we do not know is logarithmic from there on.
 _LEVELS: Final = {FID: "η = {}", FIXED: "{} m"}
 _KNOWN: Final = {
     FID: ("FID-controlled sharing", "FID threshold η (1/(m² s))", True),
@@ -51,10 +42,10 @@ _KNOWN: Final = {
 ENDS: Final = ["value", "ci_low", "ci_high"]  # Columns of an estimate.
 STRONGEST: Final = "strongest"
 AFTER: Final = "_after"  # Ends the name of a descriptor after the strongest attack.
-SHORT: Final = {"missed": MISSED_RATE, "false_alarm": "false_alarm_rate"}
-"""Names of metrics that are long to type."""
+SHORT: Final = {"missed": MISSED_RATE, "false_alarm": "false_alarm_rate"}  # Long to type.
 _AT: Final = ["family", "level", "adding"]
 _MOST_SHOWN = 14
+_CURVE = 3  # Levels that make one.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -191,9 +182,8 @@ class Results:
 
         of_y = self._scaled(y, task=task, robot=robot)
         of_x = of_y.assign(value=of_y["level"], ci_low=math.nan, ci_high=math.nan)
-        of_x.attrs["title"] = "; ".join(
-            ["level", *(f"{name} {unit}" for name, unit in LEVEL_UNITS.items())]
-        )
+        units = (f"{name} {unit}" for name, unit in LEVEL_UNITS.items())
+        of_x.attrs["title"] = "; ".join(["level", *units])
         if x != "level":
             of_x = self._scaled(x, task=task, robot=robot)
         both = of_x.merge(of_y, on=_AT, suffixes=("_x", "_y"))
@@ -207,7 +197,7 @@ class Results:
             ordered = rows.sort_values("level")
             (x_at, x_error), (y_at, y_error) = (_bars(ordered, one) for one in "xy")
             mechanism = known[str(family), str(adding)]
-            look = looks.get(mechanism, looks[RAW]._replace(hollow=True))  # clean
+            look = looks.get(mechanism, looks["raw"]._replace(hollow=True))  # clean
             name = f"{family} {adding}".rstrip()
             ink: dict[str, Any] = {"color": INKS[look.place], "label": name}
             if x == "level" and not x_at.any():  # raw has none
@@ -278,11 +268,6 @@ def spoken(name: str) -> str:
     return re.sub(r"^[\w.]*\.\w+:(?=[A-Za-z])", "", name)
 
 
-def is_control(one: Family) -> bool:
-    """Whether a mechanism is there to tear a descriptor and linkability apart."""
-    return one.family in CONTROLS
-
-
 def mechanism_columns(known: Mapping[str, Family]) -> list[Column]:
     """Return the columns mechanism, adding rule and level of records that have them."""
     return [
@@ -331,12 +316,11 @@ def telling(
         levels.setdefault(mechanism, []).append(at)
     of = {mechanism: family_of(known, mechanism) for mechanism in levels}
     named = {name for name, _ in HEADLINE}
-    told: dict[str, list[float | None]] = {}
+    told = {name: list(dict.fromkeys([ats[0], ats[-1]])) for name, ats in levels.items()}
     for mechanism, ats in levels.items():
-        told[mechanism] = list(dict.fromkeys([ats[0], ats[-1]]))
         if of[mechanism].name in named:
             told[mechanism] = [at for at in ats if (of[mechanism].name, at) in HEADLINE]
-        elif is_control(of[mechanism]):
+        elif of[mechanism].family in CONTROLS:
             told[mechanism] = [at for at in ats if controls or at is None]
     if not any(set(told[name]) - {None} for name in told if of[name].name in named):
         told = levels
@@ -375,9 +359,6 @@ class Scheme:
         return rows.sort_values("level")
 
 
-_CURVE = 3  # Levels that make one.
-
-
 def schemes(summary: pd.DataFrame, *, as_points: bool = False) -> list[Scheme]:
     """Return what is swept in a run: every mechanism with levels but the controls.
 
@@ -385,14 +366,10 @@ def schemes(summary: pd.DataFrame, *, as_points: bool = False) -> list[Scheme]:
     sweep: those are among them only `as_points`. FID and fixed noise come first, the others in the
     order of the run; adding rules of one stand together.
     """
-    levels = (
-        summary.dropna(subset="level").groupby("mechanism")["level"].agg(["min", "max", "nunique"])
-    )
-    swept = [
-        one
-        for name, one in families_in(summary).items()
-        if one.is_added and not is_control(one) and name in levels.index
-    ]
+    by_mechanism = summary.dropna(subset="level").groupby("mechanism")
+    levels = by_mechanism["level"].agg(["min", "max", "nunique"])
+    swept = [one for one in families_in(summary).values() if one.mechanism in levels.index]
+    swept = [one for one in swept if one.is_added and one.family not in CONTROLS]
     most = min(_CURVE, levels["nunique"].max()) if swept else 0
     if not as_points:
         enough = set(levels.index[levels["nunique"] >= most])

@@ -10,8 +10,7 @@ from evaluation.reporting.charts import CHARACTER, PERCENT, Chart, Look, bar
 from evaluation.reporting.markup import HTML
 from evaluation.reporting.rows import ENDS
 
-SET_CONSTANTS: Final = "students03"
-"""The recording that the constants of the sensing model were fitted on."""
+SET_CONSTANTS: Final = "students03"  # The constants of the sensing model were fitted on it.
 _STEP: Final = 14.0
 _PREDICTED: Final = "a further recording"
 
@@ -37,10 +36,7 @@ def render(of: Sequence[Answered], *, simulated: frozenset[str], runs: Iterable[
 
 
 def _forest(one: Answered, simulated: frozenset[str]) -> Forest:
-    """Return a row for each recording with its value and interval, fractions shown in points.
-
-    The axis reaches below zero where a number does; zero is a line.
-    """
+    """Return a row for each recording with its value and interval, fractions shown in points."""
     rows = {
         row["recording"]
         + " (simulated)" * (row["recording"] in simulated)

@@ -1,7 +1,4 @@
-"""A table of results: built once from the frames of a run, rendered in four ways.
-
-`terminal.show_table` prints it, `markup` makes LaTeX and Markdown, the page's templates HTML of it.
-"""
+"""A table of results: built once, rendered by `terminal`, `markup`, and the templates of a page."""
 
 from __future__ import annotations
 

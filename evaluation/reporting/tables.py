@@ -85,10 +85,9 @@ def _everything(run: Results) -> Iterator[Part]:
         note = "(Not adjusted: of two equally good attacks, a flag at one level in 40.)"
         yield ""
         yield from ((line, "yellow") for line in [*flags, note])
-    if run.verdict and run.verdict["items"]:
-        yield ""
-        yield "Verdict", "bold"
-        yield from answers.item_tables(run.verdict["items"]).values()
+    if items := run.verdict.get("items"):
+        yield from ("", ("Verdict", "bold"))
+        yield from answers.item_tables(items).values()
         yield "(In words, with reasons: verdict.json.)"
     for line in failed_lines(run.failed):
         yield f"failed: {line}", "red"
@@ -96,7 +95,6 @@ def _everything(run: Results) -> Iterator[Part]:
 
 def page_tables(run: Results) -> dict[str, Table]:
     """Return the tables of the page by name; none of them is empty."""
-    items = run.verdict["items"] if run.verdict else []
     title = "The pictures in numbers, at every level; 95 % intervals"
     found = [
         replace(headline_table(headline_of(run)), title=title),
@@ -111,7 +109,7 @@ def page_tables(run: Results) -> dict[str, Table]:
         measured.strength_table(run),
         answers.flag_table(run),
         measured.doubt_table(run),
-        *answers.item_tables(items).values(),
+        *answers.item_tables(run.verdict.get("items", ())).values(),
     ]
     return {one.name: one for one in found if one.rows}
 
@@ -191,8 +189,7 @@ def write_docs(run: Results, *, root: Path) -> list[Path]:
     changed = [path]
     for page in (root / "README.md", *sorted((root / "docs").glob("*.md"))):
         text = page.read_text(encoding="utf-8")
-        new = filled(text, results=results)
-        if new != text:
+        if (new := filled(text, results=results)) != text:
             write_whole(page, new.encode())
             changed.append(page)
     return changed

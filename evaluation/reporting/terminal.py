@@ -12,8 +12,7 @@ from rich.text import Text
 from evaluation.reporting.table import Table, printable
 
 PIPE_WIDTH = 116  # Columns where there is no terminal: room for every interval of a sweep.
-Part: TypeAlias = "Table | str | tuple[str, str]"
-"""Of what is printed: a table, or a text, which may have a style."""
+Part: TypeAlias = "Table | str | tuple[str, str]"  # A table, or a text, which may have a style.
 _HEAD_WIDTH = 10
 
 
@@ -25,7 +24,7 @@ def standard_output() -> Console:
 
 def show(parts: Iterable[Part], *, console: Console | None = None) -> None:
     """Print tables, paragraphs with or without a style, and empty lines for empty texts."""
-    console = standard_output() if console is None else console
+    console = console or standard_output()
     for part in parts:
         text, style = part if isinstance(part, tuple) else (part, "")
         if isinstance(text, Table):
@@ -56,12 +55,11 @@ def literal(console: Console, text: str) -> str:
 
 def aligned(rows: Sequence[Sequence[str]], *, left: Collection[int] = frozenset()) -> list[str]:
     """Return the rows as lines whose columns line up, to the right of them except in `left`."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    places = list(enumerate(widths))
-    return [
-        "  ".join(row[n].ljust(w) if n in left else row[n].rjust(w) for n, w in places).rstrip()
-        for row in rows
-    ]
+    columns = []
+    for n, column in enumerate(zip(*rows, strict=True)):
+        width = max(map(len, column))
+        columns.append([one.ljust(width) if n in left else one.rjust(width) for one in column])
+    return ["  ".join(row).rstrip() for row in zip(*columns, strict=True)]
 
 
 def show_table(table: Table, *, console: Console) -> None:
@@ -73,19 +71,16 @@ def show_table(table: Table, *, console: Console) -> None:
         return
     shown = [place for place, column in enumerate(table.columns) if not column.is_long]
     columns = {place: _column(table, place) for place in shown}
-    depth = max(len(column) for column in columns.values()) - len(table.rows)
-    columns = {
-        place: [""] * (depth + len(table.rows) - len(column)) + column
-        for place, column in columns.items()
-    }
-    left = [place for place in shown if table.columns[place].align == "left"]
+    height = max(map(len, columns.values()))
+    columns = {place: [""] * (height - len(one)) + one for place, one in columns.items()}
     for part in _parts(shown[: table.n_keys], shown[table.n_keys :], columns, width=console.width):
         console.print()
         say(console, table.title, "bold", wrap=True)
         rows = list(zip(*(columns[place] for place in part), strict=True))
-        at_left = {n for n, place in enumerate(part) if place in left}
-        for place, line in enumerate(aligned(rows, left=at_left)):
-            say(console, line, "bold" if place < depth else "", wrap=len(line) > console.width)
+        left = {n for n, place in enumerate(part) if table.columns[place].align == "left"}
+        for n, line in enumerate(aligned(rows, left=left)):
+            style = "bold" if n < height - len(table.rows) else ""
+            say(console, line, style, wrap=len(line) > console.width)
     for note in [*([f"({table.legend})"] if table.legend else []), *table.notes]:
         say(console, note, wrap=True)
 

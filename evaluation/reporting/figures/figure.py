@@ -74,8 +74,7 @@ def write(figures: Iterable[Figure], *, folder: Path, dataset: str, pdf: bool) -
         folder.mkdir(parents=True, exist_ok=True)
     template = HTML.get_template("figure.svg.j2")
     for of in figures:
-        title = f"{shortened(dataset, room=_ROOM)}: {of.title}"
-        one = replace(of, title=printable(title))
+        one = replace(of, title=printable(f"{shortened(dataset, room=_ROOM)}: {of.title}"))
         text = template.render(of=one, at=_layout(one))
         write_whole(folder / f"{one.name}.svg", text.encode())
         if pdf:
@@ -133,8 +132,7 @@ def _printed(of: Figure) -> bytes:
         for x, y, name, look in at.key:
             _mark(ax, x, y, look)
             ax.text(x + 8.0, y + 3.0, name, fontsize=8.5)
-        sink = io.BytesIO()
-        dated = dict.fromkeys(("CreationDate", "Creator", "Producer"))
+        sink, dated = io.BytesIO(), dict.fromkeys(("CreationDate", "Creator", "Producer"))
         page.savefig(sink, format="pdf", metadata=dated)
     return sink.getvalue()
 

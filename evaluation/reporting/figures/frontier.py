@@ -1,6 +1,6 @@
 """What is left at a price: attacked PLR of every family where missed conflicts rise by a target."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import numpy as np
 import pandas as pd
@@ -10,7 +10,7 @@ from evaluation.analysis.keys import AS_SHARED, Source, rows_of
 from evaluation.analysis.matching import AT_EQUAL_ALARMS
 from evaluation.analysis.metrics import EXPOSURE
 from evaluation.analysis.strongest import HEADLINE
-from evaluation.reporting.charts import LOOKS, PERCENT, Axis, Curve, Look, curves_chart
+from evaluation.reporting.charts import LOOKS, PERCENT, Axis, Curve, Look, Mark, curves_chart
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.rows import Results, family_of
 
@@ -30,11 +30,18 @@ def figures(run: Results) -> Iterator[Figure]:
     for robot, known in of.groupby("robot", sort=False):
         rows = {str(name): part for name, part in known.groupby("mechanism", sort=False)}
         for start in range(0, max(len(names), 1), _MOST):
-            # A mechanism looks alike for every robot.
-            of_panel = [WHITE, *names[start : start + _MOST]]
-            shown = {name: Look(place) for place, name in enumerate(of_panel) if name in rows}
             which = f", {start // _MOST + 1}" if len(names) > _MOST else ""
-            curves, marked = _drawn(run, rows, shown, key, which)
+            curves, marked = list[Curve](), list[Mark]()
+            # A mechanism looks alike for every robot.
+            for place, name in enumerate([WHITE, *names[start : start + _MOST]]):
+                if name in rows:
+                    family = family_of(run.families, name)
+                    rule = " ind." * (family.adding == "independent")
+                    title = "white" if name == WHITE else f"{family.name}{rule}{which}"
+                    key[title] = Look(place)
+                    curve, marks = _drawn(rows[name], title, Look(place))
+                    curves.append(curve)
+                    marked += marks
             if curves:
                 x, y = Axis("rise of missed conflicts (points)"), Axis("PLR, attacked (%)")
                 panels.append((f"{robot}{which}", curves_chart(curves, x=x, y=y, marked=marked)))
@@ -43,28 +50,15 @@ def figures(run: Results) -> Iterator[Figure]:
     yield Figure("frontier", "plane", title, panels, 2, key, said)
 
 
-def _drawn(
-    run: Results,
-    rows: Mapping[str, pd.DataFrame],
-    shown: Mapping[str, Look],
-    key: dict[str, Look],
-    which: str,
-) -> tuple[list[Curve], list[tuple[Look, float, float, str]]]:
-    """Return the line of each family, and a hollow mark for what an adversary gets beyond it."""
-    curves, marked = list[Curve](), list[tuple[Look, float, float, str]]()
-    for name, look in shown.items():
-        family = family_of(run.families, name)
-        rule = " ind." * (family.adding == "independent")
-        title = "white" if name == WHITE else f"{family.name}{rule}{which}"
-        key[title] = look
-        usual = rows[name]["knowledge"].isin(HEADLINE)
-        of = rows[name][usual]
-        ends = of[list(VALUE)].to_numpy(dtype=np.float64).T * PERCENT
-        x = of["target"].to_numpy(dtype=np.float64) * PERCENT
-        told = ", ".join(f"{y:.0f} % at +{at:g}" for at, y in zip(x, ends[0], strict=True))
-        curves.append(Curve(look, f"{title}: {told}", x, ends))
-        for one in rows_of(rows[name][~usual]):
-            at, value = PERCENT * one["target"], PERCENT * one["value"]
-            who = f"{title}, after {Source(one['consumer'], one['knowledge']).label}"
-            marked.append((look._replace(hollow=True), at, value, f"{who}: {value:.0f} %"))
-    return curves, marked
+def _drawn(rows: pd.DataFrame, title: str, look: Look) -> tuple[Curve, list[Mark]]:
+    """Return the line of a family, and a hollow mark for what an adversary gets beyond it."""
+    is_usual, marks = rows["knowledge"].isin(HEADLINE), list[Mark]()
+    of = rows[is_usual]
+    ends = of[list(VALUE)].to_numpy(dtype=np.float64).T * PERCENT
+    x = of["target"].to_numpy(dtype=np.float64) * PERCENT
+    told = ", ".join(f"{y:.0f} % at +{at:g}" for at, y in zip(x, ends[0], strict=True))
+    for one in rows_of(rows[~is_usual]):
+        at, value = PERCENT * one["target"], PERCENT * one["value"]
+        who = f"{title}, after {Source(one['consumer'], one['knowledge']).label}"
+        marks.append((look._replace(hollow=True), at, value, f"{who}: {value:.0f} %"))
+    return Curve(look, f"{title}: {told}", x, ends), marks

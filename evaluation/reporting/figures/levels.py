@@ -18,7 +18,7 @@ from evaluation.analysis.paper import DATASET, PREDICTOR, PUBLISHED
 from evaluation.analysis.strongest import most_knowing
 from evaluation.experiment.presets import IDENTITY, SHARED
 from evaluation.reporting import rows as picked
-from evaluation.reporting.charts import LOOKS, Axis, Chart, Curve, Look, curves_chart
+from evaluation.reporting.charts import LOOKS, Axis, Chart, Curve, Look, Mark, curves_chart
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.result_tables import after_attack, sources_of
 
@@ -68,7 +68,7 @@ def _panel(
     y: Axis,
     task: str = "",
     across: Sequence[tuple[str, float]] = (),
-    marked: Sequence[tuple[Look, float, float, str]] = (),
+    marked: Sequence[Mark] = (),
 ) -> Iterator[tuple[str, Chart]]:
     """Yield a panel over the levels of a scheme, its curves named by their ends; none without."""
     curves = []
@@ -111,40 +111,34 @@ def _sweep(run: picked.Results, known: Sequence[picked.Scheme], *, name: str) ->
     for label, metrics in _PANELS.items():
         some = [one for one in series if one.metric in metrics]
         papers = {one.metric for one in some if one.metric != MISSED_RATE or one.label == PREDICTOR}
+        of_paper = [one for one in metrics if one in papers and run.dataset == DATASET]
         for scheme in known:
-            marked = [mark for one in metrics if one in papers for mark in _papers(one, scheme)]
-            marked = marked if run.dataset == DATASET else []
+            marked = [mark for one in of_paper for mark in _papers(one, scheme)]
             y = Axis(label, label.endswith("(s)"))
             panels += _panel(scheme, some, key, y=y, across=_raw(some), marked=marked)
     title = f"Missed conflicts, PLR and exposure over the level: {known[0].title}"
     return Figure(name, "figures", title, panels, len(known), key, "Dashed: raw.")
 
 
-def _papers(metric: str, scheme: picked.Scheme) -> list[tuple[Look, float, float, str]]:
+def _papers(metric: str, scheme: picked.Scheme) -> list[Mark]:
     """Return the paper's numbers; raw, which has no level, goes to the edge next to it."""
     if scheme.name not in _FILES or "linear" not in scheme.rules:
         return []
-    edge = np.inf if scheme.log else 0.0
-    shown = METRICS[metric]
-    return [
-        (
-            _PAPER_LOOK,
-            edge if at is None else at,
-            value * shown.scale,
-            f"paper: {shown.head} {value * shown.scale:.4g} {shown.unit} at "
-            + ("raw" if at is None else scheme.at(at)),
-        )
-        for mechanism, at, of, value in PUBLISHED
-        if of == metric and mechanism in (RAW, scheme.name)
-    ]
+    edge, shown, marks = np.inf if scheme.log else 0.0, METRICS[metric], []
+    for mechanism, at, of, share in PUBLISHED:
+        if of == metric and mechanism in (RAW, scheme.name):
+            x, where = (edge, "raw") if at is None else (at, scheme.at(at))
+            y = share * shown.scale
+            name = f"paper: {shown.head} {y:.4g} {shown.unit} at {where}"
+            marks.append((_PAPER_LOOK, x, y, name))
+    return marks
 
 
 def _attacked(run: picked.Results) -> Iterator[Figure]:
-    """Yield PLR over the level, as shared and after each attack; none without attacks or levels.
+    """Yield PLR over the level, as shared and after each attack; none without attacks.
 
     Of each attack the adversary is drawn that knows most short of the oracle; an attack that only
-    the oracle can run is hollow. The control, which repeats what was shared, is left out, and so is
-    what lies beyond the looks that there are.
+    the oracle can run is hollow. The control, which repeats what was shared, is left out.
     """
     rows = after_attack(run.ours)
     rows = rows[rows["metric"] == EXPOSURE]
@@ -161,11 +155,11 @@ def _attacked(run: picked.Results) -> Iterator[Figure]:
         for of, look in looks.items()
         if len(found := picked.of_source(rows, of))
     ]
-    shared = [one for one in series if one.label == "as shared"]
+    across = _raw([one for one in series if one.label == "as shared"])
     panels, key = list[tuple[str, Chart]](), dict[str, Look]()
     y = Axis("PLR, shared or attacked (%)")
     for scheme in picked.schemes(rows):
-        panels += _panel(scheme, series, key, y=y, across=_raw(shared))
+        panels += _panel(scheme, series, key, y=y, across=across)
     title = "PLR as shared and after each attack, over the level"
     said = "Dashed: raw as shared. Hollow: the oracle, a reference."
     yield Figure("after_attack", "after", title, panels, 2, key, said)
@@ -174,8 +168,7 @@ def _attacked(run: picked.Results) -> Iterator[Figure]:
 def _linked(run: picked.Results) -> Figure:
     """Return rank 1 over the level, a row for each task; at most six attacks, alike everywhere."""
     of = {task: {one: _rank1_rows(task, one) for one in task.attacks} for task in run.tasks}
-    means = [{one: _mean(rows) for one, rows in each.items()} for each in of.values()]
-    ranked = [sorted(each, key=each.__getitem__, reverse=True) for each in means]
+    ranked = [sorted(each, key=lambda one: _mean(each[one]), reverse=True) for each in of.values()]
     turns = (source for turn in zip_longest(*ranked) for source in turn if source is not None)
     sources = list(dict.fromkeys(turns))[: LOOKS - 1]
     known, y = picked.schemes(run.summary), Axis("rank 1 (%)")
@@ -201,12 +194,9 @@ def _linked(run: picked.Results) -> Figure:
 
 def _rank1_rows(task: LinkedTask, source: Source) -> pd.DataFrame:
     """Return rank 1 of an attack where it is known, as a summary has metrics, and chance."""
-    rows = [
-        [mechanism, math.nan if level is None else level]
-        + [row[key] for key in ("rank1", "ci_low", "ci_high", "chance")]
-        for (mechanism, level), block in task.cells.items()
-        if (row := block.get(source)) is not None and math.isfinite(row["rank1"])
-    ]
+    keys = "mechanism", "level", "rank1", "ci_low", "ci_high", "chance"
+    known = (block[source] for block in task.cells.values() if source in block)
+    rows = [[row[key] for key in keys] for row in known if math.isfinite(row["rank1"])]
     return pd.DataFrame(rows, columns=["mechanism", "level", *picked.ENDS, "chance"])
 
 

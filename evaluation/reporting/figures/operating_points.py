@@ -1,6 +1,7 @@
 """What privacy costs a robot: each descriptor as shared against missed conflicts."""
 
 from collections.abc import Iterator
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -20,30 +21,25 @@ def figures(run: picked.Results) -> Iterator[Figure]:
     predictor = next(iter(ours["consumer"][ours["metric"] == MISSED_RATE]), "")
     known = picked.schemes(ours, as_points=True)
     panels, key = [], dict[str, Look]()
-    for rule in ADDING_RULES:
-        for metric in DESCRIPTORS:
-            plane, shown = _plane(ours, predictor, metric), METRICS[metric]
-            curves, marked = [], []
-            for scheme in known:
-                points = scheme.of(plane).sort_values("x", kind="stable")
-                if rule in scheme.rules and len(points):
-                    look = Look(scheme.place % (LOOKS - 1))
-                    costs, leaves = points["x"].iloc[-1], points["value"].iloc[-1]
-                    name = f"{scheme.title}, noisiest at {scheme.at(points['level'].iloc[-1])}: "
-                    name += f"{costs:.1f} % missed, {shown.head} {leaves:.{shown.digits}f}"
-                    values = points[picked.ENDS].to_numpy(dtype=np.float64).T
-                    x = points["x"].to_numpy(dtype=np.float64)
-                    curves.append(Curve(look, name, x, values))
-                    key[scheme.title] = look
-            raw = plane[plane["mechanism"] == RAW]
-            for x, value in zip(raw["x"], raw["value"], strict=True):
-                marked.append((Look(LOOKS - 1), x, value, f"raw: {x:.1f} % missed"))
-            if curves:
-                y = Axis(f"{shown.head}, shared ({shown.unit})", metric != EXPOSURE)
-                x_axis = Axis("missed conflicts (%)")
-                chart = curves_chart(curves, x=x_axis, y=y, marked=marked)
-                panels.append((f"{rule} adding", chart))
-                key |= {"raw": Look(LOOKS - 1)} if marked else {}
+    for rule, metric in product(ADDING_RULES, DESCRIPTORS):
+        plane, shown = _plane(ours, predictor, metric), METRICS[metric]
+        curves, marked = [], []
+        for scheme in known:
+            points = scheme.of(plane).sort_values("x", kind="stable")
+            if rule in scheme.rules and len(points):
+                x, values = points["x"].to_numpy(), points[picked.ENDS].to_numpy().T
+                name = f"{scheme.title}, noisiest at {scheme.at(points['level'].iloc[-1])}: "
+                name += f"{x[-1]:.1f} % missed, {shown.head} {values[0, -1]:.{shown.digits}f}"
+                key[scheme.title] = Look(scheme.place % (LOOKS - 1))
+                curves.append(Curve(key[scheme.title], name, x, values))
+        raw = plane[plane["mechanism"] == RAW]
+        for at, value in zip(raw["x"], raw["value"], strict=True):
+            marked.append((Look(LOOKS - 1), at, value, f"raw: {at:.1f} % missed"))
+        if curves:
+            y = Axis(f"{shown.head}, shared ({shown.unit})", metric != EXPOSURE)
+            chart = curves_chart(curves, x=Axis("missed conflicts (%)"), y=y, marked=marked)
+            panels.append((f"{rule} adding", chart))
+            key |= {"raw": Look(LOOKS - 1)} if marked else {}
     title = f"Each descriptor as shared against missed conflicts, predictor {predictor}"
     said = "Down and to the left is better."
     yield Figure("operating_points", "plane", title, panels, len(DESCRIPTORS), key, said)
