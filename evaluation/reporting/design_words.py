@@ -288,7 +288,7 @@ def _number(name: str, limits: Mapping[str, float]) -> Column:
     shown, limit = METRICS[metric], _limit(metric, limits.get(name))
 
     def cell(row: tuple[str, str, str, design.Level | design.Attacked | None]) -> Cell:
-        return make.estimated(metric, row[3].numbers[name] if row[3] else design.UNKNOWN)
+        return make.estimated(metric, row[3].numbers[name] if row[3] else None)
 
     return Column(shown.head, cell, shown.unit, above=limit)
 

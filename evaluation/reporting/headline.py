@@ -240,5 +240,4 @@ def screen_table(of: Headline, levels: Sequence[Where]) -> Table:
 
 
 def _cell(of: Headline, one: Shown, where: Where, *, other_law: bool = False) -> Cell:
-    found = of.at(where, one, other_law=other_law)
-    return make.estimated(one.measure.metric, found) if found else Cell()
+    return make.estimated(one.measure.metric, of.at(where, one, other_law=other_law))

@@ -11,7 +11,7 @@ import pandas as pd
 
 from attacks.tasks.controls import CONTROLS
 from evaluation.analysis.families import CLEAN, LEVEL_UNITS, families_in
-from evaluation.analysis.keys import AS_SHARED, ORACLE, Source, is_attack, level_text, rows_of
+from evaluation.analysis.keys import AS_SHARED, ORACLE, Source, is_attack, rows_of, where_text
 from evaluation.analysis.linkability import INVALID, REMARKS, LinkedTask, remarks
 from evaluation.analysis.metrics import (
     DESCRIPTORS,
@@ -46,7 +46,7 @@ def laplace_notes(rows: pd.DataFrame) -> list[str]:
     levels = rows.loc[rows["family"] == "laplace", "level"].dropna().unique()
     known = [Laplace(float(level)) for level in sorted(levels)]
     return [
-        f"laplace {level_text(one.std_m)}: epsilon {one.epsilon_per_m:.2f} 1/m a report, "
+        f"{where_text('laplace', one.std_m)}: epsilon {one.epsilon_per_m:.2f} 1/m a report, "
         f"{one.epsilon_over(_REPORTS):.0f} 1/m over {_REPORTS}."
         for one in known
         if one.std_m > 0
@@ -94,8 +94,7 @@ def _by_level(
 
 
 def _cell(source: Source, metric: str, level: Mapping[str, Any]) -> Cell:
-    one = level["of"].get(source, {}).get(metric)
-    return make.estimated(metric, one) if one else Cell()
+    return make.estimated(metric, level["of"].get(source, {}).get(metric))
 
 
 def after_attack(summary: pd.DataFrame) -> pd.DataFrame:
@@ -184,8 +183,7 @@ def rank_table(run: picked.Results, task: LinkedTask) -> Table:
     columns = [make.said("attack", itemgetter(0))]
     for place, (name, at) in enumerate(wheres, start=1):
         one = picked.family_of(known, name)
-        heading = f"{one.name} {level_text(at)}".rstrip()
-        columns.append(Column(heading, itemgetter(place), above=one.adding))
+        columns.append(Column(where_text(one.name, at), itemgetter(place), above=one.adding))
     records: list[list[Any]] = [
         [
             make.shortened(source.label.removesuffix(f" ({_USUAL})"), room=_LABEL_WIDTH),
@@ -225,13 +223,13 @@ def strength_table(run: picked.Results) -> Table:
         found = picked.by_level(picked.of_source(run.ours, source)) if task else {}
         for where in picked.telling(found, run.families, controls=False) if found else ():
             of = found[where][source]
-            row = {name: make.estimated(name, of[name]) for name in ranks if name in of}
+            row: dict[str, Any] = dict(zip(("mechanism", "level"), where, strict=True))
+            row |= {name: make.estimated(name, of.get(name)) for name in ranks}
             if lost := of.get("cllr_min"):
                 ends = (1.0 - one for one in (lost.value, lost.ci_high, lost.ci_low))
                 row[told] = make.amount("cllr_min", *ends)
             row["chance"] = make.amount("chance", of["chance"].value)
-            about = dict(zip(("mechanism", "level"), where, strict=True))
-            records.append({"task": task, "linker": source.attack.label, **about, **row})
+            records.append({"task": task, "linker": source.attack.label, **row})
     columns = [
         *map(make.said, ("task", "linker")),
         *picked.mechanism_columns(run.families),

@@ -181,9 +181,9 @@ def amount(metric: str, *values: float | None, sign: str = "-", mark: str = "") 
     return number(*values, scale=shown.scale, digits=shown.digits, sign=sign, mark=mark)
 
 
-def estimated(metric: str, one: Estimate, *, mark: str = "") -> Cell:
-    """Return the cell of an estimate of a metric."""
-    return amount(metric, one.value, one.ci_low, one.ci_high, mark=mark)
+def estimated(metric: str, one: Estimate | None, *, mark: str = "") -> Cell:
+    """Return the cell of an estimate of a metric; empty without one."""
+    return amount(metric, one.value, one.ci_low, one.ci_high, mark=mark) if one else Cell()
 
 
 def level(value: float | None) -> Cell:

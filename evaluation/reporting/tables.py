@@ -32,7 +32,7 @@ from evaluation.reporting.first_screen import TABLES, data_line, first_screen
 from evaluation.reporting.headline import headline, headline_table
 from evaluation.reporting.markup import latex, markdown
 from evaluation.reporting.rows import Results, by_level, telling
-from evaluation.reporting.table import Cell, Table, built, estimated, held, said
+from evaluation.reporting.table import Table, built, estimated, held, said
 from evaluation.reporting.terminal import Part
 from evaluation.runs.files import to_csv, write_whole
 from evaluation.runs.pieces import failed_lines
@@ -145,11 +145,9 @@ def _linkage(summary: pd.DataFrame) -> Table:
         heading = f"{one.name}{level}{', ind.' * (one.adding == 'independent')}"
         columns.append(held(heading, f"{where}"))
         for source, of in found[where].items():
-            about = {"task": source.task, "linker": source.attack.consumer}
+            about: dict[str, Any] = {"task": source.task, "linker": source.attack.consumer}
             about["chance"] = f"{100 * of['chance'].value:.1f}"
-            rank = of.get(SUCCESS)
-            cell = estimated(SUCCESS, rank) if rank else Cell()
-            records.setdefault(source, about)[f"{where}"] = cell
+            records.setdefault(source, about)[f"{where}"] = estimated(SUCCESS, of.get(SUCCESS))
     return built("linkage", "Rank 1 (%) of every linker; 95 % intervals", records.values(), columns)
 
 
