@@ -7,6 +7,7 @@ import shlex
 import textwrap
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -75,11 +76,8 @@ def broken() -> list[str]:
     """Return discovered plug-ins that cannot be used, and why."""
     from isac_track import plugins  # noqa: PLC0415 - names alone need none
 
-    return [
-        f"skipped {name}: {wrong}"
-        for kind in _KINDS
-        for name, wrong in plugins.broken(kind).items()
-    ]
+    found = chain.from_iterable(plugins.broken(kind).items() for kind in _KINDS)
+    return [f"skipped {name}: {wrong}" for name, wrong in found]
 
 
 def scenes_text(identity: Mapping[str, Any]) -> str:
@@ -107,9 +105,8 @@ def plan_lines(ready: Plan) -> Iterator[str]:
         f"{ready.dataset.name}: {len(ready.tracks)} of {len(ready.dataset.tracks)} tracks used, "
         f"{scenes_text(ready.identity)}; {ready.n_cells} cells{so_far}, in {near(ready.out)}"
     )
-    sizes = {
-        one.task.name: max(Counter(one.gallery.search.tolist()).values()) for one in ready.sessions
-    }
+    people = {one.task.name: Counter(one.gallery.search.tolist()) for one in ready.sessions}
+    sizes = {name: max(counts.values()) for name, counts in people.items()}
     slow = [one for one in ready.axes.consumers if one.is_slow]
     n_levels, costs = len(ready.axes.mechanisms), list[tuple[str, int, float]]()
     for spec in dict.fromkeys(one.spec for one in slow):
@@ -137,10 +134,7 @@ def _said(part: str, **of: Any) -> list[str]:  # noqa: ANN401 - what a macro tak
 
 
 def data_notices(dataset: Mapping[str, Any]) -> list[str]:
-    """Return what was made of a recording: read, mended and left out, in numbers.
-
-    `dataset` is that part of a manifest.
-    """
+    """Return what was made of a recording, as its manifest has it: read, mended and left out."""
     counts: Counter[str] = Counter()
     for one in dataset["repairs"]:
         counts[one["kind"]] += one["count"]
@@ -168,10 +162,7 @@ def approximation(manifest: Mapping[str, Any], task: str) -> str:
 
 
 def command(manifest: Mapping[str, Any]) -> str:
-    """Return the command that makes the run again, data set and seed named in any case.
-
-    It is the one that was given; of a run started from Python one that names what is not usual.
-    """
+    """Return the command that makes the run again: as given, or from Python what is not usual."""
     given = [str(word) for word in manifest["environment"].get("command", ())]
     if given and Path(given[0]).name in _COMMANDS:
         options = [word for word in given[1:] if word != "matrix"]
@@ -193,19 +184,16 @@ def _same_run(manifest: Mapping[str, Any]) -> list[str]:
     name, usual_stages = settings["preset"], StageSettings().flat()
     usual = PRESETS.get(name, PRESETS["paper"])
     known = dataset["name"] in KNOWN
-    own = {} if known else {"format": dataset["format"] or None}
-    own |= {} if known else {name: identity.get(name) for name in ("fps", "unit")}
     scenes = identity["scenes"]
     every = identity.get("scenes_utility", scenes)
     is_usual = (scenes, every) == (usual.scenes, usual.utility_scenes)
+    options = [("preset", name if name in PRESETS and name != "paper" else None)]
     sessions = [("session", path) for path in dataset.get("sessions", ())]
-    options = [
-        ("preset", name if name in PRESETS and name != "paper" else None),
-        *(sessions or [("dataset", dataset["name"] if known else dataset["path"])]),
-        *own.items(),
-        ("scenes", None if is_usual else scenes),
-        ("seed", identity["seed"] or None),
-    ]
+    options += sessions or [("dataset", dataset["name"] if known else dataset["path"])]
+    if not known:
+        options.append(("format", dataset["format"] or None))
+        options += [(option, identity.get(option)) for option in ("fps", "unit")]
+    options += [("scenes", None if is_usual else scenes), ("seed", identity["seed"] or None)]
     for option in ("mechanism", "predictor", "attack", "task"):
         used = settings.get(f"{option}s", [])
         usually = set(getattr(usual, f"{option}s"))

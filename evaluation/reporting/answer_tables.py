@@ -20,12 +20,11 @@ from evaluation.reporting.rows import Results, family_of, mechanism_columns
 from evaluation.reporting.table import Cell, Column, Table
 from evaluation.verdict import rules
 
-CRITERIA = {
+CRITERIA = {  # By what operating points are matched.
     MISSED: "equal rise of missed conflicts",
     AT_EQUAL_ALARMS: "the same, at equal false alarms",
     "plr": "equal PLR as shared",
 }
-"""By what operating points are matched."""
 _EFFECTS = {
     "fraction": (100.0, 1, "points"),
     "s": (1.0, 3, "s"),
@@ -53,9 +52,8 @@ def paper_table(run: Results) -> Table:
         metric, published = row["metric"], row["paper"]
         row["paper_error"] = paper.monte_carlo_error(metric, published)
         is_judged = isinstance(row["within"], bool | np.bool_) and np.isfinite(row["ci_low"])
-        row[judged[0]] = ("yes" if row["within"] else "no") if is_judged else ""
-        if is_judged and paper.is_fitted(row):
-            row[judged[0]] = "fitted"
+        answer = "fitted" if paper.is_fitted(row) else "yes" if row["within"] else "no"
+        row[judged[0]] = answer if is_judged else ""
         allowed = paper.tolerance(row["mechanism"], metric, published)
         # A hair more: the difference of two rounded fractions may miss the limit itself.
         met = "yes" if abs(row["bias"]) <= allowed + 1e-12 else "no"
@@ -108,7 +106,9 @@ def frontier_table(run: Results) -> Table:
     heads: dict[str, None] = {}
     for row in rows_of(of[is_told & (of["criterion"] == AT_EQUAL_ALARMS)]):
         source = Source(row["consumer"], row["knowledge"])
-        head = f"{source.task or METRICS[row['metric']].head}, {_whose(source)}"
+        whose = "attacked" if source.knowledge in HEADLINE else f"after {source.knowledge}"
+        whose = "shared" if source == AS_SHARED else whose
+        head = f"{source.task or METRICS[row['metric']].head}, {whose}"
         if row["metric"] == OF_ROBOT:
             head = METRICS[OF_ROBOT].head
         record = records.setdefault(tuple(row[name] for name in names), dict(row))
@@ -134,13 +134,6 @@ def frontier_table(run: Results) -> Table:
         *laplace_notes(of.round({"level": 2})),
     ]
     return make.built("frontier", title, records.values(), columns, notes=notes, n_keys=4)
-
-
-def _whose(source: Source) -> str:
-    """Return in a word whose numbers they are."""
-    if source == AS_SHARED:
-        return "shared"
-    return "attacked" if source.knowledge in HEADLINE else f"after {source.knowledge}"
 
 
 def flag_table(run: Results) -> Table:

@@ -25,13 +25,12 @@ LIMIT: Final = 0.5
 _MATTERS: Final = 0.05
 _UNDOES: Final = {"repeats": "repeats", "anchor": "a known position"}
 """Who undoes what a slow error hides: who sees a walk twice, or knows where it once was."""
-_LEADS: Final = {
+_LEADS: Final = {  # What an item's decision answers: the first that any item has.
     rules.DOES_NOT: "no",
     rules.TRACKS: "yes",
     rules.BETWEEN: "not shown either way",
     rules.NOT_TESTABLE: "not testable",
 }
-"""What an item's decision answers: the first that any item has."""
 _QUESTIONS: Final = (
     ("What does the robot lose?", "Robot"),
     ("What still leaks?", "Leak"),
@@ -87,10 +86,7 @@ def headline_of(run: Results) -> Headline:
 
 
 def reference(of: Headline) -> Where:
-    """Return the level that the answers speak of: the strictest FID, or what costs a robot most.
-
-    Raw of a run that adds nothing, or what else there is.
-    """
+    """Return the level of the answers: the strictest FID, or what costs a robot most, or raw."""
     wheres = [where for where in of.wheres if of.known[where[0]].is_added]
     if named := [where for where in HEADLINE if where in wheres]:
         return named[0]
@@ -100,10 +96,7 @@ def reference(of: Headline) -> Where:
 
 
 def _told(items: Sequence[Mapping[str, Any]]) -> tuple[Any, ...] | None:
-    """Return the item of the widest spread, how often each was decided, of which descriptors so.
-
-    Behind these the spread and both ends of it, of 100 people.
-    """
+    """Return the item of the widest spread, decisions counted, heads so decided, spread, ends."""
     mine = [one for one in items if one["section"] == rules.VALIDITY]
     mine = [one for one in mine if one["descriptor"] in DESCRIPTORS]
     if not mine:
@@ -165,12 +158,11 @@ def _beyond(of: Headline, at: Where) -> tuple[list[str], list[str]]:
 
 
 def _how(one: Shown) -> str:
-    """Return how people are found again."""
     task = one.measure.source.task
     return TASKS[task][1] if task in TASKS else f"in {task}"
 
 
-_WORDS: dict[str, Any] = {
+_WORDS: dict[str, Any] = {  # What the template calls.
     "share": share,
     "how": _how,
     "beyond": _beyond,
@@ -180,7 +172,6 @@ _WORDS: dict[str, Any] = {
     "leads": _LEADS,
     "limit": f"{100 * LIMIT:g}",
 }
-"""What the template calls."""
 
 
 def _both(of: Headline, where: Where, one: Shown) -> str:

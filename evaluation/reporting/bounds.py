@@ -82,10 +82,7 @@ def _table(run: Results, title: str, columns: Sequence[Column], *, note: str) ->
 
 
 def gap_text(known: Sequence[Gap], where: Where, task: str = "") -> str:
-    """Return in words how far the attacks are from the optimum at a level; empty if unknown.
-
-    Those who link in a task, or those who rebuild.
-    """
+    """Return in words how far linkers, or who rebuilds, are from the optimum; empty if unknown."""
     own, *others = [
         f"{'' if one.is_exact else 'at most '}{max(100 * one.gap.value, 0.0):.1f}"
         for one in known

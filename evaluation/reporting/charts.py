@@ -52,10 +52,8 @@ class Look(NamedTuple):
 def looks_of(known: Iterable[Family]) -> dict[str, Look]:
     """Return the look of every mechanism: its rule is hollow or not, raw is a star."""
     added = [one for one in known if one.is_added]
-    looks = {
-        name: Look(place % (LOOKS - 1), turn=place // (LOOKS - 1))
-        for place, name in enumerate(dict.fromkeys([FID, FIXED, *(one.name for one in added)]))
-    }
+    names = dict.fromkeys([FID, FIXED, *(one.name for one in added)])
+    looks = {name: Look(n % (LOOKS - 1), turn=n // (LOOKS - 1)) for n, name in enumerate(names)}
     return {RAW: Look(LOOKS - 1)} | {
         one.mechanism: looks[one.name]._replace(hollow=one.adding == "independent") for one in added
     }
@@ -143,10 +141,7 @@ def rows_chart(
     x_label: str,
     across: Iterable[tuple[Look, float]] = (),
 ) -> Chart:
-    """Return a row for each name and in it a mark for each series, with intervals.
-
-    `across` are lines from top to bottom, such as chance.
-    """
+    """Return a row for each name, a mark for each series, and lines `across`, such as chance."""
     step = 4.5 * len(series) + 7.0
     longest = max(map(len, rows), default=0)
     chart = Chart(x_label, 12.0 + step * len(rows) + 30.0, min(150.0, 10.0 + CHARACTER * longest))
@@ -175,11 +170,7 @@ def plane_chart(
     has_front: bool = False,
     limit: float | None = None,
 ) -> Chart:
-    """Return marks on two axes, a line through those of each mechanism, and what none beats.
-
-    The front is a staircase: whoever is right of it and above pays more and leaves more. `limit` is
-    a share that is marked on the upright axis.
-    """
+    """Return marks on two axes, a line for each mechanism, what none beats, and a limit of y."""
     points = [point for curve in curves for point in curve]
     words = [label.removesuffix(" (%)") for label in (x_label, y_label)]
     chart = Chart(x_label, 290.0, 40.0, y_label)
@@ -193,6 +184,7 @@ def plane_chart(
     if has_front and points:
         values = np.array([(one.x.value, one.y.value) for one in points])
         corners = values[front(*values.T)]
+        # A staircase: whoever is right of it and above pays more and leaves more.
         across, up = corners[np.argsort(corners[:, 0])].T * PERCENT
         x, y = np.repeat(at_x(across), 2), np.repeat(at_y(up), 2)
         chart.lines.append(("front", [[*zip([*x, _RIGHT], [_TOP, *y], strict=True)]]))
@@ -213,10 +205,7 @@ def curves_chart(
     across: Sequence[tuple[str, float]] = (),
     marked: Sequence[Mark] = (),
 ) -> Chart:
-    """Return curves on two axes from zero or logarithmic.
-
-    `across` are lines from side to side, a class and a value each.
-    """
+    """Return curves on two axes; `across` are lines from side to side, a class and value each."""
     chart = Chart(x.label, 190.0, 40.0, y.label)
     at_x = chart.x_axis(np.concatenate([one.x for one in curves]), log=x.log)
     others = [value for _, value in across] + [value for _, _, value, _ in marked]

@@ -29,13 +29,12 @@ from isac_track.kalman import steady
 _Row: TypeAlias = "tuple[str, str, str, design.Level | None]"  # Rule, mechanism, level, numbers.
 _ANSWERED = ("met", "chosen", "stricter", "also_meets", "is_saturated")
 _CHECKED = ("name", "limit", "measured", "status")
-_UNMET = {
+_UNMET = {  # Why a limit does not hold, the surest first.
     "not met": "above the limits of",
     "scenes": "more scenes needed for",
     "people": "more people needed for",
     "cannot say": "cannot be judged by",
 }
-"""Why a limit does not hold, the surest first."""
 _LEVEL_NAMES = {FID: "eta", FIXED: "d_sigma"}
 
 
@@ -96,10 +95,7 @@ def reason(check: design.Check) -> str:
 
 
 def reasons(scheme: design.Scheme) -> list[str]:
-    """Return how the level was chosen, why not a stricter one, and which limits do not hold.
-
-    Of a chosen level also by how much the limits hold, what it costs, and what could break it.
-    """
+    """Return how the level was chosen, why none stricter, which limits hold, costs and dangers."""
     known = {one.knowledge for one in scheme.chosen.beyond} if scheme.chosen else set()
     return _said("reasons", scheme=scheme, beyond=[one for one in BEYOND if one not in known])
 
@@ -136,7 +132,7 @@ def _symbol(scheme: design.Scheme) -> str:
     return _LEVEL_NAMES.get(scheme.family.family, "level")
 
 
-_WORDS: dict[str, Any] = {
+_WORDS: dict[str, Any] = {  # What the template calls.
     **{one.__name__.strip("_"): one for one in (_metric, _what, _off, _told, _at)},
     "symbol_of": _symbol,
     "levels": lambda some: ", ".join(map(level_text, some)),
@@ -144,7 +140,6 @@ _WORDS: dict[str, Any] = {
     "costs": lambda at: [one for one in at.costs.items() if math.isfinite(one[1].value)],
     "source": lambda one: Source(one.attack, one.knowledge).label,
 }
-"""What the template calls."""
 
 
 def sentence(choice: design.Choice) -> str:
@@ -159,7 +154,7 @@ def sentence(choice: design.Choice) -> str:
             met.append(f"{name} {' and '.join(dict.fromkeys(at))}")
     rates = {name: f"{100.0 * limit:.4g} %" for name, limit in limits.of(*design.TARGETS).items()}
     where = " as shared" if limits.as_shared else " after attack"
-    (said,) = _said(
+    return _said(
         "sentence",
         met=met,
         failing=failing,
@@ -168,8 +163,7 @@ def sentence(choice: design.Choice) -> str:
         false_alarm=rates.get("false_alarm"),
         is_limited=bool(limits.of(*DESCRIPTORS, SUCCESS)),
         where=where * bool(limits.of(*DESCRIPTORS)),
-    )
-    return said
+    )[0]
 
 
 def _failing(schemes: Sequence[design.Scheme]) -> str:
@@ -306,6 +300,5 @@ def _rank1(place: int, row: _Row) -> Cell:
 
 
 def _attacks(found: Iterable[design.Attacked | design.Linked | None]) -> str:
-    """Return the attacks of some levels, each once."""
     labels = [Source(one.attack, one.knowledge).label for one in found if one]
     return ", ".join(dict.fromkeys(labels))

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -122,12 +123,11 @@ def lead(shown: pd.DataFrame) -> Table:
 def differences(shown: pd.DataFrame, *, of: int, room: int) -> Table:
     """Return the table of some differences out of many, for so many characters."""
     which = "All" if len(shown) == of else f"The {len(shown)} surest of {of}"
+    metrics = {name: f"{one.head} {one.unit}".rstrip() for name, one in METRICS.items()}
     keys = [
         make.said("", lambda row: _heading(row, room=room)),
         Column("level", lambda row: make.level(row["level"])),
-        make.said(
-            "metric", lambda row: "{0.head} {0.unit}".format(METRICS[row["metric"]]).rstrip()
-        ),
+        make.said("metric", lambda row: metrics[row["metric"]]),
     ]
     title = f"{which} differences, B - A with 95 % intervals, p after Holm"
     return _table("differences", title, shown, keys)
@@ -221,13 +221,11 @@ def show_constants(found: Mapping[str, Calibration]) -> None:
     ]
     for mechanism, at, metric, published in PUBLISHED:
         spec = mechanism if at is None else f"{mechanism}:{at:g}"
-        numbers = {"paper": published}
-        numbers |= {case: ours[spec, metric] for case, (_, ours) in found.items()}
         scale, digits = METRICS[metric].scale, 1 if METRICS[metric].is_share else 2
-        cells = {
-            case: make.number(one, scale=scale, digits=digits) for case, one in numbers.items()
-        }
-        records.append({"constant or number": make.word(f"{spec} {metric}")} | cells)
+        number = partial(make.number, scale=scale, digits=digits)
+        row = {"constant or number": make.word(f"{spec} {metric}"), "paper": number(published)}
+        row |= {case: number(ours[spec, metric]) for case, (_, ours) in found.items()}
+        records.append(row)
     columns = [make.held("constant or number", align="left"), *map(make.held, ("paper", *found))]
     title = "paper, and what each set of constants gives"
     terminal.show([make.built("calibration", title, records, columns, notes=[_ABOUT_CONSTANTS])])

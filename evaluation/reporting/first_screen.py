@@ -24,14 +24,13 @@ from isac_track.linkability import LEVEL
 LINES: Final = 40
 _CORNER: Final = "in %; ind. = independent"
 TABLES: Final = "tables.txt"
-_BEFORE: Final = 5  # Lines that were said until then, unless who calls knows.
 _LEAST_LEVELS: Final = 5
 _MANY: Final = 99  # Mechanisms: room for their number.
 _LABEL, _HEADS = 28, (16, 12, 8)  # Characters of a level; over a column, the widest that fits.
 _SLACK: Final = 0.05  # Of missed conflicts, above what raw costs: what the next question allows.
 
 
-def first_screen(run: Results, *, before: int = _BEFORE) -> list[str]:
+def first_screen(run: Results, *, before: int = 5) -> list[str]:
     """Return the lines; `before` of them were printed already, which leaves levels less room."""
     of = headline_of(run)
     said = [f"{n} {one.topic}: {one.sentence}" for n, one in enumerate(answers(run, of), start=1)]
@@ -117,11 +116,9 @@ def _doubts(run: Results, of: Headline) -> list[str]:
 
 
 def _next(run: Results, of: Headline) -> list[str]:
-    """Return the command that asks the next question."""
     out = shlex.quote(str(near(run.out)))
-    raw = of.at((RAW, None), of.robots[0]) if of.robots else None
-    is_judged = raw and of.attacked and any(name == "fid" for name in of.known)
-    if raw is None or not is_judged or not math.isfinite(raw.ci_high):
+    raw = of.cost((RAW, None))
+    if not (raw and math.isfinite(raw.ci_high) and of.attacked and "fid" in of.known):
         return [f"Next: python -m evaluation.report --verbose {out}"]
     missed = min(1.0, math.ceil(20.0 * (raw.ci_high + _SLACK)) / 20.0)
     rules = {one.adding for one in of.known.values() if one.adding}

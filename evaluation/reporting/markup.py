@@ -11,9 +11,8 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from evaluation.reporting.table import Table, printable
 
-TEMPLATES: Final = Path(__file__).with_name("templates")
 _OPTIONS: dict[str, Any] = {
-    "loader": FileSystemLoader(TEMPLATES),
+    "loader": FileSystemLoader(Path(__file__).with_name("templates")),
     "undefined": StrictUndefined,
     "trim_blocks": True,
     "lstrip_blocks": True,

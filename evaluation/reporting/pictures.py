@@ -34,12 +34,22 @@ def pictures(of: Headline) -> list[Picture | None]:
     if of.attacked:
         known[f"after {of.attacked.measure.source.label}"] = of.attacked
     found = {one.measure.source.task: one for one in of.linked}
+    telling = chosen = None
+    if of.linked:
+        about = ", over PLR as shared: did PLR tell, all would lie on one line"
+        shown: dict[str, Any] = {"x_label": "PLR as shared (%)", "has_hollow": False}
+        telling = _plane(of, of.shared, of.linked[-1], about, **shown)
+    if of.attacked and of.robots:
+        who = robot_name(of.robots[0].measure.consumer)
+        about = f", over what {who} misses; dashed: {100 * LIMIT:g} %"
+        among = levels_of(of)[0]
+        chosen = _plane(of, of.robots[0], of.attacked, about, among=among, limit=LIMIT)
     return [
         _levels(of, "Conflicts that a robot misses", missed, _MISSED),
         _levels(of, "Positions known to 0.3 m", known, "positions known (%)", of.attacked),
         _levels(of, "People found again by the strongest attack", found, "found again (rank 1, %)"),
-        _telling(of),
-        _chosen(of),
+        telling,
+        chosen,
     ]
 
 
@@ -55,11 +65,7 @@ def planes(of: Headline) -> dict[str, list[Picture]]:
 
 
 def _levels(
-    of: Headline,
-    title: str,
-    shown: Mapping[str, Shown],
-    x_label: str,
-    other_law: Shown | None = None,
+    of: Headline, title: str, shown: Mapping[str, Shown], x_label: str, law: Shown | None = None
 ) -> Picture | None:
     """Return the levels of the first table as rows, a mark for each number."""
     every, _ = levels_of(of)
@@ -67,8 +73,8 @@ def _levels(
     if not levels:
         return None
     found = {name: [of.at(where, one) for where in levels] for name, one in shown.items()}
-    if other_law and of.other_law:
-        isotropic = [of.at(where, other_law, other_law=True) for where in levels]
+    if law and of.other_law:
+        isotropic = [of.at(where, law, other_law=True) for where in levels]
         found["the same, isotropic error"] = isotropic
     looks = dict(zip(found, _SERIES, strict=False))
     chart = rows_chart(
@@ -78,24 +84,6 @@ def _levels(
         across=[(look, shown[name].chance) for name, look in looks.items() if name in shown],
     )
     return Picture(title, chart, looks)
-
-
-def _telling(of: Headline) -> Picture | None:
-    """Return rank 1 over PLR as shared: on one line, the descriptor would tell."""
-    if not of.linked:
-        return None
-    about = ", over PLR as shared: did PLR tell, all would lie on one line"
-    label = "PLR as shared (%)"
-    return _plane(of, of.shared, of.linked[-1], about, x_label=label, has_hollow=False)
-
-
-def _chosen(of: Headline) -> Picture | None:
-    """Return what the levels of the first table cost and leave, and the limit of the answer."""
-    if of.attacked is None or not of.robots:
-        return None
-    robot = of.robots[0]
-    about = f", over what {robot_name(robot.measure.consumer)} misses; dashed: {100 * LIMIT:g} %"
-    return _plane(of, robot, of.attacked, about, among=levels_of(of)[0], limit=LIMIT)
 
 
 def _plane(

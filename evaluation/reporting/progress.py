@@ -46,10 +46,7 @@ def _clock(seconds: float) -> str:
 
 @contextlib.contextmanager
 def progress_bar(said: list[str]) -> Iterator[Callable[[int, int | None, str], None]]:
-    """Show how far a run is on standard error: a bar on a terminal or in a notebook.
-
-    Elsewhere a line now and then. Lines that stay are added to `said`.
-    """
+    """Show on standard error how far a run is; lines that stay are added to `said`."""
     from rich import progress  # noqa: PLC0415 - the user knows sooner what is under way
     from rich.console import Console  # noqa: PLC0415 - as said
 

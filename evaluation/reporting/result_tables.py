@@ -44,12 +44,11 @@ _LABEL_WIDTH = 30
 def laplace_notes(rows: pd.DataFrame) -> list[str]:
     """Return what planar Laplace noise promises at each of its levels: a report, and a track."""
     levels = rows.loc[rows["family"] == "laplace", "level"].dropna().unique()
-    known = [Laplace(float(level)) for level in sorted(levels)]
+    known = [Laplace(float(level)) for level in sorted(levels) if level > 0]
     return [
         f"{where_text('laplace', one.std_m)}: epsilon {one.epsilon_per_m:.2f} 1/m a report, "
         f"{one.epsilon_over(_REPORTS):.0f} 1/m over {_REPORTS}."
         for one in known
-        if one.std_m > 0
     ]
 
 
@@ -153,8 +152,8 @@ def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
 def _merged(name: str, at: float | None, found: Mapping[Source, Any]) -> list[dict[str, Any]]:
     """Return the rows of a level; one for adversaries whose numbers are the same."""
     cells = {
-        source: {metric: _cell(source, metric, {"of": found}) for metric in RECONSTRUCTION}
-        for source in found
+        source: {one: make.estimated(one, of.get(one)) for one in RECONSTRUCTION}
+        for source, of in found.items()
     }
     consumers = [source.consumer for source in found]
     shared = cells.get(AS_SHARED, {})
@@ -184,13 +183,10 @@ def rank_table(run: picked.Results, task: LinkedTask) -> Table:
     for place, (name, at) in enumerate(wheres, start=1):
         one = picked.family_of(known, name)
         columns.append(Column(where_text(one.name, at), itemgetter(place), above=one.adding))
-    records: list[list[Any]] = [
-        [
-            make.shortened(source.label.removesuffix(f" ({_USUAL})"), room=_LABEL_WIDTH),
-            *(_rank(task.cells[where].get(source)) for where in wheres),
-        ]
-        for source in task.attacks
-    ]
+    records = list[list[Any]]()
+    for source in task.attacks:
+        label = make.shortened(source.label.removesuffix(f" ({_USUAL})"), room=_LABEL_WIDTH)
+        records.append([label, *(_rank(task.cells[where].get(source)) for where in wheres)])
     some = [next(iter(task.cells[where].values())) for where in wheres]
     records.append(["chance", *(make.amount(SUCCESS, row["chance"]) for row in some)])
     tests = control_tests(task)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial, reduce
 from html import escape
@@ -92,11 +93,9 @@ class Results:
         """Return a table of what tells most, and the verdict's answers."""
         shown = []
         for name in ("missed", EXPOSURE, f"{EXPOSURE}{AFTER}", SUCCESS):
-            try:
+            with suppress(SettingsError):  # the run has none
                 one = self._scaled(name)
-            except SettingsError:  # the run has none
-                continue
-            shown.append(one[[*_AT, "value"]].rename(columns={"value": one.attrs["title"]}))
+                shown.append(one[[*_AT, "value"]].rename(columns={"value": one.attrs["title"]}))
         both = reduce(lambda left, right: left.merge(right, on=_AT, how="left"), shown)
         table = both.head(_MOST_SHOWN).to_html(
             index=False, border=0, float_format="{:.4g}".format, na_rep=""
@@ -147,10 +146,8 @@ class Results:
             who = f"{task}/{who}" if task else who
         found = rows[rows["consumer"] == who]
         if found.empty:
-            there = ", ".join(dict.fromkeys(rows["consumer"])) or "nobody in this task"
-            raise SettingsError(
-                f"the run has no {name} of {who or after!r}; it has that of {there}"
-            )
+            has = ", ".join(dict.fromkeys(rows["consumer"])) or "nobody in this task"
+            raise SettingsError(f"the run has no {name} of {who or after!r}; it has that of {has}")
         known = found["mechanism"].map(self.families)
         levels = found["level"].where(known.map(lambda one: one.is_added), 0.0)
         adding = [one.adding for one in known]
@@ -285,10 +282,7 @@ def estimates(rows: pd.DataFrame) -> dict[Key, Estimate]:
 
 
 def by_level(frame: pd.DataFrame) -> dict[Where, dict[Source, dict[str, Estimate]]]:
-    """Return the rows of a summary by level, by whose positions they are of, and by metric.
-
-    Levels rise, mechanisms stand as in the run.
-    """
+    """Return the rows of a summary by level, rising, by whose positions, and by metric."""
     found: dict[Where, dict[Source, dict[str, Estimate]]] = {}
     ordered = frame.sort_values("level", kind="stable", na_position="first")
     for key, one in estimates(ordered).items():

@@ -75,13 +75,7 @@ class Column:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Table:
-    """Rows of cells below named columns.
-
-    Raises
-    ------
-    ValueError
-        If a row has not a cell for each column.
-    """
+    """Rows of cells below named columns; ValueError where a row has not a cell for each column."""
 
     name: str  # Unique in a report.
     title: str
@@ -163,10 +157,7 @@ def number(
     unit: str = "",
     mark: str = "",
 ) -> Cell:
-    """Return a cell with a number and its interval, `scale` times as large; empty where unknown.
-
-    `sign` is "+" for a difference.
-    """
+    """Return a cell with a number and its interval times `scale`; `sign` is "+" of a difference."""
     if value is None or not math.isfinite(value):
         return Cell()
     known = [scale * one for one in (value, *interval) if one is not None and math.isfinite(one)]

@@ -151,14 +151,13 @@ def _linkage(summary: pd.DataFrame) -> Table:
     return built("linkage", "Rank 1 (%) of every linker; 95 % intervals", records.values(), columns)
 
 
-DOCS: Final[dict[str, Callable[[pd.DataFrame], Table]]] = {
+DOCS: Final[dict[str, Callable[[pd.DataFrame], Table]]] = {  # By the name in a block.
     "headline": lambda summary: headline_table(headline(summary)),
     "sweep": lambda summary: measured.sweep_tables(summary)[0],
     "exposure": measured.exposure_table,
     "attacks": measured.attack_table,
     "linkage": _linkage,
 }
-"""By the name in a block."""
 
 
 def published(run: Results) -> pd.DataFrame:

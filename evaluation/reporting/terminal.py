@@ -63,10 +63,7 @@ def aligned(rows: Sequence[Sequence[str]], *, left: Collection[int] = frozenset(
 
 
 def show_table(table: Table, *, console: Console) -> None:
-    """Print a table: title, lines that fit, what its marks mean, and its notes.
-
-    Where there is no room it is split. Nothing is printed of a table without rows.
-    """
+    """Print a table, split where there is no room, with marks and notes; nothing without rows."""
     if not table.rows:
         return
     shown = [place for place, column in enumerate(table.columns) if not column.is_long]

@@ -22,14 +22,13 @@ from evaluation.reporting.table import printable, shortened
 from evaluation.runs.files import write_whole
 
 _TOP, _LEFT, _HEADING, _GAP = 26.0, 10.0, 16.0, 14.0
-_PRINTED: Final[dict[str, dict[str, Any]]] = {
+_PRINTED: Final[dict[str, dict[str, Any]]] = {  # What `chart.css` says of each class.
     "grid": {"color": "#d9dce0", "linewidth": 0.6},
     "bar": {"linewidth": 1.1, "alpha": 0.55},
     "curve": {"linewidth": 0.8, "alpha": 0.5},
     "across": {"linewidth": 1.0, "linestyle": (0, (2, 2))},
     "front": {"color": "#555b63", "linewidth": 2.2, "alpha": 0.6},
 }
-"""By class, what `chart.css` says, as matplotlib's lines take it."""
 _ROOM: Final = 40  # Characters of a data set's name.
 _ALIGNED: Final = {"x": "center", "y": "right"}
 
@@ -86,10 +85,8 @@ def _layout(of: Figure) -> Layout:
     width, top, panels = columns * (WIDTH + _GAP), _TOP, []
     for start in range(0, len(of.panels), of.columns):
         row = of.panels[start : start + of.columns]
-        panels += [
-            (place * (WIDTH + _GAP), top + _HEADING, heading, chart)
-            for place, (heading, chart) in enumerate(row)
-        ]
+        for place, (heading, chart) in enumerate(row):
+            panels.append((place * (WIDTH + _GAP), top + _HEADING, heading, chart))
         top += _HEADING + max(chart.height for _, chart in row) + _GAP
     key, x = [], _LEFT
     for name, look in of.key.items():

@@ -75,10 +75,8 @@ def _panel(
     for label, look, every, metric in series:
         shown, rows = METRICS[metric], scheme.of(every[np.isfinite(every["value"])])
         values = shown.scale * rows[picked.ENDS].to_numpy(dtype=np.float64).T
-        ends = [
-            f"{value:.{shown.digits}f} {shown.unit} at {scheme.at(level)}"
-            for value, level in zip(values[0], rows["level"], strict=True)
-        ]
+        pairs = zip(values[0], rows["level"], strict=True)
+        ends = [f"{one:.{shown.digits}f} {shown.unit} at {scheme.at(at)}" for one, at in pairs]
         if ends:
             told = " to ".join(dict.fromkeys([ends[0], ends[-1]]))
             x = rows["level"].to_numpy(dtype=np.float64)
@@ -135,11 +133,7 @@ def _papers(metric: str, scheme: picked.Scheme) -> list[Mark]:
 
 
 def _attacked(run: picked.Results) -> Iterator[Figure]:
-    """Yield PLR over the level, as shared and after each attack; none without attacks.
-
-    Of each attack the adversary is drawn that knows most short of the oracle; an attack that only
-    the oracle can run is hollow. The control, which repeats what was shared, is left out.
-    """
+    """Yield PLR over the level, as shared and after each attack; hollow if the oracle's alone."""
     rows = after_attack(run.ours)
     rows = rows[rows["metric"] == EXPOSURE]
     chosen = [source for source in most_knowing(sources_of(rows)) if source.consumer != IDENTITY]
@@ -178,11 +172,8 @@ def _linked(run: picked.Results) -> Figure:
         best = [value for one in every for value in one.of(CLEAN)]
         chance = [100.0 * one.rows["chance"].iloc[0] for one in every if len(one.rows)]
         black = [("k6", one) for one in [*sorted(best)[-1:], *chance[:1]]]
-        series = [
-            _Series(one.label, Look(place), rows[one], SUCCESS)
-            for place, one in enumerate(sources)
-            if one in rows
-        ]
+        ran = [(Look(place), one) for place, one in enumerate(sources) if one in rows]
+        series = [_Series(one.label, look, rows[one], SUCCESS) for look, one in ran]
         across = [*_raw(series), *black]
         for scheme in known:
             panels += _panel(scheme, series, key, y=y, task=f"{task.name}: ", across=across)
