@@ -1,20 +1,14 @@
 """Choose a level for a site: `python -m evaluation.design --max-missed 0.20 OUT`."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from evaluation.reporting import noise_plan
 from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
 from isac_track.errors import SettingsError
 from isac_track.kalman import steady
-
-if TYPE_CHECKING:
-    import argparse
 
 _EPILOG = """\
 Of every family the strictest level of the run (the smallest eta, the largest d_sigma) that meets
@@ -64,8 +58,8 @@ def _plan(arguments: Sequence[str]) -> int:
         shown = f"{about} (default: {default:g})"
         add(f"--{name}", type=float, default=default, metavar="X", help=shown)
     given = command.parse_args(arguments)
-    for name in ("missed", "rank1"):
-        limit = getattr(given, f"max_{name}")
+    others = {"missed": given.max_missed, "rank1": given.max_rank1}
+    for name, limit in others.items():
         if limit is not None and not 0.0 <= limit <= 1.0:
             what = "fraction from 0 to 1 (0.2 for 20 %)"
             raise SettingsError(f"--max-{name} is a {what}, got {limit:g}")
@@ -73,37 +67,16 @@ def _plan(arguments: Sequence[str]) -> int:
         told = noise_plan.told(plr=given.max_plr, epsilon_m=given.epsilon, q=given.q, dt_s=given.dt)
     except ValueError as error:
         raise SettingsError(f"design --plan: {error}") from None
-    sys.stdout.write("\n".join(told) + "\n")
-    return DONE if given.max_missed is None and given.max_rank1 is None else LIMIT_NOT_MET
+    print(*told, sep="\n")
+    return DONE if {*others.values()} == {None} else LIMIT_NOT_MET
 
 
 def _run(arguments: Sequence[str]) -> int:
     """Answer from a run."""
     from evaluation.analysis.families import ADDING_RULES  # noqa: PLC0415 - heavy
+    from evaluation.analysis.metrics import METRICS, SUCCESS  # noqa: PLC0415 - heavy
     from evaluation.reporting.design_words import show, to_json  # noqa: PLC0415 - heavy
     from evaluation.verdict.choose_level import ASKED, Limits, choose  # noqa: PLC0415 - heavy
-
-    options = _options(arguments)
-    asked = {name: getattr(options, f"max_{name}") for name in ASKED}
-    given = {name: limit for name, limit in asked.items() if limit is not None}
-    choice = choose(
-        options.out,
-        limits=Limits(given, as_shared=options.as_shared),
-        adding=ADDING_RULES if options.adding == "both" else (options.adding,),
-        predictor=options.predictor,
-        only=options.family,
-    )
-    if options.json:
-        sys.stdout.write(f"{json.dumps(to_json(choice), indent=1, allow_nan=False)}\n")
-    else:
-        show(choice)
-    return DONE if choice.met else LIMIT_NOT_MET
-
-
-def _options(arguments: Sequence[str]) -> argparse.Namespace:
-    from evaluation.analysis.families import ADDING_RULES  # noqa: PLC0415 - heavy
-    from evaluation.analysis.metrics import METRICS, SUCCESS  # noqa: PLC0415 - heavy
-    from evaluation.verdict.choose_level import ASKED  # noqa: PLC0415 - heavy
 
     words = {
         "missed": "missed conflicts, a fraction of all conflicts",
@@ -128,19 +101,29 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     add("--predictor", metavar="NAME", help="the robot's predictor (default: the run's first)")
     about = "a mechanism's family, such as fid; repeatable (default: every one of the run)"
     add("--family", action="append", default=[], metavar="NAME", help=about)
-    about = (
-        "hold PLR, AEL and MEL against what was shared, not against the best reconstruction "
-        "(highest PLR)"
-    )
-    add("--as-shared", action="store_true", help=about)
-    about = (
-        "adding rule to answer for (default: both, which must both hold); a network could "
-        "implement only the independent one"
-    )
+    about = "hold PLR, AEL and MEL against what was shared, not against the best reconstruction "
+    add("--as-shared", action="store_true", help=f"{about}(highest PLR)")
+    about = "adding rule to answer for (default: both, which must both hold); a network could "
+    about += "implement only the independent one"
     add("--adding", choices=[*ADDING_RULES, "both"], default="both", help=about)
     add("--json", action="store_true", help="print one JSON object and nothing else")
     add("--plan", action="store_true", help="answer without a run: --plan --help")
-    return command.parse_args(arguments)
+    options = command.parse_args(arguments)
+
+    asked = {name: getattr(options, f"max_{name}") for name in ASKED}
+    given = {name: limit for name, limit in asked.items() if limit is not None}
+    choice = choose(
+        options.out,
+        limits=Limits(given, as_shared=options.as_shared),
+        adding=ADDING_RULES if options.adding == "both" else (options.adding,),
+        predictor=options.predictor,
+        only=options.family,
+    )
+    if options.json:
+        print(json.dumps(to_json(choice), indent=1, allow_nan=False))
+    else:
+        show(choice)
+    return DONE if choice.met else LIMIT_NOT_MET
 
 
 if __name__ == "__main__":

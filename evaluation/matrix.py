@@ -67,7 +67,6 @@ _OPTIONS: Final[dict[str, tuple[type, str, str]]] = {
     "scheduler": (str, "ADDRESS", "of the Dask cluster, as tcp://host:8786"),
     "out": (str, "DIR", "run folder (default: runs/DATASET-PRESET-SEED)"),
 }
-_AXES = ("mechanism", "predictor", "attack", "task")
 
 
 def parser() -> argparse.ArgumentParser:
@@ -81,13 +80,8 @@ def parser() -> argparse.ArgumentParser:
     for key, (kind, metavar, about) in _OPTIONS.items():
         how = {"action": "append"} if kind is list else {"type": kind}
         add(f"--{key.replace('_', '-')}", metavar=metavar, help=about, **how)
-    add(
-        "--set",
-        action="append",
-        metavar="STAGE.KEY=VALUE",
-        default=[],
-        help="change a stage setting, such as privacy.epsilon_m=0.5; --list names all",
-    )
+    about = "change a stage setting, such as privacy.epsilon_m=0.5; --list names all"
+    add("--set", action="append", metavar="STAGE.KEY=VALUE", default=[], help=about)
     add("--config", type=Path, metavar="FILE.toml", help="the same keys from a file")
     for option, about in {
         "--persistent-ids": "ids are the same people in all sessions",
@@ -118,18 +112,16 @@ def settings_from(options: argparse.Namespace) -> Settings:
     for key in ("fps", "format", "unit"):
         if key in values and not values.keys() & {"dataset", "session"}:
             raise SettingsError(f"--{key} describes your own file: name it with --dataset PATH")
-    for key in _AXES:
+    for key in ("mechanism", "predictor", "attack", "task"):
         specs = values.pop(key, None)
         if specs and "none" in specs and len(specs) > 1:
             raise SettingsError(f"--{key} none empties the axis and cannot be mixed with others")
-        values[f"{key}s"] = None if specs is None else tuple(one for one in specs if one != "none")
-    values["adversaries"] = tuple(values.pop("adversary", ()))
-    if "out" in values:
-        values["out"] = Path(values["out"])
+        values[f"{key}s"] = None if specs is None else [one for one in specs if one != "none"]
     return Settings(
+        adversaries=values.pop("adversary", ()),
         cell_timeout_s=values.pop("cell_timeout", None),
         stages=StageSettings().changed(stage_values),
-        sessions=tuple(values.pop("session", ())),
+        sessions=values.pop("session", ()),
         persistent_ids=options.persistent_ids,
         keep_scores=options.keep_scores,
         fresh=options.fresh,

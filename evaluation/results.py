@@ -53,8 +53,7 @@ from isac_track.errors import DataError, SettingsError
 __all__ = ["Results", "build", "load", "rebuild", "run", "sized", "study"]
 _one_thread = partial(threadpool_limits, limits=1, user_api="blas")
 """Keep linear algebra to this thread: its matrices are small, and others would only spin."""
-_DRAWN: Final = (*ACHIEVED, SUCCESS_OF_100)
-"""What is compared of linkers, and has replicates."""
+_DRAWN: Final = (*ACHIEVED, SUCCESS_OF_100)  # What is compared of linkers, and has replicates.
 
 
 def run(
@@ -75,8 +74,8 @@ def run(
 
     Raises IsacTrackError for anything that a user can mend; finished cells are kept.
     """
+    told = progress if callable(progress) else lambda *_: None
     if ready is None:
-        told = progress if callable(progress) else _silent
         ready = plan(sized((settings or Settings()).changed(**options), progress=told))
     elif settings is not None or options:
         raise SettingsError("a plan that is ready has its settings: leave out all others")
@@ -84,7 +83,7 @@ def run(
         for line in plan_lines(ready):
             sys.stderr.write(f"{line}\n")
     folder.check_folder(ready.out)
-    shown = progress_bar([]) if progress is True else contextlib.nullcontext(progress or _silent)
+    shown = progress_bar([]) if progress is True else contextlib.nullcontext(told)
     with given_back(), locked(ready.out), _one_thread(), shown as update, ahead():
         execute(ready, update)
         # One helps: no one that may not be as it was, since strangers' plug-ins ran in it.
@@ -129,10 +128,6 @@ def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> S
     return settings.changed(utility_scenes=n_scenes, pilot_half_width=half)
 
 
-def _silent(_done: int, _total: int, _what: str) -> None:
-    pass
-
-
 def rebuild(out: Path | str, *, pdf: bool = False) -> Results:
     """Write tables, figures and page of a run folder anew, with `pdf` figures as PDF, too.
 
@@ -172,7 +167,9 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     dataset, seed = manifest["dataset"]["name"], manifest["identity"]["seed"]
     predictors, known = manifest["settings"]["predictors"], families_in(manifest["cells"])
     with aside(partial(_of_scenes, out, manifest)) as of_scenes:
-        linked, sums, table = _of_linkers(out, manifest)
+        read = linkability.cards(out, manifest, drawn=_DRAWN)
+        linked, sums = summary.linkage_estimates(read), summary.linkage_sums(read)
+        table = linkability.linkability(read, dataset=dataset)
         found, attacked, (curves, decided, at_raw_alarms), worlds = of_scenes()
     flagged, looked = flags.flags(found, slow=flags.slow_attacks(manifest))
     sweeps = Sweeps({**found, **at_raw_alarms, **linked}, known)
@@ -210,13 +207,6 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     )
     told = [one.sentence for one in answers(results)]
     return replace(results, verdict={"answer": told, **said}), looked
-
-
-def _of_linkers(out: Path, manifest: Mapping[str, Any]) -> tuple[Any, ...]:
-    """Return what the linkage cells tell: estimates, sums by cluster, and `linkability.csv`."""
-    read = linkability.cards(out, manifest, drawn=_DRAWN)
-    table = linkability.linkability(read, dataset=manifest["dataset"]["name"])
-    return summary.linkage_estimates(read), summary.linkage_sums(read), table
 
 
 def _of_scenes(out: Path, manifest: Mapping[str, Any]) -> tuple[Any, ...]:
@@ -263,7 +253,7 @@ def study(asked: Sequence[tuple[str, Settings]], *, out: Path) -> tuple[list[Ans
     for law, settings in asked:  # all are checked first, and each recording is read once
         plans.append((law, plan(settings, dataset=known.get(settings.dataset))))
         known[settings.dataset] = plans[-1][1].dataset
-    rows, simulated, n_failed = [], set(), 0
+    rows, simulated, n_failed = [], frozenset[str](), 0
     for law, ready in plans:
         if results := _finished(ready):
             sys.stderr.write(f"{ready.out}: finished before\n")
@@ -272,11 +262,11 @@ def study(asked: Sequence[tuple[str, Settings]], *, out: Path) -> tuple[list[Ans
         rows += answers_of(results.out, results.manifest, results.verdict, law=law)
         n_failed += len(results.failed)
         if results.manifest["dataset"].get("simulated"):
-            simulated.add(results.dataset)
-    of, named = answered(rows, simulated=frozenset(simulated)), frozenset(simulated)
+            simulated |= {results.dataset}
+    of = answered(rows, simulated=simulated)
     write_whole(out / "study.csv", to_csv(to_frame(rows, of)))
     folders = [ready.out.name for _, ready in plans]
-    write_whole(out / "study.html", render(of, simulated=named, runs=folders).encode())
+    write_whole(out / "study.html", render(of, simulated=simulated, runs=folders).encode())
     return of, n_failed
 
 

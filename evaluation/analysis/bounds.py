@@ -1,9 +1,9 @@
 """How far the attacks of a run are from what no attack exceeds, where that is known.
 
-In worlds of walks that follow the fitted motion an attack with one release can be held against the
-optimum: `plr_gap` is what it lacks of the exact posterior where errors are Gaussian, and at most
-what it lacks where they are not, since only a genie who is told the scale of every error reaches
-the ceiling. On recorded walks a gap would mix that with how far people are from the motion.
+In worlds of walks that follow the fitted motion, `plr_gap` is what an attack with one release lacks
+of the exact posterior where errors are Gaussian, and at most what it lacks where they are not,
+since only a genie who is told the scale of every error reaches the ceiling. On recorded walks a gap
+would mix that with how far people are from the motion.
 """
 
 from collections.abc import Mapping, Sequence

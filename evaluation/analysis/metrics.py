@@ -1,7 +1,6 @@
-"""THE table of metrics: name, heading, unit, which way is worse, where it is measured, how shown.
+"""THE table of metrics, which everything that lists metrics or descriptors reads.
 
-Everything that lists metrics or descriptors reads it. A new metric is a row here, and the function
-that computes it.
+A new metric is a row here, and the function that computes it.
 """
 
 from dataclasses import dataclass
@@ -20,22 +19,17 @@ class Metric:
     name: str  # As in `summary.csv`.
     head: str  # Over a column: the field's own name, short.
     measured: Measured
-    summary_unit: str  # As in `summary.csv`: a value is in this unit.
-    worse: Literal["higher", "lower"]
+    summary_unit: str = "fraction"  # As in `summary.csv`: a value is in this unit.
+    worse: Literal["higher", "lower"] = "higher"
     """Which way is worse: for a robot if a predictor has it, else for the privacy of who walked."""
     noun: str = ""  # In a sentence; empty: as over a column.
     digits: int = 1  # Shown after the point, in the unit shown.
     column: str = ""  # Of a cell's tracks: the metric is the mean of it, over those that have one.
-    over: str = ""
-    """Of a cell's tracks: what the sum of `column` is divided by, instead of their number."""
+    over: str = ""  # What the sum of `column` is divided by, instead of the number of tracks.
     is_root: bool = False  # Whether the square root of that ratio is the metric.
-    is_headline: bool = False
-    """Whether a comparison of runs tests it with the few that tell the story."""
-    is_biased: bool = False
-    """Whether its replicates are biased, so that its intervals are basic ones."""
-
-    is_difference: bool = False
-    """Whether it is a difference of two, which may be negative."""
+    is_headline: bool = False  # Tested with the few that tell the story where runs are compared.
+    is_biased: bool = False  # Whether its replicates are, so that its intervals are basic ones.
+    is_difference: bool = False  # Of two metrics: it may be negative.
 
     @property
     def is_share(self) -> bool:
@@ -65,20 +59,16 @@ class Metric:
 
 _ROWS: Final = (
     Metric(
-        *("missed_conflict_rate", "missed", "predictor", "fraction", "higher"),
-        noun="missed-conflict rate",
-        is_headline=True,
+        "missed_conflict_rate", "missed", "predictor", noun="missed-conflict rate", is_headline=True
     ),
     Metric(
-        *("false_alarm_rate", "false alarm", "predictor", "fraction", "higher"),
-        noun="false-alarm rate",
-        is_headline=True,
+        "false_alarm_rate", "false alarm", "predictor", noun="false-alarm rate", is_headline=True
     ),
-    Metric("distance_mae", "distance MAE", "predictor", "m", "higher", digits=2),
-    Metric("plr_robot", "robot's own PLR", "predictor", "fraction", "higher"),
-    Metric("plr", "PLR", "descriptor", "fraction", "higher", column="plr", is_headline=True),
-    Metric("ael", "AEL", "descriptor", "s", "higher", digits=3, column="ael_s", is_headline=True),
-    Metric("mel", "MEL", "descriptor", "s", "higher", digits=3, column="mel_s", is_headline=True),
+    Metric("distance_mae", "distance MAE", "predictor", "m", digits=2),
+    Metric("plr_robot", "robot's own PLR", "predictor"),
+    Metric("plr", "PLR", "descriptor", column="plr", is_headline=True),
+    Metric("ael", "AEL", "descriptor", "s", digits=3, column="ael_s", is_headline=True),
+    Metric("mel", "MEL", "descriptor", "s", digits=3, column="mel_s", is_headline=True),
     Metric("rmse", "RMSE", "reconstruction", "m", "lower", digits=3, column="mse_m2", is_root=True),
     Metric(
         *("rmse_over_benchmark", "RMSE ratio", "reconstruction", "ratio", "lower"),
@@ -88,36 +78,34 @@ _ROWS: Final = (
         is_root=True,
     ),
     Metric(
-        *("plr_over_benchmark", "PLR ratio", "reconstruction", "ratio", "higher"),
+        *("plr_over_benchmark", "PLR ratio", "reconstruction", "ratio"),
         digits=2,
         column="plr",
         over="benchmark_plr",
     ),
     Metric(
-        *("plr_gap", "below the optimum", "bound", "fraction", "lower"),
-        column="plr_gap",
-        is_difference=True,
+        "plr_gap", "below the optimum", "bound", worse="lower", column="plr_gap", is_difference=True
     ),
-    Metric("rank1_optimum", "optimal rank 1", "bound", "fraction", "higher"),
-    Metric(*("rank1_gap", "below the optimum", "bound", "fraction", "lower"), is_difference=True),
-    Metric(*("plr_optimum", "optimal PLR", "bound", "fraction", "higher"), column="plr_optimum"),
-    Metric(*("plr_ceiling", "PLR ceiling", "bound", "fraction", "higher"), column="plr_ceiling"),
-    Metric("rank1", "rank 1", "linkage", "fraction", "higher", is_headline=True),
-    Metric(*("rank1_g100", "rank 1 of 100", "linkage", "fraction", "higher"), is_headline=True),
-    Metric("rank1_assigned", "rank 1, assigned", "linkage", "fraction", "higher"),
-    Metric("false_link_rate", "false links", "linkage", "fraction", "lower"),
-    Metric("mrr", "MRR", "linkage", "ratio", "higher", digits=3),
-    Metric("auc", "AUC", "linkage", "fraction", "higher"),
-    Metric("eer", "EER", "linkage", "fraction", "lower", is_biased=True),
-    Metric("tpr_at_fpr_1pct", "TPR at FPR 1 %", "linkage", "fraction", "higher"),
-    Metric("tpr_at_fpr_01pct", "TPR at FPR 0.1 %", "linkage", "fraction", "higher"),
+    Metric("rank1_optimum", "optimal rank 1", "bound"),
+    Metric("rank1_gap", "below the optimum", "bound", worse="lower", is_difference=True),
+    Metric("plr_optimum", "optimal PLR", "bound", column="plr_optimum"),
+    Metric("plr_ceiling", "PLR ceiling", "bound", column="plr_ceiling"),
+    Metric("rank1", "rank 1", "linkage", is_headline=True),
+    Metric("rank1_g100", "rank 1 of 100", "linkage", is_headline=True),
+    Metric("rank1_assigned", "rank 1, assigned", "linkage"),
+    Metric("false_link_rate", "false links", "linkage", worse="lower"),
+    Metric("mrr", "MRR", "linkage", "ratio", digits=3),
+    Metric("auc", "AUC", "linkage"),
+    Metric("eer", "EER", "linkage", worse="lower", is_biased=True),
+    Metric("tpr_at_fpr_1pct", "TPR at FPR 1 %", "linkage"),
+    Metric("tpr_at_fpr_01pct", "TPR at FPR 0.1 %", "linkage"),
     Metric("cllr", "Cllr", "linkage", "bit", "lower", digits=3),
     Metric("cllr_min", "Cllr_min", "linkage", "bit", "lower", digits=3, is_biased=True),
-    Metric("d_sys", "D_sys", "linkage", "ratio", "higher", digits=3),
-    Metric("d_sys_published", "D_sys, published program", "linkage", "ratio", "higher", digits=3),
-    Metric("d_sys_corrected", "D_sys, corrected", "linkage", "ratio", "higher", digits=3),
-    Metric("residual_risk", "residual risk", "linkage", "fraction", "higher"),
-    Metric("chance", "chance", "linkage", "fraction", "higher"),
+    Metric("d_sys", "D_sys", "linkage", "ratio", digits=3),
+    Metric("d_sys_published", "D_sys, published program", "linkage", "ratio", digits=3),
+    Metric("d_sys_corrected", "D_sys, corrected", "linkage", "ratio", digits=3),
+    Metric("residual_risk", "residual risk", "linkage"),
+    Metric("chance", "chance", "linkage"),
 )
 METRICS: Final = {metric.name: metric for metric in _ROWS}
 """By name, in the order in which they are shown."""
@@ -133,10 +121,9 @@ DESCRIPTORS: Final = measured("descriptor")  # Of privacy: PLR, AEL and MEL.
 RECONSTRUCTION: Final = measured("descriptor", "reconstruction")
 """Of what an attack makes of the positions."""
 GAP: Final = "plr_gap"  # In model worlds alone.
-OPTIMUM: Final = "plr_optimum"
 RANK_OPTIMUM, RANK_GAP = "rank1_optimum", "rank1_gap"  # The same of rank 1.
 CEILING: Final = "plr_ceiling"
-BOUNDS: Final = (OPTIMUM, CEILING)  # Of PLR after any attack, the exact one first.
+BOUNDS: Final = ("plr_optimum", CEILING)  # Of PLR after any attack, the exact one first.
 MISSED_RATE: Final = "missed_conflict_rate"  # What noise costs a robot.
 EQUAL_ALARMS: Final = "missed_at_equal_false_alarms"
 """The same at the false-alarm rate that the predictor has at raw; not in the summary."""

@@ -46,8 +46,7 @@ PAPER_COLUMNS = ["mechanism", "level", "metric", "paper", "ours", "ci_low", "ci_
 CLAIM_COLUMNS = ["adding", "claim", "answer", "effect", "ci_low", "ci_high", "unit", "evidence"]
 
 _NORMAL_975 = 1.959964
-CLOSE_TO_RAW = 0.04
-"""Margin of 'close to raw': the tolerance on a missed-conflict rate, set beforehand."""
+CLOSE_TO_RAW = 0.04  # Margin: the tolerance on a missed-conflict rate, set beforehand.
 
 
 def tolerance(mechanism: str, metric: str, published: float) -> float:
@@ -135,8 +134,7 @@ def claims(
         better = _better_at_every_rate(of_fid, n=n_clusters)
         raised = _activated(sweeps, fid) if dataset == DATASET else ()
         parts = _close_to_raw(sweeps, fixed), raised, _monotone_in_eta(sweeps, fid), better
-        every = chain.from_iterable(parts)
-        rows += [(adding, *row) for row in every]
+        rows += [(adding, *row) for row in chain.from_iterable(parts)]
     if dataset == DATASET:
         points, interval_s = history["points"], history["interval_s"]
         # Within 4 of 366, and 0.083 to 0.084 s: stated with the rules.
@@ -182,12 +180,12 @@ def _activated(sweeps: Sweeps, fid: str) -> Iterator[tuple[object, ...]]:
     if not found:
         return
     is_above = all(one.ci_low > ACTIVATED for one in found.values())
-    is_below = all(one.ci_high < ACTIVATED for one in found.values())
+    is_apart = is_above or all(one.ci_high < ACTIVATED for one in found.values())
     nearest, one = min(found.items(), key=lambda item: abs(item[1].value - ACTIVATED))
     shown = [f"{100.0 * found[level].value:.1f} % at eta = {level:g}" for level in found]
     yield (
         f"FID raises the missed-conflict rate to approximately {100.0 * ACTIVATED:g} %",
-        _answer(holds=not (is_above or is_below), fails=is_above or is_below, n=one.n),
+        _answer(holds=not is_apart, fails=is_apart, n=one.n),
         *(end - ACTIVATED for end in (one.value, one.ci_low, one.ci_high)),
         METRICS[MISSED_RATE].summary_unit,
         f"ours less that, nearest at eta = {nearest:g}; {shown[0]}, {shown[-1]}",
@@ -207,19 +205,15 @@ def _monotone_in_eta(sweeps: Sweeps, fid: str) -> Iterator[tuple[object, ...]]:
         )
         against = sum(step.value < 0 for step in steps)
         wrong = sum(step.ci_high < 0 for step in steps)
-        is_sure = change.ci_low > 0 and wrong == 0
-        is_wrong = change.ci_high < 0 or wrong > 0
+        is_sure, is_wrong = change.ci_low > 0 and not wrong, change.ci_high < 0 or wrong > 0
         low, high = sorted((sign * change.ci_low, sign * change.ci_high))
         word = "falls" if sign < 0 else "rises"
-        evidence = (
-            f"change between the ends; of {len(steps)} steps {against} go the other way, {wrong} "
-            "beyond their interval"
-        )
+        evidence = f"change between the ends; of {len(steps)} steps {against} go the other way, "
         yield (
             f"eta 1 to 1000: {METRICS[metric].text} {word} monotonically",
             _answer(holds=is_sure, fails=is_wrong, n=min(point.n for point in points)),
             *(points[-1].value - points[0].value, low, high, METRICS[metric].summary_unit),
-            evidence,
+            f"{evidence}{wrong} beyond their interval",
         )
 
 

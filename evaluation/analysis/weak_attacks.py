@@ -1,19 +1,9 @@
 """The weak-attack detector: attacks whose numbers say less than they seem to.
 
-A weak attack makes a mechanism look private. Two signs of one, both read off PLR:
-
-- *beaten*: at a mechanism level another attack that should do no better has a higher PLR, beyond
-  the 95 % interval of the paired difference. Such are the same attack with less knowledge, and a
-  simpler attack with the same or less knowledge. Simpler is what comes earlier in `SIMPLER`; an
-  attack that is not in that list is held against all of it. `averaging` over re-releases does not
-  smooth: it is held against the control alone.
-- *does_not_fall*: from the least noisy level of a mechanism to the noisiest, by the RMSE as shared
-  and with raw as one of the levels, PLR after the attack does not fall beyond its paired interval.
-
-A third sign is of all attacks of a run at once, in worlds of walks that follow the fitted motion:
-
-- *far_from_optimum*: even the closest attack, or linker, is more than five points below the optimum
-  there, by the lower end of the interval. On recorded walks that could be the motion as well.
+A weak attack makes a mechanism look private: `_ABOUT` tells the three signs of one. Simpler is what
+comes earlier in `SIMPLER`; an attack that is not in that list is held against all of it, and
+`averaging` over re-releases, which does not smooth, against the control alone. Noise is the RMSE as
+shared. On recorded walks, a distance from the optimum could be the motion as well.
 
 What no attack could help is left out, and fewer than 20 clusters decide nothing. The control is
 never flagged. That an attack beats the shared positions is not asked separately, since the control
@@ -85,9 +75,7 @@ def flags(
 ) -> tuple[pd.DataFrame, dict[str, dict[str, int]]]:
     """Return the flags of a run, a row each (`COLUMNS`), and how much was looked at.
 
-    The latter is `comparisons`, kind to the number of intervals looked at, and `left_out`, why
-    comparisons were left out, and how many.
-
+    The latter is `comparisons`, intervals by kind, and `left_out`, comparisons by why they were.
     `slow` are the attacks that saw one release of each source track only: no other saw the same.
     """
     levels: dict[Where, dict[Source, Estimate]] = {}
@@ -95,10 +83,8 @@ def flags(
         if key.metric == EXPOSURE and key.knowledge:
             levels.setdefault(key.where, {})[key.measure.source] = one
     left_out: Counter[str] = Counter()
-    pairs = [
-        *_beaten_pairs(levels, found, slow=slow, left_out=left_out),
-        *_falling_pairs(levels, found, left_out=left_out),
-    ]
+    pairs = [*_beaten_pairs(levels, found, slow, left_out)]
+    pairs += _falling_pairs(levels, found, left_out)
     enough = [pair for pair in pairs if min(pair.minus.n, pair.plus.n) >= FEWEST_EFFECTIVE]
     if len(enough) < len(pairs):
         left_out["fewer than 20 clusters"] = len(pairs) - len(enough)
@@ -122,13 +108,14 @@ def far_from_optimum(known: Sequence[Gap]) -> pd.DataFrame:
     exact = [one for one in known if one.is_exact]
     rows = []
     for one in exact:
-        numbers = one.gap.value, one.gap.ci_low, one.gap.ci_high
-        if one.gap.ci_low > _FAR:
-            said = f"is the closest to the optimum at {where_text(*one.where)} in the model world"
-            sentence = f"{one.attack.label} {said}, and {_points(*numbers)} points below"
-            about = FAR, one.where[0], np.nan if one.where[1] is None else one.where[1]
-            metric = SUCCESS if one.attack.task else EXPOSURE
-            rows.append((*about, *one.attack, BOUND, "", metric, *numbers, len(exact), sentence))
+        if not one.gap.ci_low > _FAR:
+            continue
+        interval = one.gap.value, one.gap.ci_low, one.gap.ci_high
+        said = f"is the closest to the optimum at {where_text(*one.where)} in the model world"
+        sentence = f"{one.attack.label} {said}, and {_points(*interval)} points below"
+        about = FAR, one.where[0], np.nan if one.where[1] is None else one.where[1]
+        metric = SUCCESS if one.attack.task else EXPOSURE
+        rows.append((*about, *one.attack, BOUND, "", metric, *interval, len(exact), sentence))
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
@@ -158,28 +145,24 @@ def lines(rows: pd.DataFrame) -> list[str]:
     for (kind, *_), part in rows.groupby(["kind", "attack", "knowledge", "by"], sort=False):
         worst = part.sort_values("difference").iloc[-1]
         interval = worst["difference"], worst["ci_low"], worst["ci_high"]
+        where = f"{len(part)} of {worst['compared']}"
         if kind == BEATEN:
             n_levels = len(part[["mechanism", "level"]].drop_duplicates())
-            said = (
-                f"is beaten by {worst['by']} ({', '.join(part['by_knowledge'].unique())}) at "
-                f"{n_levels} of {part['compared'].max()} levels, by up to {_points(*interval)}"
-            )
+            said = f"is beaten by {worst['by']} ({', '.join(part['by_knowledge'].unique())}) at "
+            said += f"{n_levels} of {part['compared'].max()} levels, by up to {_points(*interval)}"
+        elif kind == FAR:
+            said = f"is closest to the optimum at {where} levels of model worlds, and below it by "
+            said += f"up to {_points(*interval)}"
         else:
-            where = f"{len(part)} of {worst['compared']}"
-            said = (
-                f"does not fall with the noise in {where} mechanisms "
-                f"({', '.join(part['mechanism'])}), by {_points(*interval, sign='+')}"
-            )
-            if kind == FAR:
-                said = f"is closest to the optimum at {where} levels of model worlds, and below it"
-                said += f" by up to {_points(*interval)}"
+            said = f"does not fall with the noise in {where} mechanisms "
+            said += f"({', '.join(part['mechanism'])}), by {_points(*interval, sign='+')}"
         who = f"{worst['attack']} ({worst['knowledge']})"
         found.append(f"flag: {who} {said} points: flags.json")
     return found
 
 
 def _beaten_pairs(
-    levels: Levels, found: Found, *, slow: AbstractSet[str], left_out: Counter[str]
+    levels: Levels, found: Found, slow: AbstractSet[str], left_out: Counter[str]
 ) -> Iterator[_Pair]:
     for where, plr in levels.items():
         shared = found.get(AS_SHARED.measure(EXPOSURE).at(*where))
@@ -196,7 +179,7 @@ def _beaten_pairs(
                 yield _Pair(BEATEN, where, attack, by, minus, plus, said)
 
 
-def _falling_pairs(levels: Levels, found: Found, *, left_out: Counter[str]) -> Iterator[_Pair]:
+def _falling_pairs(levels: Levels, found: Found, left_out: Counter[str]) -> Iterator[_Pair]:
     rmse, exposed = AS_SHARED.measure("rmse"), AS_SHARED.measure(EXPOSURE)
     for mechanism in dict.fromkeys(name for name, _ in levels if name not in (RAW, CLEAN)):
         # By the noise that there is, whichever way the level counts.
@@ -209,11 +192,8 @@ def _falling_pairs(levels: Levels, found: Found, *, left_out: Counter[str]) -> I
         if len(in_order) < 2 or in_order[-1][0] != mechanism:  # noqa: PLR2004 - a fall has two ends
             continue
         least, most = in_order[0], in_order[-1]
-        attacks = [
-            attack
-            for attack in levels[most]
-            if attack in levels[least] and _base(attack.consumer) != IDENTITY
-        ]
+        both = (attack for attack in levels[most] if attack in levels[least])
+        attacks = [attack for attack in both if _base(attack.consumer) != IDENTITY]
         quiet, noisy = (found.get(exposed.at(*where)) for where in (least, most))
         if noise[most] < _LEAST_RISE * noise[least]:
             left_out["the noise hardly rises"] += len(attacks)
@@ -239,7 +219,6 @@ def _should_win(attack: Source, by: Source) -> bool:
 
 
 def _base(spec: str) -> str:
-    """Return the name of an attack without its parameters."""
     return spec.partition(":")[0]
 
 
