@@ -1,9 +1,8 @@
 """What each predictor lets a robot decide: misses against false alarms, the whole curve.
 
 A robot may act on the predicted separation (a conflict below d) or, where there is a covariance, on
-the probability of a conflict (above p): two scores, two curves over a threshold. There are at most
-`N_BINS` quantiles of the score over all scenes, and counts per cluster and bin are all that the
-bootstrap needs, so that its cost does not grow with the scenes.
+the probability of a conflict (above p): two scores, two curves over a threshold. Counts per cluster
+and bin of the score are all that the bootstrap needs: its cost does not grow with the scenes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,7 +19,7 @@ from evaluation.analysis.summary import Scored, weights_of
 from isac_track.intervals import Estimate, estimate_of, percentile_interval
 from isac_track.types import Bools, Floats, Ints
 
-N_BINS = 100
+N_BINS = 100  # Quantiles of the score over all scenes, at most.
 N_POINTS = 51  # Of a curve in the file.
 _ABOUT = ("dataset", "mechanism", "level", "consumer", "score")
 DECISION_COLUMNS = [
@@ -104,8 +103,7 @@ def decisions(
     mechanism, with the paired difference from what its own curve by separation reaches there.
 
     The last (`EQUAL_ALARMS`) are what is missed, by separation, at the false-alarm rate that the
-    predictor has at its operating point where nothing is added: noise costs misses, alarms or both,
-    and at equal alarms the misses alone tell.
+    predictor has at its operating point where nothing is added: there the misses alone tell.
     """
     reference = next(iter(manifest["settings"]["predictors"]), None)
     weights = weights_of(manifest)
@@ -118,25 +116,25 @@ def decisions(
     for place, (entry, cluster, columns) in order:
         where, consumer = (entry["mechanism"], entry["level"]), entry["consumer"]
         alarms = Measure(consumer, "false_alarm_rate")
+        raw_alarm = found.get(alarms.at("raw", None))
         scores = {_SEPARATION: -columns["predicted_separation_m"]}
         if not np.isnan(columns["probability"]).any():
             scores["probability"] = columns["probability"]
         for name, score in scores.items():
-            conflict = columns["conflict"]
+            conflict, is_separation = columns["conflict"], name == _SEPARATION
             drawn = curve(score=score, conflict=conflict, cluster=cluster, weights=weights)
             if drawn is None:
                 continue
-            if consumer == reference and name == _SEPARATION:
+            if is_separation and consumer == reference:
                 at = found[alarms.at(*where)].drawn
                 at_reference[where] = at, drawn.missed_at(at)
-            raw_alarm = found.get(alarms.at("raw", None))
-            if name == _SEPARATION and raw_alarm is not None:
+            if is_separation and raw_alarm is not None:
                 at_raw_alarms[Measure(consumer, EQUAL_ALARMS).at(*where)] = estimate_of(
                     drawn.missed_at(raw_alarm.drawn), n=raw_alarm.n, effective=raw_alarm.effective
                 )
-            level = np.nan if where[1] is None else where[1]
-            whose = (manifest["dataset"]["name"], where[0], level, consumer, name)
             points.append(drawn.points())
+            level = np.nan if where[1] is None else where[1]
+            whose = manifest["dataset"]["name"], where[0], level, consumer, name
             row = dict(zip(_ABOUT, whose, strict=True)) | {"place": place}
             row |= _with_ends("area", "area", drawn.areas())
             if where in at_reference:
@@ -156,6 +154,5 @@ def decisions(
 
 
 def _with_ends(name: str, ends: str, values: Floats) -> dict[str, float]:
-    """Return the columns of a number and of the ends of its interval, from (1 + B,)."""
     low, high = percentile_interval(values[1:])
     return {name: values[0], f"{ends}_low": low, f"{ends}_high": high}

@@ -36,14 +36,11 @@ IDENTICAL, DIFFERS, BETWEEN, UNTESTED = "identical", "differs", "between", "unte
 SIGNIFICANCE: Final = 0.05  # Of a family, after Holm.
 DRAWS, PEOPLE, NONE = "people and draws", "people", "none"  # Pairing of a row.
 _VERDICT = "verdict.json"  # Compares over galleries of any size.
-_MOST_NAMED = 4
-_MOST_LEVELS = 5
+_MOST_NAMED, _MOST_LEVELS = 4, 5
 _ABOUT_DATA = frozenset({"dataset", "sha256", "format", "fps", "unit", "tracks", "tracks_used"})
 _ABOUT_CODE = ("code version", "isac_track", "git_commit", "python", "machine")
-_KEEP_DRAWS = (
-    *("dataset", "privacy.", "sensing."),
-    *("conflict.decision", "conflict.probability_threshold"),
-)
+_DECIDED = ("conflict.decision", "conflict.probability_threshold")
+_KEEP_DRAWS = ("dataset", "privacy.", "sensing.", *_DECIDED)
 _CHANGE_DRAWS = ("sensing.n_paths", "sensing.law")
 COLUMNS = [
     *("mechanism", "level", "consumer", "knowledge", "metric"),
@@ -145,14 +142,11 @@ def difference(a: Estimate, b: Estimate, *, paired: bool, metric: str) -> Differ
     tell none below 0.002, and Holm needs smaller ones. Of less than two clusters, or without
     replicates, there is neither.
     """
-    value = b.value - a.value
-    n_clusters = min(a.n, b.n)
+    value, n_clusters = b.value - a.value, min(a.n, b.n)
     n_rows = min(a.replicates.size, b.replicates.size)
-    if n_clusters <= 1 or n_rows == 0 or math.isnan(value):
-        return Difference(value)
     both = [one.replicates[:n_rows].astype(np.float64) for one in (a, b)]
     drawn: Floats = both[1] - both[0]
-    if np.isnan(drawn).all():
+    if n_clusters <= 1 or math.isnan(value) or np.isnan(drawn).all():
         return Difference(value)
     if paired and all(np.nanmin(one) < np.nanmax(one) for one in both):
         low, high = percentile_interval(drawn)
@@ -184,16 +178,11 @@ def _rows(
     pairs: Sequence[tuple[Key, Estimate, Estimate]], first: Manifest, second: Manifest
 ) -> pd.DataFrame:
     """Return a row for each pair with what Holm says of either family, the surest first."""
-    paired_by = {
-        name: pairing(first, second, consumer=name)
-        for name in dict.fromkeys(key.consumer for key, *_ in pairs)
-    }
+    consumers = {key.consumer for key, *_ in pairs}
+    paired_by = {name: pairing(first, second, consumer=name) for name in consumers}
     # Plain rank 1 depends on how many candidates there are.
-    of_one_size = {
-        key._replace(metric=SUCCESS)
-        for key, a, b in pairs
-        if key.metric == "chance" and a.value == b.value
-    }
+    alike = (key for key, a, b in pairs if key.metric == "chance" and a.value == b.value)
+    of_one_size = {key._replace(metric=SUCCESS) for key in alike}
     rows = []
     for key, a, b in pairs:
         if math.isnan(a.value) and math.isnan(b.value):
@@ -202,15 +191,16 @@ def _rows(
         same = a.value == b.value and (
             not paired or np.array_equal(a.replicates, b.replicates, equal_nan=True)
         )
-        found = Difference(0.0, 0.0, 0.0, 0.0, 1.0)
-        if not (same and paired):
-            found = difference(a, b, paired=paired, metric=metric.name)
         if metric.name == SUCCESS and key not in of_one_size:
             found = Difference(math.nan)  # galleries of two sizes do not compare
-        where = (math.nan if one is None else one for one in key.where)
+        elif same and paired:
+            found = Difference(0.0, 0.0, 0.0, 0.0, 1.0)
+        else:
+            found = difference(a, b, paired=paired, metric=metric.name)
         rows.append(
             {
-                **dict(zip(COLUMNS[:2], where, strict=True)),
+                "mechanism": key.mechanism,
+                "level": math.nan if key.level is None else key.level,
                 **key.measure._asdict(),
                 # A control says nothing of an adversary.
                 "headline": metric.is_headline and "/control-" not in key.consumer,
@@ -252,8 +242,8 @@ def _lead(
         of_100 = linker.measure(SUCCESS_OF_100)
         wanted.append(of_100 if of_100 in known else linker.measure(SUCCESS))
     there = {key.where for key in found}
-    at = {one["spec"]: (one["mechanism"], one["level"]) for one in cells}
-    at = {spec: where for spec, where in at.items() if where in there}
+    every = ((one["spec"], (one["mechanism"], one["level"])) for one in cells)
+    at = {spec: where for spec, where in every if where in there}
     levels = [at[spec] for spec in PRESETS["smoke"].mechanisms if spec in at]
     levels = levels or list(dict.fromkeys(at.values()))[:_MOST_LEVELS]
     place = dict(zip(keys_of(rows), rows.index, strict=True))
@@ -296,16 +286,14 @@ def _unequal(a: Manifest, b: Manifest) -> Apart:
     return {name: pair for name, pair in both.items() if pair[0] != pair[1]}
 
 
-_ABOUT = ("scenes", "scenes_utility", "seed")
-
-
 def about(out: Path, manifest: Manifest) -> dict[str, Any]:
     """Return what a run is."""
+    wanted = ("scenes", "scenes_utility", "seed")
     return {
         "out": str(out),
         "dataset": manifest["dataset"]["name"],
         "people": len(manifest["groups"]),
-        **{name: of for name, of in manifest["identity"].items() if name in _ABOUT},
+        **{name: of for name, of in manifest["identity"].items() if name in wanted},
         "preset": manifest["settings"]["preset"],
     }
 

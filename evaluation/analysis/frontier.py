@@ -1,9 +1,8 @@
 """What is left at a price: every mechanism at fixed rises of the missed conflicts, `frontier.csv`.
 
-A mechanism is a curve over its levels that ends at raw. Its level is read where the missed-conflict
-rate has risen over raw by a target, and there what an adversary still has: the descriptors as
-shared and after the strongest reconstruction of every adversary that was run, and how often the
-strongest linker of each task finds a person again. Beside it the robot's own: MAE and PLR.
+What an adversary still has there: the descriptors as shared and after the strongest reconstruction
+of every adversary that was run, and how often the strongest linker of each task finds a person
+again. Beside it the robot's own: MAE and PLR.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,8 +30,7 @@ from evaluation.runs.cell_files import Summed
 from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, Estimate
 from isac_track.types import Bools, Floats, Ints
 
-TARGETS: Final = (0.03, 0.05, 0.075, 0.1)
-"""Rises of the missed-conflict rate over raw, fixed beforehand."""
+TARGETS: Final = (0.03, 0.05, 0.075, 0.1)  # Rises over raw, fixed beforehand.
 WHITE: Final = "fixed:adding=independent,law=isotropic"
 """What others are held against: white noise, equal in all directions."""
 NEAR: Final = 0.03
@@ -46,8 +44,7 @@ COLUMNS: Final = [
     *(*LEVEL_READ, "consumer", "knowledge", "metric", *VALUE, *GAP, "dominated", "n"),
 ]
 _ROUNDING: Final = 1e-9
-_LOG_SPAN: Final = 30.0
-"""Levels that span more are interpolated on a logarithmic scale, as their sweep runs."""
+_LOG_SPAN: Final = 30.0  # Levels that span more are interpolated on a log scale, as they are swept.
 
 
 def front(x: Floats, y: Floats) -> Bools:
@@ -97,10 +94,8 @@ def told(
             for name, source in whose.items():
                 own = mine.get((name, task), {})
                 crossed |= cross_fitted(own, sweeps.known, source, seed=seed, by=by)[0]
-            names = DESCRIPTORS
-            if task:
-                names = (success_of(sweeps.found, whose[RAW]),)
-            found += [Told(name, whose, name in (names[0], EXPOSURE)) for name in names]
+            names = (success_of(sweeps.found, whose[RAW]),) if task else DESCRIPTORS
+            found += [Told(name, whose, is_axis=name == names[0]) for name in names]
     return found, crossed
 
 
@@ -115,13 +110,12 @@ def frontier(
     """Return a row for each mechanism, robot, criterion, target and number: `COLUMNS`.
 
     Level and value are interpolated on the isotonic curve from the noisiest level to raw, which is
-    one for all mechanisms, each replicate on its own. There is no interval, and nothing is held
-    against another, with fewer than `ENOUGH_LEVELS` levels (raw is one) whose missed rate is within
-    `NEAR` of the target, with less than `MIN_DEFINED` of the replicates in reach, or of too few
-    people. `vs_white` is the paired difference from white noise at the same target. `dominated`:
-    there another mechanism is surely better by more than `MARGIN` in attacked PLR or in whom a
-    linker finds, and this one surely in none of them (simultaneous bounds, max-t over all pairs and
-    axes). A target out of reach keeps its row without numbers. `sums` are as in `told`.
+    one for all mechanisms, each replicate on its own; a target out of reach keeps its row without
+    numbers. There is no interval, and nothing is held against another, with fewer than
+    `ENOUGH_LEVELS` levels (raw is one) whose missed rate is within `NEAR` of the target, with less
+    than `MIN_DEFINED` of the replicates in reach, or of too few people. `vs_white` is the paired
+    difference from white noise at the same target; `dominated` is as in `_dominated`, by more than
+    `MARGIN`. `sums` are as in `told`.
     """
     every, crossed = told(sweeps, sums or {}, seed=seed)
     sweeps = Sweeps({**sweeps.found, **crossed}, sweeps.known)
@@ -183,15 +177,15 @@ def _dominated(
 ) -> dict[tuple[str, float], bool]:
     """Return which mechanisms are beaten at which target, of those of which it can be said.
 
+    Another is surely better by more than `MARGIN` on one of the axes, and this one surely on none
+    (simultaneous bounds, max-t over all pairs and axes): attacked PLR, and whom a linker finds.
     `axes` are what is left by mechanism, estimate and replicates at all targets, (1 + B, P).
     """
     found: dict[tuple[str, float], bool] = {}
     for place, target in enumerate(TARGETS):
-        names = [
-            name
-            for name, dense in is_dense.items()
-            if dense[place] and all(name in of and np.isfinite(of[name][0, place]) for of in axes)
-        ]
+        dense = (name for name, is_so in is_dense.items() if is_so[place])
+        known = [{name for name in of if np.isfinite(of[name][0, place])} for of in axes]
+        names = [name for name in dense if all(name in of for of in known)]
         if not names or not axes:
             continue
         n_rows = min(len(of[name]) for of in axes for name in names)

@@ -1,9 +1,8 @@
 """How many candidates there are, and how often the right one comes first: `gallery.csv`.
 
-Of the strongest linker of each task, at every level of the run. Up to the smallest gallery that all
-probes were compared with, every number is measured: the mean over all galleries of that size that
-could be drawn, without companions. Rank 1 in larger ones is predicted. The expected rank grows with
-the gallery, whatever its size; the TPR is of pairs and does not depend on it.
+Of the strongest linker of each task. Up to the smallest gallery that all probes were compared with,
+every number is measured: the mean over all galleries of that size that could be drawn, without
+companions. Rank 1 in larger ones is predicted; the TPR is of pairs and does not depend on the size.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -69,7 +68,7 @@ def _of_level(
 ) -> Iterator[tuple[int, int, str, Estimate]]:
     """Yield the largest gallery measured, a size, a metric and its estimate."""
     above, tied, candidates = one.strangers
-    measured = int(candidates.min(initial=np.iinfo(np.int64).max)) if candidates.size else 0
+    measured = int(candidates.min()) if candidates.size else 0
     steps = [size for size in SIZES if measured < size <= reach(measured)]
     within = sorted(size for size in {*SIZES, measured} if 1 < size <= measured)
     tried = [measured * measured // size for size in steps]  # see `_predicted`

@@ -32,22 +32,15 @@ COLUMNS = [
     *("n_probes", "n_mated", "n_clusters", "gallery_min", "gallery_mean", "gallery_max"),
     *("realised_fpr_1pct", "realised_fpr_01pct", "d_sys_bins", "inverted"),
 ]
-_AS_SCORED = (
-    *("p_value", "p_rank1", "minimum_detectable_rank1", "n_probes", "n_mated", "n_clusters"),
-    *("realised_fpr_1pct", "realised_fpr_01pct", "d_sys_bins"),
-)
-AT_CHANCE, BEATS_CHANCE = "at chance", "beats chance"  # Outcomes of a control.
-
 INVALID = "invalid"
 REMARKS = {
     "no link detected": "no link detected",
     "attack too weak": "attack too weak: it fails on clean too",
     INVALID: "a shortcut leaks: no measure of the attack",
 }
-"""What is to be said of a linkage cell that does not simply link: its outcome, or that a shortcut
-gives people away. With what it means."""
-TWO_SESSIONS = "plaza-two-sessions"
-"""Data set of a task that only the simulated two-session crowd has."""
+"""What is to be said of a linkage cell that does not simply link, with what it means."""
+TWO_SESSIONS = "plaza-two-sessions"  # Data set of the simulated two-session crowd's tasks.
+Cards: TypeAlias = "Sequence[tuple[Mapping[str, Any], LinkageOutcome]]"
 
 
 @lru_cache(maxsize=1024)
@@ -55,9 +48,6 @@ def dataset_of(consumer: str, *, dataset: str) -> str:
     """Return the data set that a row is about: a simulated task has its own."""
     task = TASKS.get(consumer.partition("/")[0])
     return TWO_SESSIONS if task is not None and task.simulated else dataset
-
-
-Cards: TypeAlias = "Sequence[tuple[Mapping[str, Any], LinkageOutcome]]"
 
 
 def cards(
@@ -92,7 +82,7 @@ def linkability(read: Cards, *, dataset: str) -> pd.DataFrame:
         consumer, numbers = entry["consumer"], card.numbers
         p_value = numbers["p_value"]
         if entry["kind"] == "control":
-            found = BEATS_CHANCE if p_value <= LEVEL else AT_CHANCE
+            found = "beats chance" if p_value <= LEVEL else "at chance"
         else:
             found = outcome(p_value=p_value, ceiling_p_value=ceilings[consumer, entry["knowledge"]])
         rank1 = card.estimates["rank1"]
@@ -102,7 +92,8 @@ def linkability(read: Cards, *, dataset: str) -> pd.DataFrame:
             "level": np.nan if entry["level"] is None else entry["level"],
             "invalid": ", ".join(leaks.get((entry["spec"], Source(consumer).task), ())),
         }
-        everybody = {name: numbers[name] for name in _AS_SCORED} | {
+        everybody = {
+            **numbers,
             "outcome": found,
             **dict(zip(_RANK1, (rank1.value, rank1.ci_low, rank1.ci_high), strict=True)),
             "chance": card.estimates["chance"].value,
@@ -155,9 +146,9 @@ def linked_tasks(linkability: pd.DataFrame) -> list[LinkedTask]:
     # Mechanisms in the order of the run, not of their levels.
     order = {name: place for place, name in enumerate(linkability["mechanism"].unique())}
     tidy = tidy.sort_values("level", kind="stable", na_position="first")
-    found = []
     tasks = {name: Source(name).task for name in linkability["consumer"].unique()}
     task_of = tidy["consumer"].map(tasks)
+    found = []
     for task in dict.fromkeys(tasks.values()):
         of = tidy[task_of == task]
         cohorts: dict[str, dict[Where, dict[Source, Mapping[str, Any]]]] = {}

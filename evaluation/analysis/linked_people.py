@@ -29,8 +29,7 @@ from isac_track.linkability import GALLERY
 from isac_track.linkability.ranks import among_strangers, expected_hit, first_among
 from isac_track.types import Floats, Ints
 
-COVARIATES: Final = ("n_samples", "duration_s", "speed_mps", "sigma_m")
-"""Of either release: length, speed and mean noise."""
+COVARIATES: Final = ("n_samples", "duration_s", "speed_mps", "sigma_m")  # Of either release.
 _WHOSE: Final = ("search", "source")
 _COLUMN_OF: Final = {name: METRICS[name].column for name in DESCRIPTORS} | dict(
     zip(ON_TRIAL, ON_TRIAL, strict=True)
@@ -166,38 +165,25 @@ def _names(rows: pa.Table) -> pa.ChunkedArray:
 
 def by_cluster(probes: Mapping[str, Sequence[LinkedProbes]]) -> tuple[LinkedTask, ...]:
     """Return the tasks of a run summed by cluster; `probes` is what `read_probes` returns."""
-    return tuple(_task(task, levels) for task, levels in probes.items() if levels)
+    found = []
+    for task, levels in probes.items():
+        gallery = GALLERY if all(np.isfinite(one.hit_among).all() for one in levels) else None
+        summed = tuple(_summed(one, gallery) for one in levels)
+        if levels:
+            found.append(LinkedTask(task, gallery, levels[0].clusters, summed))
+    return tuple(found)
 
 
-def _task(task: str, levels: Sequence[LinkedProbes]) -> LinkedTask:
-    among = all(np.isfinite(one.hit_among).all() for one in levels)
-    clusters = levels[0].clusters
+def _summed(one: LinkedProbes, gallery: int | None) -> LinkedLevel:
 
-    def sums(values: Floats, one: LinkedProbes) -> Floats:
-        return cluster_sums(values=values, cluster=one.cluster, n_clusters=len(clusters))
+    def sums(values: Floats) -> Floats:
+        return cluster_sums(values=values, cluster=one.cluster, n_clusters=len(one.clusters))
 
-    return LinkedTask(
-        task=task,
-        gallery=GALLERY if among else None,
-        clusters=clusters,
-        levels=tuple(
-            LinkedLevel(
-                mechanism=one.mechanism,
-                level=one.level,
-                linker=one.linker,
-                success=sums(one.hit_among if among else one.hit, one),
-                chance=sums(np.full(one.hit.size, 1.0 / GALLERY) if among else one.chance, one),
-                probes=sums(np.ones(one.hit.size), one),
-                descriptors={
-                    name: np.stack(
-                        [
-                            sums(np.where(np.isnan(values), 0.0, values).sum(axis=1), one),
-                            sums((~np.isnan(values)).sum(axis=1) * 1.0, one),
-                        ]
-                    )
-                    for name, values in one.descriptors.items()
-                },
-            )
-            for one in levels
-        ),
-    )
+    descriptors = {
+        name: np.stack([sums(np.nan_to_num(of).sum(axis=1)), sums((~np.isnan(of)).sum(axis=1))])
+        for name, of in one.descriptors.items()
+    }
+    success = sums(one.hit_among if gallery else one.hit)
+    chance = sums(np.full(one.hit.size, 1.0 / gallery) if gallery else one.chance)
+    about, n_probes = (one.mechanism, one.level, one.linker), sums(np.ones(one.hit.size))
+    return LinkedLevel(*about, success, chance, n_probes, descriptors)

@@ -1,9 +1,7 @@
 """FID, or another mechanism, against fixed noise at equal cost or equal PLR: `matched.csv`.
 
-Mechanisms are curves over their levels, from the noisiest to raw, with all their replicates.
 Operating points are matched at an equal rise of the missed-conflict rate over raw, at an equal rise
-of it while false alarms are held at raw's rate, or at an equal PLR as shared. Compared are the
-descriptors as shared, the same after each reconstruction attack, and what each linker achieves.
+of it while false alarms are held at raw's rate, or at an equal PLR as shared.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -37,11 +35,10 @@ _SHOWN: Final = AS_SHARED.measure(EXPOSURE)
 _SMALLEST = 1e-12
 _ROUNDING = 1e-9
 _INTERVALS = (
-    ("fid", "fid_low", "fid_high"),
+    ("fid", "fid_low", "fid_high"),  # What is compared, under any name.
     ("fixed", "fixed_low", "fixed_high"),
     ("difference", "ci_low", "ci_high"),
 )
-"""Columns: what is compared, fixed noise, and the one less the other."""
 _POINTS = ("at", "missed_conflict_rate", *chain(*_INTERVALS), "defined")
 COLUMNS = [
     *("dataset", "criterion", "adding", "predictor", "consumer", "knowledge", "metric"),
@@ -86,14 +83,9 @@ class Sweeps:
     def swept(self, adding: str) -> list[str]:
         """Return what is a curve under an adding rule: FID, fixed noise, and others with levels."""
         plain = [self.named(family, adding=adding) for family in (FID, FIXED)]
-        more = [
-            name
-            for name, levels in self._levels.items()
-            if name not in plain
-            and adding in self.known[name].rules
-            and len(levels) >= FEWEST_LEVELS
-        ]
-        return [name for name in plain if name] + more
+        more = (name for name, levels in self._levels.items() if len(levels) >= FEWEST_LEVELS)
+        of_rule = [name for name in more if adding in self.known[name].rules and name not in plain]
+        return [*filter(None, plain), *of_rule]
 
     def curves(self, a: str, b: str, measures: Iterable[Measure]) -> Curves:
         """Return the curves of two mechanisms that end in one raw, by what both are measured by."""
@@ -122,10 +114,9 @@ class Sweeps:
     def rests_on(self, mechanisms: Iterable[str], *measures: Measure) -> tuple[int, float]:
         """Return the least number of clusters, and of effective ones, over all levels and raw."""
         added = ((name, level) for name in mechanisms for level in self.levels(name))
-        keys = [one.at(*where) for where in (*added, (RAW, None)) for one in measures]
-        of = [self.found[key] for key in keys if key in self.found]
-        n = min((one.n for one in of), default=0)
-        return n, min((one.n_effective for one in of), default=0.0)
+        keys = (one.at(*where) for where in (*added, (RAW, None)) for one in measures)
+        of = [self.found[key] for key in keys if key in self.found] or [Estimate(np.nan)]
+        return min(one.n for one in of), min(one.n_effective for one in of)
 
     def n(self, mechanism: str, measure: Measure) -> int:
         """Return how many clusters the least of a mechanism's levels has; 0 if none was run."""
@@ -142,24 +133,20 @@ def matched(sweeps: Sweeps, *, predictors: Sequence[str], dataset: str) -> pd.Da
     raw*, so that each bootstrap replicate, which repeats all of it on its own drawn people, is read
     at its own raw value plus that change: the comparison is paired in both.
 
-    Descriptors as shared are compared for every predictor, attacks for the first one, which is the
-    reference. A mechanism is compared under its own adding rule, one that declares none under both.
-    FID comes first. `sweeps` are of every metric of the run, linkage among them.
+    Descriptors as shared are compared for every predictor; the same after each attack, and what
+    each linker achieves, for the first one. A mechanism is compared under its own adding rule, one
+    that declares none under both; FID comes first. `sweeps` are of every metric of the run.
 
     The columns are `COLUMNS`. `mechanism` is what stands in the columns `fid`. `at` is the rise of
     the missed rate over raw, or the PLR as shared; `missed_conflict_rate` is that of raw plus the
     rise. `defined` is the share of replicates that reach the point; where it is below `MIN_DEFINED`
     there is no interval (NaN), since the replicates that are left would all lie on one side.
     """
-    # Descriptors as shared, then the same after each attack, and what each linker achieves.
     known = dict.fromkeys(key.measure for key in sweeps.found)
     shared = [one for one in known if one.source == AS_SHARED and one.metric in DESCRIPTORS]
+    attacked = [one for one in known if one.consumer != SHARED and one.knowledge]
     measures = shared + [
-        one
-        for one in known
-        if one.consumer != SHARED
-        and one.knowledge
-        and one.metric in (ACHIEVED if one.source.task else DESCRIPTORS)
+        one for one in attacked if one.metric in (ACHIEVED if one.source.task else DESCRIPTORS)
     ]
     criteria = [
         (criterion, Measure(predictor, metric), predictor, shared if place else measures)
@@ -209,19 +196,16 @@ def _compared(
         # No change is raw itself, the end of both curves: nothing is compared there.
         at = np.linspace(0.0, reach, n_points + 1)[1:]
         at = at[::-1] if is_plr else at  # at ascends, in PLR as well
+        rate = np.full(n_points, np.nan) if is_plr else raw + at
         of = [one for one in measures if (one.consumer == SHARED) == are_shared]
         for measure, compared, fixed in at_changes(curves, by, of, at=at):
             gap = compared - fixed
             defined = np.isfinite(gap[1:]).mean(axis=0)
-            points = {
-                "at": raw - at if is_plr else at,
-                "missed_conflict_rate": np.full(n_points, np.nan) if is_plr else raw + at,
-                "defined": defined,
-            }
+            points = {"at": raw - at if is_plr else at, "missed_conflict_rate": rate}
             for names, values in zip(_INTERVALS, (compared, fixed, gap), strict=True):
                 has_ends = np.isfinite(values[1:]).all(axis=0) | (defined >= MIN_DEFINED)
                 points |= with_ends(names, values, has_ends)
-            yield measure, points
+            yield measure, points | {"defined": defined}
 
 
 def with_ends(names: tuple[str, str, str], values: Floats, can_say: Bools) -> dict[str, Floats]:

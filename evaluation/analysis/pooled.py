@@ -28,9 +28,7 @@ from evaluation.analysis.strongest import strongest
 from evaluation.analysis.summary import estimates, linkage_estimates
 from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, Estimate, difference
 
-FEWEST: Final = 5
-"""Real recordings below which nothing is pooled: of fewer, nobody knows how much they differ."""
-MEAN: Final = "mean"  # In the column of seeds: the average over them.
+FEWEST: Final = 5  # Real recordings: of fewer, nobody knows how much they differ.
 POOLED, FURTHER = "pooled", "further"
 """In the column of recordings: all real ones, and where a further one is expected."""
 LINKED_IN: Final = "rerelease"
@@ -51,14 +49,10 @@ QUESTIONS: Final = {
 _TAIL: Final = 0.5 + CONFIDENCE / 2.0
 _NORMAL: Final = float(ndtri(_TAIL))
 _STRICT: Final = 1.0  # Threshold of FID at which is asked.
+_CLAIM: Final = {"section": "claim", "criterion": "missed", "of": "after-attack"}
 _OF_VERDICT: Final = {
     "descriptors_tell": {"section": "validity", "descriptor": EXPOSURE, "task": LINKED_IN},
-    "fid_against_fixed": {
-        "section": "claim",
-        "descriptor": EXPOSURE,
-        "criterion": "missed",
-        "of": "after-attack",
-    },
+    "fid_against_fixed": {**_CLAIM, "descriptor": EXPOSURE},
 }
 
 
@@ -194,9 +188,8 @@ class Answered:
         told += f"; least {100 * least['value']:+.1f} points ({least['recording']})"
         told += f", largest {100 * most['value']:+.1f} ({most['recording']})"
         if self.pooled:
-            value, *ends = (100 * one for one in self.pooled[:5])
-            told += "; pooled {:+.1f} [{:.1f}, {:.1f}], of a further recording [{:.1f}, {:.1f}]"
-            told = told.format(value, *ends)
+            text = "; pooled {:+.1f} [{:.1f}, {:.1f}], of a further recording [{:.1f}, {:.1f}]"
+            told += text.format(*(100 * one for one in self.pooled[:5]))
         return f"{told}."
 
 
@@ -216,14 +209,14 @@ def answered(rows: Sequence[Mapping[str, Any]], *, simulated: frozenset[str]) ->
         for row in of:
             seeds.setdefault(row["recording"], []).append(row)
         averages = [
-            {**one[0], "seed": MEAN, "n": min(row["n"] for row in one)}
+            {**one[0], "seed": "mean", "n": min(row["n"] for row in one)}
             | {name: float(np.mean([row[name] for row in one])) for name in _ENDS}
             for one in (seeds[name] for name in sorted(seeds, key=simulated.__contains__))
         ]
         real = [row for row in averages if row["recording"] not in simulated]
         errors = [(row["ci_high"] - row["ci_low"]) / (2.0 * _NORMAL) for row in real]
-        able = len(real) >= FEWEST and all(one > 0.0 for one in errors)
-        able = able and not order[place].endswith(OWN_GALLERY)
+        is_alike = len(real) >= FEWEST and not order[place].endswith(OWN_GALLERY)
+        able = is_alike and all(one > 0.0 for one in errors)
         pooled = pool([row["value"] for row in real], errors) if able else None
         found.append(Answered(order[place], adding, law, averages, len(real), pooled))
     return found

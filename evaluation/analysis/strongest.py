@@ -8,12 +8,12 @@ the first of the run counts.
 The strongest of a run is chosen over all levels of raw, fixed noise and FID, so that the choice
 favours none of them; of a run with neither of the two over all levels but the ceiling. It is the
 *headline adversary*, one for reconstruction and one for each linkage task, whose is every number
-after attack without a name. `design` holds a limit against whoever is strongest at the very level,
-and names them. Who chooses and scores on the same people flatters the choice: see `cross_fitted`.
+after attack without a name.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
@@ -25,17 +25,12 @@ from evaluation.experiment.presets import IDENTITY
 from isac_track.rng import stream
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping
-
     from evaluation.runs.cell_files import Summed
     from isac_track.intervals import Estimate
 
 Levels: TypeAlias = "dict[Where, dict[Source, float]]"  # Success of every attack at each level.
-
-
 HEADLINE: Final = ("blind", INFORMED)  # Adversaries of whom the strongest is the headline.
-BEYOND: Final = ("repeats", "anchor", "companions", "insider")
-"""Adversaries who know more: told beside it, where they were run."""
+BEYOND: Final = ("repeats", "anchor", "companions", "insider")  # Who knows more: told beside it.
 GROUPS: Final = (HEADLINE, *((name,) for name in BEYOND))  # Each has its strongest.
 
 
@@ -53,8 +48,8 @@ def strongest_of(
                 values.setdefault(source, []).append(value)
     most = max(map(len, values.values()), default=0)
     means = {source: float(np.mean(one)) for source, one in values.items() if len(one) == most}
-    finite = {source: mean for source, mean in means.items() if np.isfinite(mean)}
-    return max(finite, key=finite.__getitem__, default=None)
+    finite = [source for source, mean in means.items() if np.isfinite(mean)]
+    return max(finite, key=means.__getitem__, default=None)
 
 
 def strongest(found: Mapping[Key, Estimate], known: Mapping[str, Family]) -> dict[str, Source]:
@@ -67,8 +62,7 @@ def strongest(found: Mapping[Key, Estimate], known: Mapping[str, Family]) -> dic
         levels = by_task(found, metric=metric)
         families = {known[name].family for blocks in levels.values() for name, _ in blocks}
         for task, blocks in levels.items():
-            one = strongest_of(_choosing(blocks, known, families))
-            if one is not None:
+            if one := strongest_of(_choosing(blocks, known, families)):
                 best[task] = one
     return best
 
@@ -82,7 +76,6 @@ def success_of(found: Mapping[Key, Estimate], linker: Source) -> str:
 def _choosing(
     blocks: Levels, known: Mapping[str, Family], families: Collection[str]
 ) -> Iterator[Mapping[Source, float]]:
-    """Yield the levels over which is chosen."""
     wanted = SWEPT if {FIXED, FID}.intersection(families) else {*families} - {CLEAN}
     return (block for (name, _), block in blocks.items() if known[name].family in wanted)
 
@@ -159,11 +152,10 @@ def by_mechanism(levels: Levels) -> dict[str, list[dict[Source, float]]]:
 
 
 def most_knowing(of: Iterable[Source]) -> list[Source]:
-    """Return for each attack the adversary that knows most, short of the oracle if there is one.
+    """Return what was shared, and of each attack the adversary that knows most.
 
-    What was shared stays.
+    The oracle is a reference: it stands for an attack that nobody else can run.
     """
-    # The oracle is a reference: it stands for an attack that nobody else can run.
     rank = {name: place for place, name in enumerate(("", *HEADLINE))}
     best: dict[str, Source] = {}
     for source in of:

@@ -4,7 +4,8 @@ The unit is the source track, or the group that walks together: every interval d
 clusters, the same ones for every mechanism, so that differences are paired.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import lru_cache
 from itertools import groupby
 from operator import itemgetter
@@ -41,8 +42,6 @@ _COLUMNS_OF = {
         *("separation_m", "predicted_separation_m", "probability", OF_ROBOT),
     ],
 }
-
-
 Scored: TypeAlias = "tuple[Mapping[str, Any], Ints, Mapping[str, Any]]"
 """What a predictor said of every scene of one mechanism level: the cell's entry in the manifest,
 the scenes' clusters, (S,), and its columns as in `_COLUMNS_OF`."""
@@ -84,9 +83,15 @@ def estimates(
                 )
         of_clusters = np.array(sums)
         used = np.flatnonzero(of_clusters.any(axis=(0, 1)))  # of thousands, hundreds are in scenes
-        of_clusters, drawn = of_clusters[:, :, used], weights[:, used]
-        metrics = [key.metric for key in keys]
-        found |= zip(keys, _estimates(metrics, of_clusters, drawn), strict=True)
+        of_clusters = of_clusters[:, :, used]
+        told_of = ratio_estimates(
+            numerator=of_clusters[:, 0],
+            denominator=of_clusters[:, 1],
+            weights=weights[:, used],
+            is_share=[METRICS[key.metric].is_share for key in keys],
+        )
+        for key, one in zip(keys, told_of, strict=True):
+            found[key] = _root(one) if METRICS[key.metric].is_root else one
         attacked |= {
             key: Summed(one, weights, used)
             for key, one in zip(keys, of_clusters, strict=True)
@@ -100,21 +105,10 @@ def key_of(entry: Mapping[str, Any], metric: str) -> Key:
     return Key(entry["mechanism"], entry["level"], entry["consumer"], metric, entry["knowledge"])
 
 
-def _estimates(metrics: Sequence[str], sums: Floats, weights: Floats) -> Iterator[Estimate]:
-    """Yield metrics from the sums of their numerators and denominators, (K, 2, C)."""
-    found = ratio_estimates(
-        numerator=sums[:, 0],
-        denominator=sums[:, 1],
-        weights=weights,
-        is_share=[METRICS[name].is_share for name in metrics],
-    )
-    for name, one in zip(metrics, found, strict=True):
-        if METRICS[name].is_root:
-            value, low, high = np.sqrt([one.value, one.ci_low, one.ci_high]).tolist()
-            roots = np.sqrt(one.replicates)
-            yield Estimate(value, low, high, one.n, roots, effective=one.effective)
-        else:
-            yield one
+def _root(one: Estimate) -> Estimate:
+    value, low, high = np.sqrt([one.value, one.ci_low, one.ci_high]).tolist()
+    roots = np.sqrt(one.replicates)
+    return replace(one, value=value, ci_low=low, ci_high=high, replicates=roots)
 
 
 def linkage_estimates(read: Cards) -> dict[Key, Estimate]:
@@ -134,8 +128,7 @@ def weights_of(manifest: Mapping[str, Any]) -> Floats:
 
 @lru_cache(maxsize=1)  # of thousands of people they take 60 MB
 def _weights(n_clusters: int, seed: int) -> Floats:
-    drawn = cluster_weights(n_clusters=n_clusters, n_replicates=N_REPLICATES, seed=seed)
-    return read_only(drawn)
+    return read_only(cluster_weights(n_clusters=n_clusters, n_replicates=N_REPLICATES, seed=seed))
 
 
 def clusters(table: pa.Table, manifest: Mapping[str, Any]) -> Ints:
@@ -154,10 +147,9 @@ def to_frame(
     known: Mapping[str, Family],
     dataset: str,
 ) -> pd.DataFrame:
-    """Return the tidy summary; the first six columns are unique together.
+    """Return the tidy summary, `COLUMNS`; the first six of them are unique together.
 
-    `worlds` is what was found in others, whose data sets say so; `known` are the mechanisms of the
-    run, from `families`.
+    `worlds` is what was found in others, whose data sets say so; `known` are the run's mechanisms.
     """
     every = {dataset: found} | {f"{dataset}:{world}": other for world, other in worlds.items()}
     rows = [
@@ -196,8 +188,7 @@ def ratios(kind: str, table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
         over = table[metric.over].to_numpy() if metric.over else np.ones_like(values)
         # A one-sample track that leaks has no exposure length (NaN): it does not count there.
         known = ~np.isnan(over if metric.over else values)
-        if metric.name in {*BOUNDS, GAP} and not known.any():
-            continue
-        values = np.where(known & ~np.isnan(values), values, 0.0)
-        found[metric.name] = values, np.where(known, over, 0.0)
+        if known.any() or metric.name not in {*BOUNDS, GAP}:
+            values = np.where(known & ~np.isnan(values), values, 0.0)
+            found[metric.name] = values, np.where(known, over, 0.0)
     return found
