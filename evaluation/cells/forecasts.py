@@ -43,13 +43,7 @@ def sharing_rows(
     if predictor is None:
         return {
             **track_columns(scenes, np.arange(scenes.track.size)),
-            **descriptors(
-                xy=release.xy,
-                truth=scenes.xy,
-                t=scenes.t,
-                offsets=scenes.offsets,
-                settings=stages.privacy,
-            ),
+            **descriptors(release, truth=scenes.xy, settings=stages.privacy),
         }
     who = f"predictor {predictor.spec!r}"
     granted = handed(showing(release, predictor.instance.requires), predictor)

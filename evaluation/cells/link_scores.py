@@ -59,9 +59,9 @@ class Linked:
     cohorts: Mapping[str, Mapping[str, float]]
     """Rank 1 without the confounders, by who is left out; none for a control."""
     is_assigned: bool  # Whether probes can be left alone at a known cost, or need not be.
-    checked: tuple[Floats, Floats] | None = None
-    """Where some candidates alone are scored: hits of probes that are searched in full as well,
-    (n,), by all pairs and as they are."""
+    losses: Floats | None = None
+    """Where some candidates alone are scored: how many more hits all pairs have, (n,), of probes
+    that are searched in full as well."""
 
 
 def read_off(
@@ -72,7 +72,7 @@ def read_off(
     calibration: Mapping[int, linkability.Calibration] = _NOTHING,
     no_match: Mapping[int, float] = _NOTHING,
     is_audit: bool = False,
-    checked: tuple[Floats, Floats] | None = None,
+    losses: Floats | None = None,
 ) -> Linked:
     """Return the scorecard of an attack or a control, and of an attack without confounders.
 
@@ -80,9 +80,9 @@ def read_off(
     there was somebody for. `no_match` says by search what a pair of an open gallery must score to
     be linked: without it there is no assignment. What the scorecard draws is `drawn_from` a
     control's own stream, or from that of the attack of this name, alike at all levels. With
-    `known.candidates` all is read off the ranks, and `checked` says what the attack lost.
+    `known.candidates` all is read off the ranks, and `losses` says what the attack lost.
     """
-    sessions = known.sessions
+    sessions, weights = known.sessions, known.weights
     searches = tuple(
         linkability.Search(
             scores=scores[number],
@@ -99,21 +99,19 @@ def read_off(
     is_assigned = needed is not None or not sessions.task.shows_scene
     is_assigned &= not known.candidates  # what was not scored has no score to be summed
     is_calibrated = {search.scale for search in searches} <= set(calibration)
-    n_shuffles = AUDIT_SHUFFLES if is_audit else SHUFFLES
+    shuffles = AUDIT_SHUFFLES if is_audit else SHUFFLES
     if known.candidates:
         rng = drawn_from if isinstance(drawn_from, Generator) else _stream(known.seed, *drawn_from)
-        scored = linkability.rank_scorecard(
-            searches, weights=known.weights, rng=rng, n_shuffles=n_shuffles
-        )
+        scored = linkability.rank_scorecard(searches, weights=weights, rng=rng, n_shuffles=shuffles)
     else:
         people = tuple(people_of(search) for search in searches)
         if isinstance(drawn_from, Generator):
-            draws = draw(people, drawn_from, n_shuffles)
+            draws = draw(people, drawn_from, shuffles)
         else:
             draws = _draws(people, known.seed, *drawn_from)
         scored = scorecard_of(
             searches,
-            weights=known.weights,
+            weights=weights,
             calibration=calibration if is_calibrated else None,
             no_match_score=needed,
             draws=draws,
@@ -133,7 +131,7 @@ def read_off(
         scored=replace(scored, estimates=estimates),
         cohorts={} if isinstance(drawn_from, Generator) else _cohorts(searches, known),
         is_assigned=is_assigned,
-        checked=checked,
+        losses=losses,
     )
 
 
@@ -269,12 +267,9 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
         "numbers": {name: getattr(scored, name) for name in _NUMBERS},
         "cohorts": linked.cohorts,
     }
-    if linked.checked is not None:
-        exact, approximate = linked.checked
-        about["numbers"] |= {
-            "n_checked": exact.size,
-            "rank1_loss": float((exact - approximate).mean()) if exact.size else None,
-        }
+    if linked.losses is not None:
+        about["numbers"]["n_checked"] = linked.losses.size
+        about["numbers"]["rank1_loss"] = float(linked.losses.mean()) if linked.losses.size else None
     if keep_scores:
         flat = np.concatenate([one.scores.ravel() for one in linked.searches]).astype(np.float32)
         sizes = [row.size for one in linked.searches for row in one.scores]

@@ -230,13 +230,12 @@ def _approximated(consumer: Consumer, level: LinkedLevel) -> Linked:
                 n_at_once=AT_ONCE if consumer.is_built_in else 1,
                 rng=rng,
             )
-    exact = np.concatenate([one.exact for one in found.values()])
-    approximate = np.concatenate([one.approximate for one in found.values()])
+    losses = np.concatenate([one.exact - one.approximate for one in found.values()])
     return read_off(
         {number: one.scores for number, one in found.items()},
         known=known,
         drawn_from=(consumer.spec, consumer.knowledge),
-        checked=(exact, approximate),
+        losses=losses,
     )
 
 
@@ -360,12 +359,10 @@ def scores_of(
     found = sharing.guarded(who, lambda: attack(*shown))
     if np.ma.isMaskedArray(found):
         raise PluginError(f"{who} must return a score for every pair, got a masked array")
-    scores = np.asarray(found)
-    expected = (len(probe), len(gallery))
+    scores, expected = np.asarray(found), (len(probe), len(gallery))
     if scores.shape != expected or scores.dtype.kind not in "fiu":
-        raise PluginError(
-            f"{who} must return scores {expected}, got {scores.shape} of {scores.dtype}"
-        )
+        got = f"{scores.shape} of {scores.dtype}"
+        raise PluginError(f"{who} must return scores {expected}, got {got}")
     with np.errstate(over="ignore"):
         single = scores.astype(np.float32)
     if not np.isfinite(single).all():
@@ -387,17 +384,14 @@ def window_tables(consumer: Consumer, level: LinkedLevel) -> Tables:
     smooth = _sides(consumer, level, 0)
     sides = []
     for number, side in enumerate(SIDES):
-        release, attacked = level.shared[number], smooth.both[number].xy
+        release, attacked, std = level.shared[number], smooth.both[number].xy, smooth.std[number]
         whole: Windows = getattr(sessions, side)
         assert release.sigma is not None  # `share` refuses what declares none
         truth, walked = getattr(known.sessions, side).xy, _true_walks(level, number)
         exposed, left = (
-            descriptors(
-                xy=one, truth=real, t=release.t, offsets=release.offsets, settings=known.privacy
-            )
-            for one, real in ((release.xy, truth), (attacked, walked))
+            descriptors(one, truth=real, settings=known.privacy)
+            for one, real in ((release, truth), (derived(release, xy=attacked), walked))
         )
-        std = smooth.std[number]
         columns = (
             [side] * len(whole),
             names_column(whole.search, sessions.searches),

@@ -88,7 +88,6 @@ def gallery_rows(
     }
     for what, xy in (("true", truth), ("shared", release.xy), ("rec", np.asarray(rebuilt.xy))):
         columns |= {f"{axis}_{what}": np.round(xy[:, i], _DIGITS) for i, axis in enumerate("xy")}
-        columns[f"leaked_{what}"] = leakage_indicator(
-            shared_xy=xy, true_xy=truth, epsilon_m=epsilon_m
-        )
+        leaked = leakage_indicator(shared_xy=xy, true_xy=truth, epsilon_m=epsilon_m)
+        columns[f"leaked_{what}"] = leaked
     return table(columns).select(COLUMNS)

@@ -88,7 +88,7 @@ def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Rele
     `key` names the stream. Every mechanism gets the same one: common random numbers. Raises
     PluginError if the mechanism raises or breaks its contract; the message names it.
     """
-    who = f"mechanism {mechanism.spec!r}"
+    who, limit = f"mechanism {mechanism.spec!r}", f"{SHARED_LIMIT_M:g} m"
     rng = stream(seed, "sharing", *key)
     release = guarded(who, lambda: mechanism.instance.share(handed(sensed, mechanism), rng))
     if not isinstance(release, Release):
@@ -98,14 +98,12 @@ def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Rele
     except ValueError as error:
         raise PluginError(f"{who} changed the tracks or their times: {error}") from None
     if not within(release.xy, -SHARED_LIMIT_M, SHARED_LIMIT_M):
-        raise PluginError(
-            f"{who} shared a position that is not within {SHARED_LIMIT_M:g} m of the origin"
-        )
+        raise PluginError(f"{who} shared a position that is not within {limit} of the origin")
     if release.sigma is None:
         raise PluginError(f"{who} declared no sigma: a standard deviation for every sample, in m")
     if not within(release.sigma, 0.0, SHARED_LIMIT_M):
         is_too_large = (release.sigma >= 0).all()
-        wrong = f"above {SHARED_LIMIT_M:g} m, the limit" if is_too_large else "below 0 or NaN"
+        wrong = f"above {limit}, the limit" if is_too_large else "below 0 or NaN"
         raise PluginError(f"{who} declared a sigma {wrong}")
     # Fresh for every release: the common stream gives every mechanism the same ones.
     drawn = stream(seed, "pseudonyms", mechanism.spec, *key).bytes(8 * len(release))
@@ -212,12 +210,11 @@ def reconstructed(
 
     Raises PluginError if it raises or returns anything else; the message names it.
     """
+    expected = release.xy.shape
     found = guarded(who, lambda: attack(release))
-    if not isinstance(found, Reconstruction) or found.xy.shape != release.xy.shape:
+    if not isinstance(found, Reconstruction) or found.xy.shape != expected:
         got = getattr(getattr(found, "xy", None), "shape", type(found).__name__)
-        raise PluginError(
-            f"{who} must return a Reconstruction with xy {release.xy.shape}, got {got}"
-        )
+        raise PluginError(f"{who} must return a Reconstruction with xy {expected}, got {got}")
     return found
 
 

@@ -9,7 +9,7 @@ import pyarrow as pa
 
 from isac_track import privacy
 from isac_track.config import PrivacySettings
-from isac_track.types import Floats, Ints, Scenes, Tracks
+from isac_track.types import Floats, Ints, Release, Scenes, Tracks
 
 Rows: TypeAlias = dict[str, np.ndarray[Any, np.dtype[Any]]]
 Tables: TypeAlias = "dict[str, pa.Table]"
@@ -79,15 +79,11 @@ def track_columns(scenes: Scenes, rows: Ints) -> Rows:
     }
 
 
-def descriptors(
-    *, xy: Floats, truth: Floats, t: Floats, offsets: Ints, settings: PrivacySettings
-) -> Rows:
-    """Return PLR, AEL, MEL and mean squared error of every track, shared or reconstructed.
-
-    `xy` and `truth` are (M, 2) m, `t` (M,) s, `offsets` (N + 1,).
-    """
+def descriptors(release: Release, *, truth: Floats, settings: PrivacySettings) -> Rows:
+    """Return PLR, AEL, MEL and mean squared error of every track; `truth` is (M, 2) m."""
+    t, offsets = release.t, release.offsets
     return described_rows(
-        privacy.described(xy=xy, truth=truth, t=t, offsets=offsets, settings=settings)
+        privacy.described(xy=release.xy, truth=truth, t=t, offsets=offsets, settings=settings)
     )
 
 

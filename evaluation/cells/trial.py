@@ -74,10 +74,8 @@ def code_of(instance: Any) -> CodeType | None:  # noqa: ANN401 - a stranger's
 
 def _call(trial: Trial, stages: StageSettings) -> None:
     tracks = cut(_people(stages), settings=stages, seed=_SEED)
-    agents = stages.scenes.agents
-    order = track_order(
-        n_tracks=len(tracks), n_scenes=-(-N_PEOPLE // agents), agents=agents, seed=_SEED
-    )
+    agents, n_scenes = stages.scenes.agents, -(-N_PEOPLE // stages.scenes.agents)
+    order = track_order(n_tracks=len(tracks), n_scenes=n_scenes, agents=agents, seed=_SEED)
     mechanism, consumer = plugins.parse("mechanisms", _MECHANISM)[0], trial.consumer
     if consumer is None or consumer.kind != "linkage":
         level = (trial.plugin, ()) if consumer is None else (mechanism, (consumer,))

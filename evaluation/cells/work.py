@@ -76,10 +76,8 @@ def attempt(
     except IsacTrackError:
         raise
     except Exception as error:  # noqa: BLE001 - nobody knows what else goes wrong
-        places = (
-            (frame.f_globals.get("__name__", ""), line)
-            for frame, line in traceback.walk_tb(error.__traceback__)
-        )
+        frames = traceback.walk_tb(error.__traceback__)
+        places = ((frame.f_globals.get("__name__", ""), line) for frame, line in frames)
         # The innermost of ours; there is one: this very function.
         module, line = [one for one in places if one[0].partition(".")[0] in OURS][-1]
         where = f"in isac-track's own code, {module}, line {line}: please report this"
@@ -135,9 +133,8 @@ def _linked(work: LinkWork, *, tracks: Cut, stages: StageSettings, seed: int) ->
 
 
 def _of_scenes(block: Block, *, tracks: Cut, stages: StageSettings, seed: int) -> Iterator[Item]:
-    scenes = make_scenes(
-        tracks, order=block.order, first=block.first_scene, settings=stages, seed=seed
-    )
+    order, first = block.order, block.first_scene
+    scenes = make_scenes(tracks, order=order, first=first, settings=stages, seed=seed)
     of: dict[str, Any] = {"tracks": tracks, "stages": stages, "seed": seed}
     of["is_model"] = MODEL in block.world
     scenes, sensed = reconstruction.sensed_scenes(scenes, **of)

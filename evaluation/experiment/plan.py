@@ -4,6 +4,7 @@ import hashlib
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -111,12 +112,11 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
         identity["persistent_ids"] = True
     if settings.n_utility_scenes != settings.n_scenes:
         identity["scenes_utility"] = settings.n_utility_scenes
+    linked = partial(sessions_of, tracks=dataset.tracks, seed=settings.seed)
     sessions, skipped = [], dict[str, str]()
     for task in crossed.tasks:
         try:
-            sessions.append(
-                sessions_of(task, tracks=dataset.tracks, stages=settings.stages, seed=settings.seed)
-            )
+            sessions.append(linked(task, stages=settings.stages))
         except DataError as error:
             if settings.tasks is not None:  # it was named, so that it must be
                 raise
@@ -147,7 +147,7 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
         code_of=code_of,
         sessions=tuple(sessions),
         model_sessions=tuple(
-            sessions_of(one.task, tracks=dataset.tracks, stages=few, seed=settings.seed)
+            linked(one.task, stages=few)
             for one in sessions
             if one.task.is_one_stretch and any(crossed.linked_in.values())
         ),

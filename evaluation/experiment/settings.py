@@ -21,7 +21,8 @@ _KINDS: dict[str, tuple[Any, type, str]] = {
         ("scenes", "utility_scenes", "seed", "jobs"), (Integral, int, "a whole number, as {}=40")
     ),
     **dict.fromkeys(("fps", "cell_timeout_s", "precision"), (Real, float, "a number, as {}=2.5")),
-    **dict.fromkeys(("preset", "dataset", "format", "executor", "scheduler"), (str, str, "text")),
+    **dict.fromkeys(("preset", "format", "executor", "scheduler"), (str, str, "text")),
+    "dataset": ((str, Path), str, "text"),
     "out": ((str, Path), Path, "the path of a folder"),
 }
 """What an option must be, what it becomes, and how that is said."""
@@ -92,8 +93,6 @@ class Settings:
     def _check_types(self) -> None:
         """Refuse what only Python lets one write, and take lists and mappings for what they are."""
         given: dict[str, Any] = {one.name: getattr(self, one.name) for one in fields(self)}
-        if isinstance(given["dataset"], Path):
-            given["dataset"] = str(self.dataset)
         if isinstance(given["stages"], Mapping):
             given["stages"] = StageSettings().changed(given["stages"])
         given["sessions"] = tuple(map(str, given["sessions"]))
