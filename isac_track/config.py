@@ -7,20 +7,15 @@ The range of a number ends far beyond what is physical or of use, but within wha
 and the memory of a computer can take.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from functools import cache
 from numbers import Integral, Real
-from typing import Any, Literal, TypeAlias, dataclass_transform, get_args, get_type_hints
+from typing import Any, Literal, Self, TypeAlias, get_args
 
 from isac_track.errors import SettingsError, did_you_mean, quoted
 
 IntervalsOf: TypeAlias = Literal["segment", "trajectory"]
 """Whose sampling intervals the duration of a leaked segment is made of."""
-
-_types_of = cache(get_type_hints)
 
 
 def _number(default: float, low: float, high: float, *, is_open: bool = False) -> Any:  # noqa: ANN401 - a field of any type of number
@@ -28,26 +23,29 @@ def _number(default: float, low: float, high: float, *, is_open: bool = False) -
     return field(default=default, metadata={"range": (low, high), "open": is_open})
 
 
-def _check_fields(settings: Any) -> None:  # noqa: ANN401 - of any stage
-    """Check the type and the range of every field, however the settings were made."""
-    stages = _types_of(StageSettings)
-    (stage,) = (name for name, kind in stages.items() if type(settings) is kind)
-    for item in fields(settings):
-        name, value = f"{stage}.{item.name}", getattr(settings, item.name)
-        annotation = _types_of(stages[stage])[item.name]
-        if choices := get_args(annotation):
-            if value not in choices:
-                wanted = f"be one of {', '.join(choices)}"
-                raise SettingsError(f"{name} must {wanted}, got {quoted(value)}")
-            continue
-        kind, noun = (Integral, "whole number") if annotation is int else (Real, "number")
-        fits = isinstance(value, kind) and not isinstance(value, bool)
-        if not fits:
-            raise SettingsError(f"{name} must be a {noun}, got {quoted(value)}")
-        (low, high), is_open = item.metadata["range"], item.metadata["open"]
-        if not (low < value < high if is_open else low <= value <= high):  # False for NaN
-            wanted = f"between {low:g} and {high:g}" if is_open else f"within {low:g} to {high:g}"
-            raise SettingsError(f"{name} must lie {wanted}, got {quoted(value)}")
+@dataclass(frozen=True, slots=True)
+class _Stage:
+    """Settings that check the type and the range of their fields, however they were made."""
+
+    def __post_init__(self) -> None:
+        (stage,) = (one.name for one in fields(StageSettings) if one.type is type(self))
+        for item in fields(self):
+            name, value = f"{stage}.{item.name}", getattr(self, item.name)
+            if choices := get_args(item.type):
+                if value not in choices:
+                    wanted = f"be one of {', '.join(choices)}"
+                    raise SettingsError(f"{name} must {wanted}, got {quoted(value)}")
+                continue
+            kind, noun = (Integral, "whole number") if item.type is int else (Real, "number")
+            if isinstance(value, bool) or not isinstance(value, kind):
+                raise SettingsError(f"{name} must be a {noun}, got {quoted(value)}")
+            low, high = item.metadata["range"]
+            if item.metadata["open"]:
+                fits, wanted = low < value < high, f"between {low:g} and {high:g}"
+            else:
+                fits, wanted = low <= value <= high, f"within {low:g} to {high:g}"
+            if not fits:  # nor does NaN
+                raise SettingsError(f"{name} must lie {wanted}, got {quoted(value)}")
 
 
 _ORDERED = (
@@ -58,15 +56,8 @@ _ORDERED = (
 """Of either pair the second may not be below the first."""
 
 
-@dataclass_transform(frozen_default=True)
-def _stage(cls: Any) -> Any:  # noqa: ANN401 - a class, as it stands below
-    """Make a frozen dataclass that checks its fields."""
-    cls.__post_init__ = _check_fields
-    return dataclass(frozen=True, slots=True)(cls)
-
-
-@_stage
-class ResampleSettings:
+@dataclass(frozen=True, slots=True)
+class ResampleSettings(_Stage):
     """Cubic interpolation of the recorded tracks and their adaptive sampling."""
 
     rate_min_hz: float = _number(8.0, 0.01, 1e3)  # paper: slowest update rate
@@ -75,8 +66,8 @@ class ResampleSettings:
     min_duration_s: float = _number(21.6, 0.1, 1e6)  # reading: of a track; gives the 366 points
 
 
-@_stage
-class SceneSettings:
+@dataclass(frozen=True, slots=True)
+class SceneSettings(_Stage):
     """How a scene is cut and placed."""
 
     agents: int = _number(4, 1, 100)  # paper: pedestrians per scene
@@ -86,15 +77,14 @@ class SceneSettings:
     robot_y_m: float = _number(0.65, -1e6, 1e6)  # reading: centre of the robot's start square
     robot_spread_m: float = _number(4.0, 0, 1e4)  # reading: half side of the start square
     near_miss_max_m: float = _number(1.4, 1e-3, 1e4)  # reading: a near miss passes within this
-    ring_min_m: float = _number(2.0, 0, 1e4)
-    """reading: the other agents stand at least this far from the robot now"""
+    ring_min_m: float = _number(2.0, 0, 1e4)  # reading: the others stand at least so far from it
     ring_max_m: float = _number(6.0, 1e-3, 1e4)  # reading: ... and at most this far
     clearance_m: float = _number(1.5, 0, 1e4)  # reading: ... and stay so far over the horizon
     max_redraws: int = _number(100, 1, 10_000)  # reading: of a place; the last is kept and counted
 
 
-@_stage
-class SensingSettings:
+@dataclass(frozen=True, slots=True)
+class SensingSettings(_Stage):
     """Link budget of the base station, and the step from the Cramer-Rao bound to an error."""
 
     bs_x_m: float = _number(5.0, -1e6, 1e6)  # paper: base station
@@ -103,26 +93,22 @@ class SensingSettings:
     bandwidth_mhz: float = _number(100.0, 1e-3, 1e6)  # paper: of sensing, taken as a flat spectrum
     n_paths: int = _number(4, 1, 1000)  # paper: multipath number N_p
     delay_spread_s: float = _number(2e-7, 0, 1e-3)  # paper: largest excess delay of a path
-    power_dbm: float = _number(30.0, -200, 200)
-    """paper: effective power, as it arrives in the beam: a^H Q a"""
+    power_dbm: float = _number(30.0, -200, 200)  # paper: effective, as it is in the beam: a^H Q a
     noise_dbm: float = _number(-91.0, -300, 100)  # paper: noise floor N_0
-    path_loss_exponent: float = _number(2.7, 0.1, 10)
-    """paper; each way (reading: monostatic, two-way)"""
+    path_loss_exponent: float = _number(2.7, 0.1, 10)  # paper; each way (reading: monostatic)
     beam_fluctuation_db: float = _number(2.0, 0, 50)  # paper: N(0, 2) dB a sample (reading: std)
     rcs_m2: float = _number(1.0, 1e-6, 1e6)  # reading: radar cross-section of a pedestrian
     resource_share: float = _number(1.0, 1e-6, 1e6)  # reading: m_s of eq. swarm_fi
-    large_scale_db: float = _number(11.72, 0, 100)
-    """fitted: two-way log-normal spread, drawn once per track"""
-    processing_gain_db: float = _number(32.45, -200, 200)
-    """fitted: integration gain of the sensing receiver"""
+    large_scale_db: float = _number(11.72, 0, 100)  # fitted: two-way log-normal spread of a track
+    processing_gain_db: float = _number(32.45, -200, 200)  # fitted: the receiver's integration gain
     crb_gap_db: float = _number(13.3, -200, 200)  # fitted: sigma_raw over sqrt(CRB), in 20 log10
     sigma_cap_m: float = _number(2.0, 1e-6, 1e6)  # reading, fixed before the fit: caps sigma_raw
     law: Literal["radial", "isotropic", "fixed_direction"] = "radial"
     """reading: law of the raw error; a mechanism takes the same unless told otherwise"""
 
 
-@_stage
-class ConflictSettings:
+@dataclass(frozen=True, slots=True)
+class ConflictSettings(_Stage):
     """The robot's task."""
 
     robot_speed_mps: float = _number(1.4, 1e-3, 100)  # paper: v_r
@@ -137,26 +123,25 @@ class ConflictSettings:
     """with `probability`: a conflict is declared at or above it"""
 
 
-@_stage
-class PrivacySettings:
+@dataclass(frozen=True, slots=True)
+class PrivacySettings(_Stage):
     """The leakage rule."""
 
-    epsilon_m: float = _number(0.3, 1e-6, 1e4)
-    """paper: a sample leaks when it lies closer than this to the truth"""
+    epsilon_m: float = _number(0.3, 1e-6, 1e4)  # paper: a sample that is closer to the truth leaks
     intervals: IntervalsOf = "segment"
     """reading: whose sampling intervals a leaked segment lasts, its own or the `trajectory`'s
     mean"""
 
 
-@_stage
-class AttackSettings:
+@dataclass(frozen=True, slots=True)
+class AttackSettings(_Stage):
     """What an adversary who rebuilds walks is granted."""
 
     repeats: int = _number(2, 1, 100)  # further releases of a walk, for who is granted REPEATS
 
 
-@_stage
-class LinkageSettings:
+@dataclass(frozen=True, slots=True)
+class LinkageSettings(_Stage):
     """What an adversary is given to link: windows of walks (`attacks.tasks.build`)."""
 
     window_s: float = _number(12.0, 0.1, 1e6)  # length of a release in rerelease and new_traversal
@@ -170,8 +155,7 @@ class LinkageSettings:
     """how much of a walk an adversary sees on either side of the gap, at most"""
     handover_least_s: float = _number(1.0, 0.01, 1e6)
     """who is there for less than this on one side of the gap is no candidate on that side"""
-    handover_instants: int = _number(10_000, 1, 10_000)
-    """... and at most so many, evenly over the recording"""
+    handover_instants: int = _number(10_000, 1, 10_000)  # ... and at most so many, evenly spread
     most_people: int = _number(1000, 1, 100_000)
     """people who are linked, at most: of more, so many are drawn; in a handover instants are, until
     so many people are there, lest the crowd get thinner"""
@@ -207,7 +191,7 @@ class StageSettings:
                 "a near miss would be a conflict"
             )
 
-    def changed(self, values: Mapping[str, Any]) -> StageSettings:
+    def changed(self, values: Mapping[str, Any]) -> Self:
         """Return settings with ``{"stage.key": value}`` applied; text is read as the field's type.
 
         It is a SettingsError if a stage or key is unknown (with the nearest known one) or a value
@@ -220,8 +204,8 @@ class StageSettings:
                 hint = did_you_mean(name, known) or "; `--list` names all settings"
                 raise SettingsError(f"unknown setting {name!r}{hint}")
             stage, key = name.split(".")
-            annotation = _types_of(_types_of(StageSettings)[stage])[key]
-            per_stage.setdefault(stage, {})[key] = _parse(value, annotation)
+            kind = type(getattr(self, stage)).__annotations__[key]
+            per_stage.setdefault(stage, {})[key] = _parse(value, kind)
         changed = {one: replace(getattr(self, one), **some) for one, some in per_stage.items()}
         return replace(self, **changed)
 
@@ -234,15 +218,12 @@ class StageSettings:
         }
 
 
-def _parse(value: Any, annotation: Any) -> Any:  # noqa: ANN401 - text, or TOML's types
-    """Return the number that text or a number of another type stands for.
-
-    What is none is left as it is, for `_check_fields` to refuse.
-    """
-    if get_args(annotation) or isinstance(value, bool):
+def _parse(value: Any, kind: Any) -> Any:  # noqa: ANN401 - text, or TOML's types
+    """Return the number that is meant; what is none as it is, for its stage to refuse."""
+    if get_args(kind) or isinstance(value, bool):
         return value
     try:
         number = float(value)
     except (TypeError, ValueError, OverflowError):
         return value
-    return int(number) if annotation is int and number.is_integer() else number
+    return int(number) if kind is int and number.is_integer() else number
