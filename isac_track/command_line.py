@@ -57,11 +57,9 @@ def exit_code(command: Callable[[], int], *, interrupted: str = "interrupted") -
         if error.errno not in _NO_ROOM:  # files are told by their names: it is what is said here
             raise
         _hush()
+        fault = f"the output cannot be written ({error.strerror}); send it elsewhere"
         with contextlib.suppress(OSError):  # nor may this find a place
-            print(  # noqa: T201 - as above
-                f"error: the output cannot be written ({error.strerror}); send it elsewhere",
-                file=sys.stderr,
-            )
+            print(f"error: {fault}", file=sys.stderr)  # noqa: T201 - as above
         return WRONG
     except KeyboardInterrupt:
         print(interrupted, file=sys.stderr)  # noqa: T201 - as above

@@ -5,8 +5,6 @@ level. ``fid:1..1000/10`` is a sweep of ten levels, spaced as the class says (``
 Parameters that differ from their default stay in the name: ``fid:adding=independent``.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import hashlib
@@ -394,8 +392,7 @@ def configured(kind: Kind, name: str, cls: type, origin: str, changes: dict[str,
         if item.name not in changes and item.default is item.default_factory is dataclasses.MISSING
     ]
     if needed:
-        text = f"{name} needs a value for {', '.join(needed)}, as in {name}:VALUE"
-        raise SettingsError(text)
+        raise SettingsError(f"{name} needs a value for {', '.join(needed)}, as in {name}:VALUE")
     try:
         instance = cls(**changes)
     except IsacTrackError:
@@ -417,7 +414,7 @@ def configured(kind: Kind, name: str, cls: type, origin: str, changes: dict[str,
             level = float(value)
         elif item.name in changes and value != item.default:
             parameters.append(f"{item.name}={_text(value)}")
-    column = ":".join([name, *([",".join(parameters)] if parameters else [])])
+    column = f"{name}:{','.join(parameters)}" if parameters else name
     spec = column if level is None else ",".join([f"{name}:{_text(level)}", *parameters])
     return Plugin(column, level, spec, origin, instance, family=name, adding=adding)
 

@@ -30,19 +30,15 @@ Reconstructor: TypeAlias = "Callable[[Release], Reconstruction]"
 """What turns a release into a reconstruction, sample for sample."""
 Linker: TypeAlias = "Callable[[Release, Release], Floats]"
 """What scores P probes against G gallery tracks: (P, G), higher = same person."""
+_INFORMED = frozenset({Knowledge.MECHANISM, Knowledge.TRAIN})
 ADVERSARIES: dict[str, frozenset[Knowledge]] = {
     "blind": frozenset(),
-    "informed": frozenset({Knowledge.MECHANISM, Knowledge.TRAIN}),
-    **{
-        one: frozenset({Knowledge.MECHANISM, Knowledge.TRAIN, *more})
-        for one, more in (
-            # Robots that put together what each was sent lay it upon each other in one frame.
-            ("repeats", (Knowledge.REPEATS, Knowledge.SCENE)),
-            ("anchor", (Knowledge.ANCHOR,)),
-            ("companions", (Knowledge.COMPANIONS,)),
-            ("insider", (Knowledge.SCENE,)),
-        )
-    },
+    "informed": _INFORMED,
+    # Robots that put together what each was sent lay it upon each other in one frame.
+    "repeats": _INFORMED | {Knowledge.REPEATS, Knowledge.SCENE},
+    "anchor": _INFORMED | {Knowledge.ANCHOR},
+    "companions": _INFORMED | {Knowledge.COMPANIONS},
+    "insider": _INFORMED | {Knowledge.SCENE},
     "oracle": frozenset(Knowledge),
 }
 """Weakest first. The oracle is a reference, never the headline; see docs/threat-model.md."""
@@ -136,12 +132,10 @@ def kind_of(attack: object) -> Literal["reconstruction", "linkage"]:
     if said is None:
         annotations = getattr(getattr(type(attack), "fit", None), "__annotations__", {})
         releases = re.findall(r"\bRelease\b", str(annotations.get("return", "")))
-        said = "linkage" if len(releases) > 1 else "reconstruction"
-    if said == "linkage":
-        return "linkage"
-    if said == "reconstruction":
-        return "reconstruction"
-    raise ValueError(f'kind must be "reconstruction" or "linkage", got {said!r}')
+        return "linkage" if len(releases) > 1 else "reconstruction"
+    if said not in ("reconstruction", "linkage"):
+        raise ValueError(f'kind must be "reconstruction" or "linkage", got {said!r}')
+    return "linkage" if said == "linkage" else "reconstruction"
 
 
 @dataclass(frozen=True, eq=False, slots=True, weakref_slot=True)

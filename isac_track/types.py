@@ -269,11 +269,11 @@ def _check_batch(batch: _Batch) -> None:
     check_offsets(batch.offsets, batch.t.size)
     n_samples, n_tracks = batch.t.size, _n_tracks(batch)
     for item in fields(batch):
-        value = getattr(batch, item.name)
-        if item.metadata.get("per") == "sample" and value is not None:
+        value, per = getattr(batch, item.name), item.metadata.get("per")
+        if per == "sample" and value is not None:
             is_planar = item.name in {"xy", "unit_error"}
             _freeze(batch, **{item.name: (n_samples, 2) if is_planar else (n_samples,)})
-        elif item.metadata.get("per") == "track" and value is not None and len(value) != n_tracks:
+        elif per == "track" and value is not None and len(value) != n_tracks:
             raise ValueError(f"{item.name} must name {n_tracks} tracks, got {len(value)}")
     check_times(batch.t, batch.offsets)
     largest = float(np.finfo(np.float64).max)

@@ -121,16 +121,15 @@ def load(
     if persistent_ids and not several:
         raise DataError("--persistent-ids is of sessions: a folder of files, or --session")
     if several:
-        tracks, repairs, sha256, format_name = _sessions(
-            several, source, unit=unit, persistent_ids=persistent_ids
-        )
+        found = _sessions(several, source, unit=unit, persistent_ids=persistent_ids)
         strange = [one.name for one in several if one.name not in source.sha256]
         if strange and source.name in KNOWN:
             notice = f"{source.name}: no known hash: {shown(recording.listed(strange))}"
     elif is_central:
-        tracks, repairs, sha256, format_name = _grand_central(path, source)
+        found = _grand_central(path, source)
     else:
-        tracks, repairs, sha256, format_name = _one_file(path, source, files=files, unit=unit)
+        found = _one_file(path, source, files=files, unit=unit)
+    tracks, repairs, sha256, format_name = found
     return Dataset(
         name=source.name,
         tracks=tracks,
@@ -150,20 +149,19 @@ def _one_file(
     path: Path, source: registry.Known, *, files: Mapping[str, Path], unit: str | None
 ) -> _Read:
     """Return the tracks of one file, what was mended, its hash and format."""
-    data = registry.read_bytes(path, data_set=source)
+    data, where = registry.read_bytes(path, data_set=source), shown(path)
     sha256 = hashlib.sha256(data).hexdigest()
     if source.session is not None:
         return crowd.read_npz(path), (), sha256, "npz"
-    format_name, found = _format_of(path, source.format, data=data)
+    name, found = _format_of(path, source.format, data=data)
     groups = []
     if GROUPS_FILE in files:
         lines = registry.read_bytes(files[GROUPS_FILE], data_set=source).decode().splitlines()
         groups = [(member, line.split()[0]) for line in lines for member in line.split()]
-    where = shown(path)
     tracks, repairs = read(
-        data=data, path=where, format=format_name, fps=source.fps, unit=unit, groups=groups
+        data=data, path=where, format=name, fps=source.fps, unit=unit, groups=groups
     )
-    return tracks, (*found, *repairs), sha256, format_name
+    return tracks, (*found, *repairs), sha256, name
 
 
 def _sessions(
@@ -177,16 +175,15 @@ def _sessions(
     for path in paths:
         data, where = registry.read_bytes(path, data_set=source), shown(path)
         format_name, found = _format_of(path, source.format, data=data)
-        header = read_frames.read_header(data=data, path=where) if format_name == "pedpy" else None
-        by = marked[path.stem] = header is not None and header.marker is not None
+        header = read_frames.read_header(format_name, data=data, path=where)
+        by = marked[path.stem] = header.marker is not None
         tracks, repairs = read(
             data=data, path=where, format=format_name, fps=source.fps, unit=unit, by_marker=by
         )
         if by:  # Who wears no marker is nobody whom another session knows.
             own = [f"{path.stem}:{who}" if who.startswith("-") else who for who in tracks.group]
             tracks = replace(tracks, person=tuple(own))
-        in_unit = unit or (header.unit if header else "") or "m"
-        parts.append((shown(path.stem), tracks, in_unit))
+        parts.append((shown(path.stem), tracks, unit or header.unit or "m"))
         notes += [*found, *repairs]
         digest.update(f"{hashlib.sha256(data).hexdigest()}  {path.name}\n".encode(errors="replace"))
         formats.add(format_name)
@@ -209,14 +206,17 @@ def _found(
     unit: str | None,
 ) -> tuple[registry.Known, dict[str, Path], str | None]:
     """Return what is meant by a name or path, its files, and what is to be said of the choice."""
-    if name is not None and _is_path(name):
-        path = Path(name)
+    said = str(name or "")
+    # A mistyped name is no path, if nothing in it looks like one.
+    looks = os.sep in said or "." in said or os.path.exists(said)  # noqa: PTH110 - never raises
+    if isinstance(name, Path) or (looks and name not in KNOWN):
+        path = Path(said)
         # Rows of another recording must never pass for those of a known one.
         title = shown(path.name if path.stem in KNOWN else path.stem)
         return registry.Known(title, format=format or "", fps=fps), {MAIN_FILE: path}, None
     is_asked = name is not None or bool(registry.locate(KNOWN[DEFAULT])[0])
     usual = DEFAULT if is_asked else FALLBACK
-    source = registry.known(usual if name is None else str(name))
+    source = registry.known(usual if name is None else said)
     if (format, fps, unit) != (None, None, None):
         raise DataError(
             f"{'the default data set' if name is None else source.name} is known by name: "
@@ -251,7 +251,7 @@ def _format_of(path: Path, name: str, *, data: bytes) -> tuple[str, tuple[Repair
     known = ", ".join((*FORMATS, GRAND_CENTRAL))
     if not name:
         where = shown(path)
-        header = read_frames.read_header(data=data, path=where)
+        header = read_frames.read_header("pedpy", data=data, path=where)
         if header.columns:
             rate = "" if header.fps is None else f", {header.fps:g} frames a second"
             order = sorted(header.columns, key=lambda column: header.columns[column])
@@ -291,19 +291,12 @@ def read(
             raise DataError(
                 f"{path}: format {format} has times in seconds (column t); leave --fps out"
             )
-    clock: dict[str, float | bool | None] = {} if format in _WITH_CLOCK else {"fps": fps}
-    clock |= {"by_marker": True} if by_marker else {}
+    told: dict[str, float | bool | None] = {} if format in _WITH_CLOCK else {"fps": fps}
+    told |= {"by_marker": True} if by_marker else {}
     # The rows have no name here: they are let go as soon as they are sorted.
     return to_tracks(
-        recording.in_metres(FORMATS[format](data=data, path=path, **clock), unit=unit),
-        groups=groups,
+        recording.in_metres(FORMATS[format](data=data, path=path, **told), unit=unit), groups=groups
     )
-
-
-def _is_path(name: str | Path) -> bool:
-    """Whether no known name is meant: a mistyped one is, if nothing in it looks like a path."""
-    looks = os.sep in str(name) or "." in str(name) or os.path.exists(name)  # noqa: PTH110 - never raises
-    return isinstance(name, Path) or (looks and name not in KNOWN)
 
 
 def summarise(tracks: Tracks) -> DataFrame:

@@ -1,10 +1,8 @@
 """``python -m isac_track.datasets``: what data sets are here, what is in them, and get more."""
 
-from __future__ import annotations
-
 import sys
+from argparse import Namespace
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,9 +12,6 @@ from isac_track.datasets import registry
 from isac_track.datasets.recording import listed
 from isac_track.datasets.registry import KNOWN, shown
 from isac_track.errors import IsacTrackError
-
-if TYPE_CHECKING:
-    import argparse
 
 _LONG_S = (12.0, 21.6)  # Durations of interest: 21.6 s are the tracks that scenes are made of.
 _FROZEN = f"{datasets.FROZEN_SHARE:.0%}"
@@ -33,7 +28,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     return exit_code(run)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> Parser:
     parser = Parser(
         prog="python -m isac_track.datasets",
         description="List the known data sets, show one, or fetch one.",
@@ -58,7 +53,7 @@ def _aligned(table: Mapping[str, Sequence[str]], title: str, *columns: str) -> s
     return frame.rename_axis(columns=title).to_string()
 
 
-def _list(_: argparse.Namespace) -> int:
+def _list(_: Namespace) -> int:
     rows, notes, status = {}, [], DONE
     for name, data_set in KNOWN.items():
         rows[name] = ["-"] * 7
@@ -89,7 +84,7 @@ def _list(_: argparse.Namespace) -> int:
     return status
 
 
-def _show(arguments: argparse.Namespace) -> int:
+def _show(arguments: Namespace) -> int:
     own = {name: getattr(arguments, name) for name in ("format", "fps", "unit")}
     found = datasets.load(arguments.name, **own)
     tracks, summary = found.tracks, datasets.summarise(found.tracks)
@@ -127,7 +122,7 @@ def _show(arguments: argparse.Namespace) -> int:
     return DONE
 
 
-def _fetch(arguments: argparse.Namespace) -> int:
+def _fetch(arguments: Namespace) -> int:
     for name in arguments.name:
         data_set = registry.known(name)
         if data_set.session is not None:

@@ -5,7 +5,7 @@ import re
 import warnings
 from array import array
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -42,11 +42,11 @@ _TRACK_FIELDS = ("f", "p", "x", "y")
 class Header:
     """What the comments before the first row of a file say."""
 
-    fps: float | None
-    unit: str  # Of `recording.METRES`; empty if none is named.
-    columns: Mapping[str, int]
+    fps: float | None = None
+    unit: str = ""  # Of `recording.METRES`; empty if none is named.
+    columns: Mapping[str, int] = field(default_factory=dict)
     """Places of frame, id, x and y; empty if no line names all the columns of the first row."""
-    line: int  # That names them.
+    line: int = 0  # That names them.
     marker: int | None = None  # Place of the person's number, which lasts over files.
 
 
@@ -60,11 +60,10 @@ def read_columns(
     A DataError names file and line, or says that `fps` is missing or contradicts the file's.
     """
     recording.check_text(data=data, path=path)
-    has_header = format_name == "pedpy"
-    header = read_header(data=data, path=path) if has_header else Header(None, "", {}, 0)
+    header = read_header(format_name, data=data, path=path)
     rate = header.fps if fps is None else fps
     if rate is None:
-        said = " and the file's header has no framerate" if has_header else ""
+        said = " and the file's header has no framerate" if format_name == "pedpy" else ""
         raise DataError(
             f"{path}: format {format_name} counts frames{said}; "
             "give frames per second with --fps (25 for UCY)"
@@ -97,8 +96,13 @@ def read_columns(
     return replace(rows, t=rows.t / rate, unit=header.unit)
 
 
-def read_header(*, data: bytes, path: str) -> Header:
-    """Return what the comments before the first row say; DataError if it cannot be so."""
+def read_header(format_name: str, *, data: bytes, path: str) -> Header:
+    """Return what the comments before the first row say, in a format that has such a header.
+
+    It is a DataError if it cannot be so.
+    """
+    if format_name != "pedpy":
+        return Header()
     recording.check_text(data=data, path=path)
     fps: float | None = None
     units: dict[str, int] = {}
@@ -160,11 +164,11 @@ def _fault(fields: list[str], format_name: str, n_first: int) -> str:
         return f"{len(fields)} column(s) where {format_name} has {needed}"
     if n_first not in {0, len(fields)}:
         return f"{len(fields)} columns where the rows before have {n_first}"
-    for field in fields:
+    for text in fields:
         try:
-            float(field)
+            float(text)
         except ValueError:
-            return f"{field[:40]!r} is not a number"
+            return f"{text[:40]!r} is not a number"
     return ""
 
 
