@@ -71,8 +71,7 @@ class SceneSettings(_Stage):
     """How a scene is cut and placed."""
 
     agents: int = _number(4, 1, 100)  # paper: pedestrians per scene
-    history_ratio: float = _number(0.7, 0, 1, is_open=True)
-    """paper: share of a track that is shared history; the rest is hidden future"""
+    history_ratio: float = _number(0.7, 0, 1, is_open=True)  # paper: history's share of a track
     robot_x_m: float = _number(0.7, -1e6, 1e6)  # reading: centre of the robot's start square
     robot_y_m: float = _number(0.65, -1e6, 1e6)  # reading: centre of the robot's start square
     robot_spread_m: float = _number(4.0, 0, 1e4)  # reading: half side of the start square
@@ -117,8 +116,7 @@ class ConflictSettings(_Stage):
     """paper: q, samples whose mean interval is the step of the prediction grid; how many samples
     a predictor uses is its own parameter, `least_squares:16`"""
     safety_radius_m: float = _number(0.9, 1e-3, 1e3)  # paper: d_safe
-    decision: Literal["mean", "probability"] = "mean"
-    """paper: `mean`, the predicted positions alone; `probability` needs a covariance"""
+    decision: Literal["mean", "probability"] = "mean"  # paper: `mean`; the other needs a covariance
     probability_threshold: float = _number(0.5, 0, 1, is_open=True)
     """with `probability`: a conflict is declared at or above it"""
 
@@ -129,8 +127,7 @@ class PrivacySettings(_Stage):
 
     epsilon_m: float = _number(0.3, 1e-6, 1e4)  # paper: a sample that is closer to the truth leaks
     intervals: IntervalsOf = "segment"
-    """reading: whose sampling intervals a leaked segment lasts, its own or the `trajectory`'s
-    mean"""
+    """reading: whose intervals a leaked segment lasts, its own or the `trajectory`'s mean"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,10 +148,8 @@ class LinkageSettings(_Stage):
     split_window_s: float = _number(5.0, 0.1, 1e6)  # length of either half in split
     split_gap_s: float = _number(2.0, 0, 1e6)  # shortest gap between them; in all 12 s of a track
     handover_period_s: float = _number(20.0, 0.1, 1e6)  # between two rotations of all pseudonyms
-    handover_window_s: float = _number(5.0, 0.1, 1e6)
-    """how much of a walk an adversary sees on either side of the gap, at most"""
-    handover_least_s: float = _number(1.0, 0.01, 1e6)
-    """who is there for less than this on one side of the gap is no candidate on that side"""
+    handover_window_s: float = _number(5.0, 0.1, 1e6)  # seen on either side of the gap, at most
+    handover_least_s: float = _number(1.0, 0.01, 1e6)  # shortest stay of a candidate on its side
     handover_instants: int = _number(10_000, 1, 10_000)  # ... and at most so many, evenly spread
     most_people: int = _number(1000, 1, 100_000)
     """people who are linked, at most: of more, so many are drawn; in a handover instants are, until
@@ -162,8 +157,7 @@ class LinkageSettings(_Stage):
     candidates: int = _number(0, 0, 10_000)
     """how many of a gallery a linker scores for each probe, those that a cheap one puts first;
     0: all. Then metrics of all pairs are refused and the loss of rank 1 is measured"""
-    trait_strength: float = _number(1.0, 0, 10)
-    """spread of the crowd's planted traits; 1 is the bundled one, another is simulated anew"""
+    trait_strength: float = _number(1.0, 0, 10)  # spread of planted traits; not 1: simulated anew
 
 
 @dataclass(frozen=True, slots=True)

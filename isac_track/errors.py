@@ -11,8 +11,7 @@ _NOT_STRANGE = frozenset(
 )
 """Packages that a plug-in's own source is not in."""
 _MOST_REPEATED = 100  # Characters of what a user typed.
-UNNAMED = "where it is defined"
-"""Stands for the file of a class whose code travelled without its name."""
+UNNAMED = "where it is defined"  # Stands for the file of a class whose code travelled without it.
 
 
 class IsacTrackError(Exception):

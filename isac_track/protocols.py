@@ -28,8 +28,7 @@ from isac_track.types import (
 
 Reconstructor: TypeAlias = "Callable[[Release], Reconstruction]"
 """What turns a release into a reconstruction, sample for sample."""
-Linker: TypeAlias = "Callable[[Release, Release], Floats]"
-"""What scores P probes against G gallery tracks: (P, G), higher = same person."""
+Linker: TypeAlias = "Callable[[Release, Release], Floats]"  # Scores (P, G), higher = same person.
 _INFORMED = frozenset({Knowledge.MECHANISM, Knowledge.TRAIN})
 ADVERSARIES: dict[str, frozenset[Knowledge]] = {
     "blind": frozenset(),
@@ -44,8 +43,7 @@ ADVERSARIES: dict[str, frozenset[Knowledge]] = {
 """Weakest first. The oracle is a reference, never the headline; see docs/threat-model.md."""
 OF_WALKS = frozenset({Knowledge.REPEATS, Knowledge.ANCHOR, Knowledge.COMPANIONS})
 """What tells whose walk a release is, so that nobody who links is granted it."""
-USUAL: tuple[str, ...] = ("blind", "informed", "oracle")
-"""Adversaries of every run; the others are asked for."""
+USUAL: tuple[str, ...] = ("blind", "informed", "oracle")  # Of every run; the others are asked for.
 
 
 @runtime_checkable

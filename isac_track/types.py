@@ -27,12 +27,9 @@ ErrorLaw: TypeAlias = Literal["radial", "isotropic", "fixed_direction"]
 Adding: TypeAlias = Literal["linear", "independent"]
 
 SHARED_LIMIT_M: Final = 1e10
-"""Largest coordinate and standard deviation that a mechanism may share: ten times what a recording
-may hold, so that there is room for noise, and small enough that no power of it overflows."""
-ESTIMATE_LIMIT_M: Final = 1e12
-"""Of what is predicted or reconstructed from that: an extrapolation goes beyond what was shared."""
-_ROUNDING: Final = 1e-5
-"""Of a covariance, as a share of its larger variance: single precision after some hundred steps."""
+"""Of a coordinate or std that is shared: ten times what is recorded, and no power overflows."""
+ESTIMATE_LIMIT_M: Final = 1e12  # Of what is estimated from it: an extrapolation goes beyond it.
+_ROUNDING: Final = 1e-5  # Of a covariance over the larger variance: float32 after many steps.
 
 
 class Knowledge(Enum):
@@ -150,13 +147,10 @@ class Sensed:
 
     t: Floats = field(metadata=_SAMPLE)  # (M,) s, strictly increasing within a track.
     xy: Floats = field(metadata=_SAMPLE)  # (M, 2) m, raw estimate.
-    unit_error: Floats = field(metadata=_SAMPLE)
-    """(M, 2) raw error in units of `sigma_raw` (standardised)."""
-    sigma_raw: Floats = field(metadata=_SAMPLE)
-    """(M,) m, standard deviation of the raw error under `law`."""
+    unit_error: Floats = field(metadata=_SAMPLE)  # (M, 2) raw error in units of `sigma_raw`.
+    sigma_raw: Floats = field(metadata=_SAMPLE)  # (M,) m, std of the raw error under `law`.
     information: Floats = field(metadata=_SAMPLE)  # (M,) 1/m^2, Fisher information (eq. swarm_fi).
-    fid: Floats = field(metadata=_SAMPLE)
-    """(M,) 1/(m^2 s), Fisher information density (eq. swarm_fid)."""
+    fid: Floats = field(metadata=_SAMPLE)  # (M,) 1/(m^2 s), density of it (eq. swarm_fid).
     offsets: Ints  # (N + 1,)
     law: ErrorLaw = "radial"
     """Law of the raw error: `radial` (the norm is |N(0, sigma)|), `isotropic` (N(0, sigma) per
@@ -182,8 +176,7 @@ class Release:
 
     t: Floats = field(metadata=_SAMPLE)  # (M,) s, strictly increasing within a track.
     xy: Floats = field(metadata=_SAMPLE)  # (M, 2) m, shared position.
-    sigma: Floats | None = field(metadata=_SAMPLE)
-    """(M,) m, std declared with each sample; None without `Knowledge.SIGMA`."""
+    sigma: Floats | None = field(metadata=_SAMPLE)  # (M,) m, std declared; None without SIGMA.
     offsets: Ints  # (N + 1,)
     pseudonym: tuple[str, ...] = field(metadata=TRACK)  # (N,) opaque, fresh for every release.
 
@@ -216,8 +209,7 @@ class Prediction:
     """Predicted positions of N tracks on a grid of H future times."""
 
     mean: Floats  # (N, H, 2) m
-    cov: Floats | None = None
-    """(N, H, 2, 2) m^2, symmetric positive semidefinite; None where the predictor has none."""
+    cov: Floats | None = None  # (N, H, 2, 2) m^2, symmetric positive semidefinite; None without.
 
     def __post_init__(self) -> None:
         _freeze(self, mean=("N", "H", 2))
@@ -232,8 +224,7 @@ class Reconstruction:
     """An adversary's estimate of where the N people of a release were, sample by sample."""
 
     xy: Floats  # (M, 2) m, in the frame of the release.
-    std: Floats | None = None
-    """(M,) m, standard deviation per axis that the attack claims, or None."""
+    std: Floats | None = None  # (M,) m, standard deviation per axis that the attack claims, if any.
 
     def __post_init__(self) -> None:
         _freeze(self, xy=("M", 2))
@@ -345,8 +336,7 @@ def read_only(array: NDArray[_Scalar]) -> NDArray[_Scalar]:
     return array
 
 
-Runs: TypeAlias = list[tuple[int, int]]
-"""Stretches of the samples of a batch: from which one on, and before which."""
+Runs: TypeAlias = list[tuple[int, int]]  # Stretches of samples: from which on, and before which.
 
 
 def stretches(first: Ints, sizes: Ints) -> tuple[Ints, Ints]:

@@ -44,12 +44,10 @@ FORMATS: Mapping[str, Callable[..., Rows]] = {
 """Each turns the bytes of a file into rows, and lets no error but `DataError` out."""
 GRAND_CENTRAL = "gc"  # The format of an archive or a folder, as `read_gc` describes it.
 _EXTENSIONS = {".csv": "csv", ".parquet": "parquet", ".ndjson": "trajnet"}
-_Read: TypeAlias = "tuple[Tracks, tuple[Repair, ...], str, str]"
-"""Tracks, what was mended, hash and format."""
+_Read: TypeAlias = "tuple[Tracks, tuple[Repair, ...], str, str]"  # Tracks, repairs, hash, format.
 SLOW_MPS = 0.2  # Slower steps than this are not walking.
 FROZEN_SHARE = 0.9
-"""A track with at least this share of exactly-zero steps is nearly frozen: an annotation
-that was left standing rather than a person, whose last position tells the whole walk."""
+"""Of steps of no length in a nearly frozen track: an annotation whose end tells the whole walk."""
 _CLOCK_S = 1e-9
 
 

@@ -22,14 +22,11 @@ _NEEDED = ("t", "id", "x", "y")
 _USED = (*_NEEDED, "group")
 _UNITS = {"t": "seconds", "x": "metres", "y": "metres"}
 _DECIMAL = re.compile(r"[+-]?\d+\.\d*(e[+-]?\d+)?", re.IGNORECASE)
-_LONGEST_NAME = 200
-"""Characters: ids stand in messages, tables and figures, and a split track repeats its own."""
+_LONGEST_NAME = 200  # Characters: ids stand in messages, tables and figures.
 _BLOCK_BYTES = 1 << 18
-_FREE_ROWS = 500_000
-"""A parquet file above this needs a byte a row: equal rows pack a thousandfold, walks do not."""
+_FREE_ROWS = 500_000  # Above it a file needs a byte a row: equal rows pack a thousandfold.
 _FREE_BYTES = 50_000_000
-_MOST_UNPACKING = 100
-"""A parquet file above `_FREE_BYTES` when unpacked may be this many times its size."""
+_MOST_UNPACKING = 100  # A file above `_FREE_BYTES` unpacked may be this many times its size.
 
 
 def read_csv(*, data: bytes, path: str) -> recording.Rows:

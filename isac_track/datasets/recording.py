@@ -10,8 +10,7 @@ import numpy as np
 from isac_track.errors import DataError
 from isac_track.types import Bools, Floats, Ints
 
-WHOLE_LIMIT = 2.0**53
-"""Frames and ids are read as float64, which holds every whole number below this."""
+WHOLE_LIMIT = 2.0**53  # Frames and ids are float64, which holds every whole number below this.
 _LIMITS = {
     **dict.fromkeys(("frame", "f", "id", "p"), WHOLE_LIMIT),
     # About 30,000 years: a larger clock is not in seconds.
@@ -39,8 +38,7 @@ class Place:
     """Where the rows of one file stand in it."""
 
     path: str
-    lines: Callable[[], Ints]
-    """Gives (M,) the line number of every row, from 1; called only if a row must be named."""
+    lines: Callable[[], Ints]  # (M,) line of every row, from 1; called only if a row is named.
     unit: str = "line"
 
     def at(self, row: int) -> str:

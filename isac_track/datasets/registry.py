@@ -21,11 +21,9 @@ from isac_track.errors import DataError, did_you_mean
 if TYPE_CHECKING:
     import requests
 
-DATA_VARIABLE = "ISAC_TRACK_DATA"
-"""Folder of data sets that the user keeps: ``NAME/obsmat.txt``. Only read."""
+DATA_VARIABLE = "ISAC_TRACK_DATA"  # The user's folder of data sets, ``NAME/obsmat.txt``. Only read.
 CACHE_VARIABLE = "ISAC_TRACK_CACHE"  # Folder for downloads, instead of the user's cache.
-MIRROR_VARIABLE = "ISAC_TRACK_MIRROR"
-"""Base URL to download from instead of GitHub; hashes are checked all the same."""
+MIRROR_VARIABLE = "ISAC_TRACK_MIRROR"  # Base URL instead of GitHub's; hashes are checked anyway.
 DEFAULT = "students03"
 FALLBACK = "plaza"
 MAIN_FILE = "obsmat.txt"
@@ -37,12 +35,10 @@ _OPENTRAJ = (
 )
 CONNECT_TIMEOUT_S = 5.0
 READ_TIMEOUT_S = 30.0
-LEAST_S = 60.0
-"""A whole download may take this long and, beyond it, what a slow line takes for its size."""
+LEAST_S = 60.0  # A download may take this long, plus what a slow line takes for its size.
 LEAST_BYTES_PER_S = 50_000.0
 _CHUNK_BYTES = 16_384
-_MOST_BYTES = 100_000_000
-"""Far more than any known file: what goes on for longer is not one of them."""
+_MOST_BYTES = 100_000_000  # Far more than any known file: what goes on for longer is none.
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,10 +55,8 @@ class Known:
     sha256: Mapping[str, str] = field(default_factory=dict)
     """Hash of every file, by file name; empty if bundled or of one's own."""
     remote: str = ""  # Its folder in OpenTraj.
-    sessions: str = ""
-    """Which files of that folder are its sessions; their hashes, where known, are in `sha256`."""
-    get: str = ""
-    """How to get what is never downloaded from here: a folder of its own, named like it."""
+    sessions: str = ""  # Which of its files are sessions; hashes, where known, are in `sha256`.
+    get: str = ""  # How to get what is never downloaded from here: a folder, named like it.
 
 
 _TABLES = tomllib.loads(Path(__file__).with_name("known.toml").read_text(encoding="utf-8"))

@@ -10,18 +10,12 @@ from isac_track.datasets.recording import METRES, Repair, Rows, listed, steps_wi
 from isac_track.errors import DataError
 from isac_track.types import Bools, Ints, Tracks
 
-SAME_TIME_S = 1e-7
-"""Samples of one id closer than this are at one time: no recording has a frame rate above 1 MHz,
-and the slope between them would overflow."""
-LONGEST_STEP_S = 10.0
-"""With a longer usual step nobody's walk is seen, and to interpolate it would take any memory."""
-GAP_STEPS = 1.75
-"""A step longer than this many median steps of the file is a gap (a lost frame makes 2)."""
-SPLIT_S = 2.0
-"""A gap longer than this, and than `SPLIT_STEPS`, ends the track: to bridge it invents a walk."""
+SAME_TIME_S = 1e-7  # Closer samples of an id are one: no rate is above 1 MHz, slopes overflow.
+LONGEST_STEP_S = 10.0  # With a longer usual step no walk is seen, and interpolation eats memory.
+GAP_STEPS = 1.75  # A step of more median steps of the file is a gap (a lost frame makes 2).
+SPLIT_S = 2.0  # A gap over this and `SPLIT_STEPS` ends the track: to bridge it invents a walk.
 SPLIT_STEPS = 3.0  # Slow recordings may have longer gaps: this many median steps.
-SPEED_LIMITS_MPS = (0.01, 5.0)
-"""Bounds on the median speed of all steps that move: beyond them the units are wrong."""
+SPEED_LIMITS_MPS = (0.01, 5.0)  # Of the median of all steps that move; beyond them units are wrong.
 _WALKING_MPS = (0.2, 2.5)  # A median in another unit that lies here is proposed, never taken.
 FAST_STEP_MPS = 12.0  # Faster than a sprinter: a jump of the tracker, counted and kept.
 

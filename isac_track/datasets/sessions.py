@@ -11,8 +11,7 @@ from isac_track.datasets.repair import walking_groups
 from isac_track.errors import DataError
 from isac_track.types import Floats, Tracks
 
-APART_S = 60.0
-"""Between the last sample of a session and the first of the next, on the clock of all."""
+APART_S = 60.0  # From the last sample of a session to the first of the next, on one clock.
 _SUFFIXES = (".csv", ".ndjson", ".parquet", ".txt")
 _SAME_STEP = 0.01  # Usual steps of sessions may differ by this share.
 

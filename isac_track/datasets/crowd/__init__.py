@@ -19,8 +19,7 @@ from isac_track.types import Tracks
 __all__ = ["BUNDLED_SEED", "FILES", "CrowdSettings", "bundled_path", "generate"]
 
 BUNDLED_SEED = 1
-FILES = {1: "plaza.npz", 2: "plaza_session2.npz"}
-"""Name of each bundled session's file, in the package `isac_track.datasets`."""
+FILES = {1: "plaza.npz", 2: "plaza_session2.npz"}  # Each bundled session's, in the folder above.
 
 
 def generate(settings: CrowdSettings, *, seed: int, session: int = 1) -> Tracks:

@@ -20,16 +20,11 @@ ENERGY_M2 = 1.2  # k of the time-to-collision law, in m^2 (energy over mass time
 FORESIGHT_S = 3.0  # tau_0 of the same law.
 COLLISION_M = 0.4  # Distance of two centres that counts as a collision.
 AVOID_MAX_MPS2 = 2.0  # Cap of one neighbour's anticipatory force: the law diverges at contact.
-CONTACT_MPS2, CONTACT_M, CONTACT_RANGE_M = 2.0, 0.36, 0.1
-"""Strength, distance and range of the exponential repulsion."""
-FORMATION_PER_S2, FORMATION_MAX_MPS2 = 1.2, 1.2
-"""Spring to one's place in the group, and its cap: groups give way in a crowd."""
-PACE_MPS, PACE_S = 0.18, 1.2
-"""Ornstein-Uhlenbeck noise of the speed: standard deviation and correlation time."""
+CONTACT_MPS2, CONTACT_M, CONTACT_RANGE_M = 2.0, 0.36, 0.1  # Of the exponential repulsion.
+FORMATION_PER_S2, FORMATION_MAX_MPS2 = 1.2, 1.2  # Spring to one's place, and its cap.
+PACE_MPS, PACE_S = 0.18, 1.2  # Ornstein-Uhlenbeck noise of the speed: sd, correlation time.
 WANDER_S = 1.8  # Correlation time of the heading's wandering; its size is a trait.
-STEADY_MPS = 0.9
-"""Speed, less 0.1 m/s, at which the heading wanders by its trait; slower people hold their
-direction up to three times less well."""
+STEADY_MPS = 0.9  # Less 0.1 m/s; slower people hold their heading up to three times less well.
 HEADING_S = 0.6  # Smoothing time of the body's orientation, which the sway is lateral to.
 STANDING = 0.08  # Share of pace noise and sway that is left in someone who stands.
 FULL_SWAY_MPS = 0.6  # Speed from which on the body sways in full.
@@ -37,9 +32,7 @@ TOP_SPEED_MPS = 2.0
 BACKWARD_MPS = 0.1  # Noise may turn a slow walk into a step back, but no further than this.
 REACHED_M = 1.2  # Distance at which a waypoint counts as reached.
 LOST_M = 3.0  # Who strays this far off the plaza has left it.
-GRID_DIGITS = 6
-"""States are rounded to 1 micrometre a step: last-bit differences between the mathematical
-functions of two machines are then forgotten instead of amplified by the crowd's chaos."""
+GRID_DIGITS = 6  # To 1 um a step: two machines' last bits are forgotten, not amplified by chaos.
 
 
 _PERSON = np.dtype(

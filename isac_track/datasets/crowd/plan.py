@@ -16,8 +16,7 @@ class CrowdSettings:
 
     duration_s: float = 600.0  # length of the recording
     n_people: int = 1100  # people, each with one walk in every session
-    trait_strength: float = 1.0
-    """scale of the between-person spread of every trait: 0 makes everybody alike"""
+    trait_strength: float = 1.0  # scale of the spread of every trait: 0 makes everybody alike
     frame_s: float = 0.4  # time between recorded positions
     substeps: int = 5  # simulated steps per recorded position
     lead_s: float = 20.0  # arrivals this long before the start are already under way when it comes
@@ -25,8 +24,7 @@ class CrowdSettings:
     area_m: tuple[float, float, float, float] = (-6.1, -6.1, 7.5, 7.4)  # x_min, y_min, x_max, y_max
 
 
-Traits: TypeAlias = "np.recarray[Any, Any]"
-"""(N,) what persists about people; its fields are those of the table below."""
+Traits: TypeAlias = "np.recarray[Any, Any]"  # (N,) what persists about people: the table below.
 TRAIT_MEDIAN_AND_SPREAD = {
     "speed_mps": (1.14, 0.24),  # desired speed when alone
     "sway_m": (0.02, 0.35),  # standard deviation of the lateral body sway,
@@ -38,15 +36,12 @@ TRAIT_MEDIAN_AND_SPREAD = {
 """Median and standard deviation of the logarithm, in the order of the draws:
 median * exp(strength * spread * N(0, 1))."""
 
-GROUP_SIZE_SHARES = (0.65, 0.28, 0.045, 0.025)
-"""Shares of singles, pairs, threes and fours among the parties that arrive."""
-GROUP_PACE = (1.0, 0.82, 0.76, 0.72)
-"""Speed of a party over the mean of its members: groups walk slower [Moussaid 2010]."""
+GROUP_SIZE_SHARES = (0.65, 0.28, 0.045, 0.025)  # Of singles, pairs, threes and fours that arrive.
+GROUP_PACE = (1.0, 0.82, 0.76, 0.72)  # Over its members' mean: groups walk slower [Moussaid 2010].
 MOOD_SPREAD = 0.08  # Standard deviation of the logarithm of one's speed between sessions.
 SPACING_M = 0.58  # Shoulder to shoulder in a group that walks abreast.
 VIA_CHANCE = 0.35  # Share of parties that walk by way of a place on the plaza.
-CHAT_CHANCE = (0.03, 0.14, 0.19, 0.19)
-"""Chance, per party size, to stand and chat (or wait) at that place at the median habit."""
+CHAT_CHANCE = (0.03, 0.14, 0.19, 0.19)  # By party size, to stand there at the median habit.
 CHAT_MEDIAN_S, CHAT_SPREAD, CHAT_MAX_S = 40.0, 0.7, 180.0
 STOP_MEAN_S, STOP_MIN_S = 0.9, 0.4
 SIDE_CENTRES = ((0, 0.65), (1, 0.25), (1, 0.75), (2, 0.45), (3, 0.3), (3, 0.72))
