@@ -1,7 +1,6 @@
 """Monte Carlo scenes: choose tracks, split them 70/30, place robot and agents, label.
 
-Conflict and conflict-free scenes alternate (even and odd index). A track keeps its shape,
-timing and speed; it is only shifted.
+Conflict and conflict-free scenes alternate (even and odd index). A track is only shifted.
 """
 
 from dataclasses import dataclass, field
@@ -131,10 +130,7 @@ def track_order(*, n_tracks: int, n_scenes: int, agents: int, seed: int) -> Ints
 def make_scenes(
     tracks: Cut, *, order: Ints, first: int, settings: StageSettings, seed: int
 ) -> Scenes:
-    """Build the scenes ``first .. first + S - 1``; every scene draws from its own stream.
-
-    `order`, (S, A) int, are their rows of `track_order`.
-    """
+    """Build the scenes from `first` on, each from its own stream and row of `order`, (S, A) int."""
     n_scenes, n_agents = order.shape
     elapsed_s = (tracks.t_future - tracks.t_future[:, :1])[order]  # (S, A, H)
     futures = tracks.xy_future[order]  # (S, A, H, 2), unshifted

@@ -32,9 +32,8 @@ class Channel:
 def fisher_information_density(*, information: Floats, t: Floats, offsets: Ints) -> Floats:
     """Return the Fisher information density J of every sample (eq. swarm_fid), 1/(m^2 s).
 
-    ``J(t) = I(k) / (t_k - t_(k-1))``, with `intervals_before`: a track of a single sample has none,
-    its density is unbounded (inf), so that a mechanism protects it in full. `information` is (M,)
-    1/m^2, `t` (M,) s, `offsets` (N + 1,).
+    ``J(t) = I(k) / (t_k - t_(k-1))``, with `intervals_before`; inf for a track of a single sample,
+    which a mechanism then protects in full. `information` is (M,) 1/m^2, `t` (M,) s.
     """
     interval_s = intervals_before(t=t, offsets=offsets)
     density: Floats = np.full_like(information, np.inf)
@@ -84,9 +83,8 @@ def link_gain(
 def range_information_per_snr(*, bandwidth_mhz: float) -> float:
     """Return the Fisher information on a two-way range at SNR 1, 1/m^2.
 
-    Delay: 8 pi^2 B_rms^2 SNR with B_rms^2 = B^2 / 12 for a flat spectrum (Kay, Estimation
-    Theory, 1993, ch. 3.11); range is half the delay times the speed of light. The paper uses
-    one scalar bound for both axes, and so does this.
+    Delay: 8 pi^2 B_rms^2 SNR with B_rms^2 = B^2 / 12 for a flat spectrum (Kay, Estimation Theory,
+    1993, ch. 3.11); range is half of it times the speed of light. As in the paper for both axes.
     """
     rms_bandwidth_hz2 = (bandwidth_mhz * 1e6) ** 2 / 12.0
     return 8.0 * np.pi**2 * rms_bandwidth_hz2 * (2.0 / SPEED_OF_LIGHT_MPS) ** 2
@@ -156,9 +154,8 @@ def draw_channel(
 ) -> Channel:
     """Draw the random part of the link for batches of tracks.
 
-    Every batch and quantity has a stream of its own: another number of paths, say, leaves all other
-    draws as they are. `n_samples`, (K, A), are those of the A tracks of each of K batches (a scene,
-    or one track), `keys` the names of their streams.
+    Every batch and quantity has a stream of its own. `n_samples`, (K, A), are those of the A tracks
+    of each of K batches (a scene, or one track), `keys` the names of their streams.
     """
     # In hashable form, and remembered: a process works on several pieces of one task in turn.
     return _drawn(tuple(map(tuple, n_samples.tolist())), tuple(keys), settings, seed)

@@ -1,7 +1,6 @@
 """What leaves the network: raw, fixed and FID-controlled sharing, and the clean ceiling.
 
-`perturb` is the one place where the error law and the adding rule live; a mechanism only says
-how much error each sample gets.
+A mechanism says how much error each sample gets; error law and adding rule live in `perturb` alone.
 """
 
 import json

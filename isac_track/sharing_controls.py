@@ -71,8 +71,7 @@ class Correlated:
     tau_s: float = 2.0  # Time over which the error's correlation falls to 1/e, s.
     adding: Adding = "linear"
 
-    errors_are_independent: ClassVar[bool] = False
-    """From sample to sample: without that the linear benchmark does not hold."""
+    errors_are_independent: ClassVar[bool] = False  # Without that no linear benchmark holds.
 
     def __post_init__(self) -> None:
         check_at_least("d_sigma", self.d_sigma, 0, " m")

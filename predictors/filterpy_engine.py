@@ -25,8 +25,7 @@ def last_states(
 ) -> tuple[Floats, Floats]:
     """Filter every track and return its last state: mean (N, 2, d) and covariance (N, d, d).
 
-    Parameters are those of `isac_track.kalman.kalman_last`. With a slow `error`, of one standard
-    deviation, it is the last state of each axis.
+    Parameters are those of `isac_track.kalman.kalman_last`. A slow `error` is the last state.
     """
     n, d = len(batch), len(batch.prior_std) + (error is not None)
     mean, cov = np.empty((n, 2, d)), np.empty((n, d, d))
@@ -38,9 +37,8 @@ def last_states(
 def last_modes(batch: Batch, moods: Moods, *, gate: float) -> tuple[Floats, Floats, Floats]:
     """Run an interacting-multiple-model filter over every track and return its last modes.
 
-    Every mode is a constant-velocity model with its own q; the modes change as a continuous-time
-    Markov chain, so that M belongs to the step that follows. Parameters are those of
-    `isac_track.kalman.imm_last`, and the results its mean, covariance and probability.
+    Every mode is a constant-velocity model with its own q; they change as a continuous-time Markov
+    chain, so that M belongs to the step that follows. Otherwise as `isac_track.kalman.imm_last`.
     """
     n = len(batch)
     mean, cov, probability = np.empty((n, 2, 2, 2)), np.empty((n, 2, 4, 4)), np.empty((n, 2))

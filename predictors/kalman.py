@@ -33,8 +33,7 @@ class KalmanCV:
     engine: Literal["kernels", "filterpy"] = "kernels"
     aware: bool = False  # Told by `knowing`, before a run, which mechanism shares.
     added_std_m: float = 0.0  # Per axis, of the error that is added as far as the robot knows.
-    tau_s: float = 0.0
-    """Of its correlation; 0: white. A slow error is a state, and the whole history counts."""
+    tau_s: float = 0.0  # Of its correlation; 0: white. Of a slow one the whole history counts.
 
     states: ClassVar[int] = 2
 
@@ -95,8 +94,7 @@ class KalmanCV:
     def track(self) -> Callable[[Release], Floats] | None:
         """Where the robot took everybody to be at each sample, (M, 2) m: from no later one.
 
-        The noise is the estimate by then, and the whole history counts. None for the other models:
-        no loop of theirs tells the states by the way.
+        The noise is the estimate by then, and the whole history counts. None for other models.
         """
         return self._tracked if type(self) is KalmanCV else None
 

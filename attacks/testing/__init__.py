@@ -137,8 +137,7 @@ def checks_for(subject: Any) -> dict[str, Check]:  # noqa: ANN401 - a stranger's
 def adversaries_of(attack: Attack) -> tuple[str, ...]:
     """Return the names of the adversaries whose rows an attack makes, weakest first.
 
-    Those of a linkage attack are the adversaries of a task that shows what it requires: SCENE is
-    then granted to everyone. Raises as `checks_for`.
+    Of a linkage attack those of a task that shows what it requires. Raises as `checks_for`.
     """
     named = _granted(attack).values()
     return tuple(adversary for adversary in ADVERSARIES if adversary in named)

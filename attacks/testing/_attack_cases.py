@@ -198,9 +198,8 @@ def made_up(
 class LinkageCase(made.Case):
     """P probes, G gallery tracks, and everything that an adversary may know besides.
 
-    Where the scene is hidden, every walk comes in a frame and on a clock of its own, and probe and
-    gallery are two recordings of one walk. Where it is shown, all is in one frame and on one clock,
-    and the gallery goes on after `GAP_S` of silence.
+    Where the scene is hidden, every walk comes in a frame and on a clock of its own, in two
+    recordings. Where it is shown, all is in one, and the gallery goes on after `GAP_S` of silence.
     """
 
     asked: ClassVar[tuple[str, ...]] = ("probe", "gallery")

@@ -1,7 +1,4 @@
-"""What holds for plug-ins of several kinds, each property once, and an attack as it is run.
-
-What the kinds differ in is in the classes of their cases.
-"""
+"""What holds for plug-ins of several kinds, which differ in their cases, and how they are run."""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -273,8 +270,7 @@ def success_falls_with_noise(row: Row) -> None:
 def nothing_beats_the_optimum(row: Row) -> None:
     """Of walks that follow a model no more leaks than the exact posterior of a genie tells.
 
-    Of isotropic errors and of radial ones, whose scales the genie is told. A row with more than one
-    release is exempt.
+    Of isotropic and radial errors, told their scales. A row with more than one release is exempt.
     """
     for law in ("isotropic", "radial"):
         case, expected = row.ordinary.modelled(law)

@@ -23,8 +23,7 @@ DRAWS = 100  # Random cases of a check that asks for `rng`.
 class Metrics:
     """Functions to check, each for one trajectory or one scene; None: not offered.
 
-    Arguments are passed by position. T samples, A agents, H steps, S scenes; NaN means that a
-    quantity is undefined.
+    Arguments are passed by position. T samples, A agents, H steps, S scenes; NaN: undefined.
     """
 
     plr: Callable[[Floats, Floats, float], float] | None = None

@@ -11,8 +11,7 @@ from unittest import SkipTest
 
 from isac_track.errors import SettingsError, did_you_mean, raised_at, told
 
-Body: TypeAlias = Callable[..., None]
-"""Raises AssertionError where what it states does not hold, SkipTest where it says nothing."""
+Body: TypeAlias = Callable[..., None]  # Raises AssertionError, SkipTest where it says nothing.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -80,8 +79,7 @@ def select(
 ) -> tuple[Check, ...]:
     """Return the checks called `names`, each once, or all.
 
-    For a name that does not exist it is a SettingsError with the nearest one that does, or how to
-    learn what there is, `known`.
+    SettingsError for a wrong name, with the nearest right one, or how to learn of them, `known`.
     """
     for name in names or ():
         if name not in checks:
