@@ -70,9 +70,9 @@ def by_definition(track: Track) -> dict[str, float]:
     }
 
 
-def plain_track(pattern: str, *, t: Sequence[float] | None = None) -> Track:
+def plain_track(pattern: str, *, t: Sequence[float] = ()) -> Track:
     """Return a walk along x, sampled every 0.25 s, with errors of 0.1 m or 0.5 m to the side."""
-    moments: Floats = 0.25 * np.arange(float(len(pattern))) if t is None else np.array(t, float)
+    moments: Floats = np.array(t, float) if t else 0.25 * np.arange(float(len(pattern)))
     true_xy = np.column_stack([1.2 * moments, np.zeros_like(moments)])
     error_m = np.array([0.1 if sample == "1" else 0.5 for sample in pattern])
     return Track(pattern, moments, true_xy, shared_xy=true_xy + error_m[:, None] * [0.0, 1.0])
@@ -126,9 +126,7 @@ def _check_each(*needs: str) -> Callable[[Callable[[Function], None]], None]:
     return register_all
 
 
-def _by_hand(
-    function: Function, examples: dict[str, float], *, t: Sequence[float] | None = None
-) -> None:
+def _by_hand(function: Function, examples: dict[str, float], t: Sequence[float] = ()) -> None:
     for pattern, value in examples.items():
         expect_of(function, plain_track(pattern, t=t), value)
 
