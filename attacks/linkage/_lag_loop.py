@@ -47,8 +47,7 @@ def cell_means(
                 x += (end_s - at_s) * (xy[k, 0] - xy[first, 0] + share * (xy[k + 1, 0] - xy[k, 0]))
                 y += (end_s - at_s) * (xy[k, 1] - xy[first, 1] + share * (xy[k + 1, 1] - xy[k, 1]))
                 at_s = end_s
-            out[row, cell, 0] = x / width_s
-            out[row, cell, 1] = y / width_s
+            out[row, cell, 0], out[row, cell, 1] = x / width_s, y / width_s
 
 
 @compiled(read(2), read(2), read(2), read(2), written(2))
@@ -153,11 +152,9 @@ def least_costs(
             if rotated:
                 # The modulus of a b*: the rotation that fits best, which no reflection can enter.
                 for j in range(n_gallery):
-                    modulus = np.sqrt(dot[j] * dot[j] + cross[j] * cross[j])
-                    gap[j] = max(own + g_square[j] - 2.0 * modulus, 0.0) * scale
-            else:
-                for j in range(n_gallery):
-                    gap[j] = max(own + g_square[j] - 2.0 * dot[j], 0.0) * scale
+                    dot[j] = np.sqrt(dot[j] * dot[j] + cross[j] * cross[j])
+            for j in range(n_gallery):
+                gap[j] = max(own + g_square[j] - 2.0 * dot[j], 0.0) * scale
             for e in range(floors.size):
                 best, more = out[e, i], floors[e] * weight[m - 1]
                 for j in range(n_gallery):

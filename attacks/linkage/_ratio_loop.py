@@ -66,10 +66,7 @@ def tell(  # noqa: C901 - moments, a sample at a time
 
 @part_of_loop
 def _solve(rows: Floats) -> float:
-    """Put the solution of K equations (K, K + R) in their last R columns; return ln |det|.
-
-    Gauss and Jordan's elimination, with the largest pivot of each column.
-    """
+    """Solve K equations (K, K + R) by Gauss-Jordan, into the last R columns; return ln |det|."""
     rank, width = rows.shape
     log_det = 0.0
     for c in range(rank):
@@ -124,10 +121,7 @@ def take_sides(
 
 @part_of_loop
 def _average_over_turns(turned: Floats, factor: Floats, exponent: Floats, n: int) -> None:
-    """Multiply factor times e to the exponent by I0(turned), n times.
-
-    The modified Bessel function by Abramowitz and Stegun, 9.8.1 and 9.8.2.
-    """
+    """Multiply factor times e^exponent by I0(turned) (Abramowitz, Stegun, 9.8.1 and 2), n times."""
     for j in range(n):
         x = turned[j]
         is_small = x < _BESSEL
@@ -206,9 +200,7 @@ def ratios(  # noqa: C901, PLR0912, PLR0915 - an elimination of many pairs at a 
                     slope = own[2, j] * first
                     second = 1.0 / (own[3, j] - slope * own[2, j])
                     factor[j] *= first * second
-                    pivot[0, j] = first
-                    pivot[1, j] = second
-                    pivot[2, j] = slope
+                    pivot[0, j], pivot[1, j], pivot[2, j] = first, second, slope
                 for a in range(c + 1, k + 2):
                     own, below = blocks[a * (a + 1) // 2 + c], column[a]
                     for row in (0, 2):

@@ -68,10 +68,8 @@ class Fusion(Linking):
         ]
         mates = [half.mate for half in halves]
         scaled = _scaler(found, mates)
-        alone = np.zeros(found[0].shape[2])
-        alone[0] = 1.0
-        seen = [scaled(one) for one in found]
-        weights = conditional_logit(seen, mates, prior=alone, ridge=self.ridge)
+        alone = np.eye(found[0].shape[2])[0]
+        weights = conditional_logit(list(map(scaled, found)), mates, prior=alone, ridge=self.ridge)
         members = _fitted(context, train)
         return lambda p, g: np.asarray(scaled(_stacked(members, p, g)) @ weights)
 

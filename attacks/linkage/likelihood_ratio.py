@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
 from types import ModuleType
-from typing import ClassVar
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 from scipy.special import logsumexp
@@ -20,6 +20,7 @@ from isac_track.types import Floats, Knowledge, Release, read_only
 _STEP_S = 0.5  # Between two lags.
 _SPEED_M_S = 1.4  # Root mean square, of the prior.
 _LEAST_OVERLAP_S = 2.0
+_Slow: TypeAlias = tuple[float, float]  # As from `added_error`.
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,13 +82,9 @@ class LikelihoodRatio(Linking):
 
 
 def _ratios(
-    probe: Release,
-    gallery: Release,
-    attack: LikelihoodRatio,
-    slow: tuple[float, float],
-    passes: int,
+    probe: Release, gallery: Release, attack: LikelihoodRatio, slow: _Slow, passes: int
 ) -> Floats:
-    """Return the score of every pair, (P, G); `slow` as from `added_error`."""
+    """Return the score of every pair, (P, G)."""
     lags_s, spread_m2 = _lags_s(attack), _spread_m2(attack)
     log_lag = -np.abs(lags_s) / attack.lag_s
     log_lag += np.log(spread_m2).sum(axis=1) - logsumexp(log_lag)
@@ -126,7 +123,7 @@ def _told(release: Release, attack: LikelihoodRatio, sign: int, passes: int) -> 
 
 @remembered
 def _side(
-    release: Release, attack: LikelihoodRatio, slow: tuple[float, float], sign: int, passes: int
+    release: Release, attack: LikelihoodRatio, slow: _Slow, sign: int, passes: int
 ) -> tuple[Floats, ...]:
     """Return what `_ratio_loop.ratios` takes of a side, its errors as large as they are."""
     lags_s, rank, (std_m, tau_s) = _lags_s(attack), attack.rank, slow

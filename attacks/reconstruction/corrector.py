@@ -6,7 +6,6 @@ from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from attacks.parameters import positive
@@ -37,8 +36,7 @@ class Corrector:
     Boosted trees are taught on other people's walks, shared by the same mechanism, what to add
     along and across, by what `_looked_at` sees around every sample. How many trees, and what share
     of what they say, is decided by whole walks that they were not grown on; where these gain
-    nothing, or fewer than five walks are known, this is the smoother alone. The claimed standard
-    deviation is always the smoother's.
+    nothing, or fewer than five are known, this is the smoother alone. The claimed `std` is its own.
 
     References
     ----------
@@ -131,10 +129,9 @@ def _turned(xy: Floats, by: Complexes) -> Floats:
 def _looked_at(release: Release, found: Reconstruction) -> tuple[Floats, Complexes]:
     """Return what is known about each sample, (M, F), and where its walk heads for, (M,).
 
-    In the frame of its heading, over each of the stretches about it, means of what the smoother
-    left over and of where it puts the walk, and the logarithm of the information there; speed, how
-    far it is to either end, and how noisy and how sure all that is. The heading has the length 1,
-    or less where nobody moves.
+    In the frame of its heading (of length 1, or less where nobody moves), over each of the
+    stretches about it, means of what the smoother left over and of where it puts the walk, and the
+    logarithm of the information there; speed, time to either end, how noisy and how sure it is.
     """
     assert found.std is not None
     offsets = release.offsets
@@ -160,7 +157,10 @@ def _looked_at(release: Release, found: Reconstruction) -> tuple[Floats, Complex
     edges = [place(at) for at in np.concatenate([-_EDGES_S[::-1], _EDGES_S]).tolist()]
     with np.errstate(invalid="ignore", divide="ignore"):  # nobody is there: NaN, which trees take
         for start, end in pairwise(edges):
-            told, pulled, walked = (_summed(one, start, end) for one in totals)
+            around = np.column_stack([start, end]).ravel()
+            told, pulled, walked = (  # nothing over a stretch of none
+                np.where(start < end, np.add.reduceat(one, around)[::2], 0.0) for one in totals
+            )
             for one in (pulled / told, walked / (end - start) - z):
                 turned = one * np.conj(ahead)
                 about += [turned.real, turned.imag]
@@ -171,9 +171,3 @@ def _looked_at(release: Release, found: Reconstruction) -> tuple[Floats, Complex
     if release.sigma is not None:
         about.append(release.sigma)
     return np.stack(about, axis=1), ahead
-
-
-def _summed(values: NDArray[Any], start: Ints, end: Ints) -> NDArray[Any]:
-    """Return sums over stretches, (K,), of values, (M,); 0 over none."""
-    sums = np.add.reduceat(values, np.column_stack([start, end]).ravel())[::2]
-    return np.where(start < end, sums, 0.0)

@@ -9,7 +9,7 @@ import numpy as np
 from attacks.parameters import positive, tried
 from attacks.reconstruction.learning import TOLD, around, smoother
 from isac_track.protocols import AttackContext, Reconstructor
-from isac_track.types import Floats, Ints, Knowledge, Reconstruction, Release
+from isac_track.types import Floats, Knowledge, Reconstruction, Release
 
 TREND_STD = (100.0, 10.0)  # m and m/s, of the line: far more than any walk needs.
 
@@ -19,9 +19,8 @@ class GaussianProcess:
     """A Matern-3/2 process about a straight line, one per axis and track; noise as estimated.
 
     Offset from the first shared position and slope of the line have vague Gaussian priors
-    (`TREND_STD`), so that neither place nor speed of a walk is pulled to a mean. Line and process
-    are one linear stochastic differential equation, and a Kalman filter and a Rauch-Tung-Striebel
-    smoother run over all tracks at once.
+    (`TREND_STD`), so that neither place nor speed of a walk is pulled to a mean. A Kalman filter
+    and a Rauch-Tung-Striebel smoother of line and process run over all tracks at once.
 
     References
     ----------
@@ -59,9 +58,12 @@ def smooth(release: Release, variance: Floats, kernel: tuple[float, float]) -> R
     Step k of all tracks that are so long is taken at once. `variance`, (M,) m^2, is that of the
     errors per axis, `kernel` length, s, and scale, m.
     """
-    rows, starts = _by_step(release.offsets)
-    first = release.offsets[:-1]
-    origin = np.repeat(release.xy[first], np.diff(release.offsets), axis=0)
+    first, sizes = release.offsets[:-1], np.diff(release.offsets)
+    step = np.arange(release.t.size) - np.repeat(first, sizes)
+    # Samples by step, the longest tracks first (of equals in their order), and where steps begin.
+    rows = np.lexsort((np.repeat(-sizes, sizes), step))
+    starts = np.concatenate([[0], np.cumsum(np.bincount(step))])
+    origin = np.repeat(release.xy[first], sizes, axis=0)
     xy, noise = (release.xy - origin)[rows], variance[rows]
     elapsed_s = np.diff(release.t, prepend=release.t[0])
     elapsed_s[first] = 0.0  # not since the end of another track
@@ -115,11 +117,3 @@ def _model(step_s: Floats, *, kernel: tuple[float, float]) -> tuple[Floats, Floa
     move[:, 0, 1] = step_s
     move[:, 2:, 2:] = np.exp(-rate * tau) * (np.eye(2) + tau * rest)
     return prior, move
-
-
-def _by_step(offsets: Ints) -> tuple[Ints, Ints]:
-    """Return samples by step, the longest tracks first, (M,), and where steps begin, (K + 1,)."""
-    sizes = np.diff(offsets)
-    step = np.arange(offsets[-1]) - np.repeat(offsets[:-1], sizes)
-    rows = np.lexsort((np.repeat(-sizes, sizes), step))  # stable: of equals the first
-    return rows, np.concatenate([[0], np.cumsum(np.bincount(step))])

@@ -86,8 +86,7 @@ class RadialRTS:
 class ImmRTS:
     """Two constant-velocity models, walking on and stopping or turning, with a Markov chain.
 
-    The default densities reconstruct the bundled crowd best; filter, smoother and their sources are
-    those of `isac_track.kalman`.
+    Filter, smoother and their sources are those of `isac_track.kalman`.
     """
 
     q: float | None = None  # m^2/s^3 while walking on; None, with `q_turn`: learnt or `DEFAULT_Q`.

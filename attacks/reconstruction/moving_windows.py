@@ -18,10 +18,9 @@ REFERENCE_STD_M = 0.5  # Noise per axis at which a window has its nominal width:
 class MovingAverage:
     """Centred moving average, wider where a track is noisier.
 
-    The mean over a window of width h of a walk of acceleration a is off by a h^2 / 24: with s from
-    the innovations of each track, the best window is ``width_s * (s / 0.5 m)^(2/5)``
-    (`half_windows`). Near the ends of a track both sides are as short as the shorter one, down to
-    the sample itself: a lopsided mean would lag behind the walk.
+    The mean over a window of width h of a walk of acceleration a is off by a h^2 / 24: the best
+    window is ``width_s * (s / 0.5 m)^(2/5)`` (`half_windows`). Near the ends of a track both sides
+    are as short as the shorter one: a lopsided mean would lag behind the walk.
     """
 
     width_s: float | None = None  # At errors of 0.5 m per axis; None: learnt, or `DEFAULT_WIDTH_S`.
@@ -77,12 +76,11 @@ class Savgol(MovingAverage):
 def half_windows(release: Release, variance: Floats, *, width_s: float, bias_order: int) -> Ints:
     """Return the samples on either side of the middle of each track's window, (N,).
 
-    A window of width h over independent errors of standard deviation s leaves the variance
-    a s^2 / h; a linear filter whose bias on a smooth walk is b h^p, p being the `bias_order`, then
-    has the mean square error a s^2 / h + b^2 h^(2p). It is least at an h that grows as
-    s^(2 / (2p + 1)), from `width_s` at `REFERENCE_STD_M` (Fan, Gijbels, *Local Polynomial
-    Modelling*, 1996, 3.2.3), rounded to an odd number of samples of the track's mean interval.
-    `variance`, (M,) m^2, is that of s, alike along a track.
+    A window of width h over independent errors of standard deviation s, with a bias of b h^p on a
+    smooth walk (p the `bias_order`), has the mean square error a s^2 / h + b^2 h^(2p), least where
+    h grows as s^(2 / (2p + 1)): from `width_s` at `REFERENCE_STD_M` (Fan, Gijbels, *Local
+    Polynomial Modelling*, 1996, 3.2.3), rounded to an odd number of samples of the track's mean
+    interval. `variance`, (M,) m^2, is s squared, alike along a track.
     """
     first, last = release.offsets[:-1], release.offsets[1:] - 1
     growth = (variance[first] / REFERENCE_STD_M**2) ** (1.0 / (2 * bias_order + 1))

@@ -335,10 +335,7 @@ def handover(draft: Draft) -> Sessions:
 
 
 def _instants(draft: Draft, at_s: Floats, gap_s: float) -> Ints:
-    """Return which instants are used: all, or so many as have `linkage.most_people` people.
-
-    At least two, drawn whatever the gap, and everybody who is there at these.
-    """
+    """Return which instants are used: all, or some with `linkage.most_people` people, drawn."""
     there = (draft.start_s <= at_s[:, None] + gap_s) & (draft.end_s >= at_s[:, None])
     drawn = draft.rng("instants").permutation(at_s.size)
     n_people = np.logical_or.accumulate(there[drawn], axis=0).sum(axis=1)
