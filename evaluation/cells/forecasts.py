@@ -35,7 +35,6 @@ def sharing_rows(
     """Return the rows of the descriptors as shared, a track each, or of a predictor, a scene each.
 
     `scenes` are those of the release, without the samples that it left out; `mechanism` shared it.
-
     Raises PluginError if a predictor raises or breaks its contract, which names it, and
     SettingsError if conflicts are decided by a probability and a predictor has none.
     """
@@ -57,18 +56,14 @@ def sharing_rows(
             f"{who} has no covariance, which conflict.decision=probability needs; leave it out or "
             "decide by the mean"
         )
-    robot = robot_positions(scenes, settings=conflict)
+    robot, radius_m = robot_positions(scenes, settings=conflict), conflict.safety_radius_m
     mean = prediction.mean.reshape(robot.shape)
     separation_m = minimum_separation(robot=robot, agents=mean)
     probability = np.full(len(scenes), np.nan)
     if prediction.cov is not None:
-        probability = conflict_probability(
-            robot=robot,
-            mean=mean,
-            cov=prediction.cov.reshape(*robot.shape, 2),
-            radius_m=conflict.safety_radius_m,
-        )
-    predicted = is_conflict(separation_m=separation_m, safety_radius_m=conflict.safety_radius_m)
+        cov = prediction.cov.reshape(*robot.shape, 2)
+        probability = conflict_probability(robot=robot, mean=mean, cov=cov, radius_m=radius_m)
+    predicted = is_conflict(separation_m=separation_m, safety_radius_m=radius_m)
     if conflict.decision == "probability":
         predicted = probability >= conflict.probability_threshold
     return {

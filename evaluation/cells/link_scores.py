@@ -292,13 +292,8 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
     }
     if linked.cohorts:  # of controls nobody pairs two
         follow = {*DERIVED, *RANK_METRICS}
-        tables[REPLICATES] = table(
-            {
-                name: one.replicates.astype(np.float32)
-                for name, one in found.items()
-                if name not in follow
-            }
-        )
+        kept = {name: one.replicates for name, one in found.items() if name not in follow}
+        tables[REPLICATES] = table({name: one.astype(np.float32) for name, one in kept.items()})
     return tables
 
 

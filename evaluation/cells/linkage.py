@@ -154,7 +154,7 @@ def link(consumer: Consumer, level: LinkedLevel) -> Linked:
         return _approximated(consumer, level)
     scores: dict[int, Floats] = {}
     calibration: dict[int, Calibration] = {}
-    no_match: dict[int, float] = {}
+    least: dict[int, float] = {}
     for fold, half in enumerate(known.halves):
         score, sides = _fitted(consumer, level, fold)
         for number, pairing in half.searches:
@@ -164,14 +164,9 @@ def link(consumer: Consumer, level: LinkedLevel) -> Linked:
         if on_others is not None:
             calibration[fold] = on_others
             for number, pairing in half.searches:
-                no_match[number] = no_match_score(on_others, pairing, mate_rate=half.mate_rate)
-    return read_off(
-        scores,
-        known=known,
-        calibration=calibration,
-        no_match=no_match,
-        drawn_from=(consumer.spec, consumer.knowledge),
-    )
+                least[number] = no_match_score(on_others, pairing, mate_rate=half.mate_rate)
+    name = consumer.spec, consumer.knowledge
+    return read_off(scores, known=known, calibration=calibration, no_match=least, drawn_from=name)
 
 
 def bound(level: LinkedLevel, motion: Motion | None) -> Linked:
@@ -215,8 +210,8 @@ def _lags(sessions: Sessions) -> tuple[Floats, Floats]:
 
 def _approximated(consumer: Consumer, level: LinkedLevel) -> Linked:
     """Return what a linkage attack achieves that scores the best candidates of each probe alone."""
-    known, found = level.known, {}
-    rng = stream(known.seed, "linkage", "candidates", consumer.spec, consumer.knowledge)
+    known, found, name = level.known, {}, (consumer.spec, consumer.knowledge)
+    rng = stream(known.seed, "linkage", "candidates", *name)
     for fold, half in enumerate(known.halves):
         score, sides = _fitted(consumer, level, fold)
         for number, pairing in half.searches:
@@ -231,12 +226,8 @@ def _approximated(consumer: Consumer, level: LinkedLevel) -> Linked:
                 rng=rng,
             )
     losses = np.concatenate([one.exact - one.approximate for one in found.values()])
-    return read_off(
-        {number: one.scores for number, one in found.items()},
-        known=known,
-        drawn_from=(consumer.spec, consumer.knowledge),
-        losses=losses,
-    )
+    scores = {number: one.scores for number, one in found.items()}
+    return read_off(scores, known=known, drawn_from=name, losses=losses)
 
 
 def _untaught(attack: LinkageAttack, level: LinkedLevel, sides: _Sides, pairing: Pairing) -> Floats:
@@ -335,10 +326,10 @@ def _fitted(
     train = None
     if Knowledge.TRAIN in granted:
         if not ((learns.mate >= 0).any() and learns.gallery.size):
+            task = known.sessions.task.name
             raise DataError(
-                f"{who} learns from other people, but there is nobody to learn "
-                f"from in {known.sessions.task.name}; use a recording of more people or leave the "
-                "attack out"
+                f"{who} learns from other people, but there is nobody to learn from in {task}; "
+                "use a recording of more people or leave the attack out"
             )
         probes, gallery = (sharing.handed(one, plugin) for one in sides.of(learns))
         train = LinkageTrainingSet(probes, gallery, learns.mate.copy())

@@ -193,11 +193,9 @@ def attacked_level(
                 training[fold, what] = TrainingSet(shown, frame.points(truth_m))
         for what, view in _views(victims[fold].own, shows, *key, fold, seed=seed):
             views[fold, what] = view
-    again = [
-        sharing.share(mechanism, sensed, "scenes", first_scene, "again", number, seed=seed)
-        for number, sensed in enumerate(block.again)
-        if Knowledge.REPEATS in granted
-    ]
+    repeats = block.again if Knowledge.REPEATS in granted else ()
+    names = ("scenes", first_scene, "again")
+    again = [sharing.share(mechanism, one, *names, n, seed=seed) for n, one in enumerate(repeats)]
     if not all(sharing.same_samples(one, release) for one in again):
         raise PluginError(
             f"mechanism {mechanism.spec!r} leaves out other samples when the same walks are "
@@ -355,6 +353,7 @@ def _context(
             f"attack {consumer.spec!r} learns from other people, but all tracks belong to one "
             "person or group; use a recording of more people or leave the attack out"
         )
+    companions = (one.tracks(victims.tracks) for one in level.beside)
     repeats, seed = [], level.block.seed
     for number, release in enumerate(level.again if Knowledge.REPEATS in granted else ()):
         rng = stream(seed, "frames", *level.key, fold, "again", number)
@@ -368,9 +367,7 @@ def _context(
         train=train,
         repeats=tuple(repeats),
         anchor=_anchor(level, victims, frame) if Knowledge.ANCHOR in granted else None,
-        companions=tuple(
-            frame.release(showing(one.tracks(victims.tracks), granted)) for one in level.beside
-        ),
+        companions=tuple(frame.release(showing(one, granted)) for one in companions),
     )
 
 

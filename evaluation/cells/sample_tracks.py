@@ -55,19 +55,14 @@ def gallery_rows(
 
     The people are those of the first scene, not chosen by how they look. The adversary is blind and
     uses `radial_rts`, or what the run has instead among `attacks`, its reconstructions. The columns
-    are `COLUMNS`, t in s and positions in m; there is one row for each shared sample.
-
-    Raises PluginError if a plug-in raises.
+    are `COLUMNS`, t in s and positions in m; there is one row for each shared sample. Raises
+    PluginError if a plug-in raises.
     """
     order = track_order(n_tracks=len(tracks), n_scenes=1, agents=stages.scenes.agents, seed=seed)
     scenes = make_scenes(tracks, order=order, first=0, settings=stages, seed=seed)
     sensed = sense_scenes(scenes, settings=stages.sensing, seed=seed)
-    able = [
-        plugin
-        for plugin in attacks
-        if not (plugin.instance.requires or getattr(plugin.instance, "slow", False))
-        and plugin.name != IDENTITY
-    ]
+    able = [one for one in attacks if one.name != IDENTITY and not one.instance.requires]
+    able = [one for one in able if not getattr(one.instance, "slow", False)]
     best = min(able, key=lambda one: one.name != "radial_rts", default=None)
     name, attack = ("radial_rts", RadialRTS()) if best is None else (best.spec, best.instance)
     epsilon_m = stages.privacy.epsilon_m

@@ -75,10 +75,8 @@ def handed(batch: _Batch, to: Plugin) -> _Batch:
 
 def copied(batch: _Batch) -> _Batch:
     """Return a batch in arrays of its own: a stranger may unlock them and write."""
-    values = {one.name: getattr(batch, one.name) for one in fields(batch)}
-    own: dict[str, Any] = {
-        name: value.copy() for name, value in values.items() if isinstance(value, np.ndarray)
-    }
+    values = ((one.name, getattr(batch, one.name)) for one in fields(batch))
+    own = {name: value.copy() for name, value in values if isinstance(value, np.ndarray)}
     return derived(batch, **own)
 
 

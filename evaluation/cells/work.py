@@ -90,10 +90,8 @@ def cells(
     """Yield every cell of a piece of work: its block, mechanism, consumer, and tables.
 
     Rows of `shared` and of a reconstruction are per track (scene, agent), those of a predictor per
-    scene, those of a linkage task per window or probe.
-
-    Raises PluginError if a plug-in raises or breaks its contract, which names it, and DataError if
-    an attack learns and there is nobody to learn from.
+    scene, those of a linkage task per window or probe. Raises PluginError if a plug-in raises or
+    breaks its contract, which names it, and DataError if an attack has nobody to learn from.
     """
     if OTHER_LAW_WORLD in work.world:
         stages = stages.changed({"sensing.law": OTHER_LAW})

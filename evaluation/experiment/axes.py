@@ -169,10 +169,8 @@ class Axes:
 
 @cache
 def windows_of(task: str) -> Consumer:
-    """Return who reads what the windows of a task give away by themselves, smoothed or not.
-
-    The smoother is one of ours that knows nothing: the same whatever else is in the run.
-    """
+    """Return who reads what the windows of a task give away by themselves, smoothed or not."""
+    # The smoother is one of ours that knows nothing: the same whatever else is in the run.
     return Consumer("windows", task=task, behind=plugins.parse("attacks", "radial_rts")[0])
 
 
@@ -274,11 +272,10 @@ def _attacks(specs: Iterable[Any]) -> tuple[tuple[Plugin, ...], tuple[Consumer, 
 def _linked(
     settings: Settings, *, links: tuple[Consumer, ...], tasks: tuple[Task, ...]
 ) -> tuple[tuple[Task, Consumer], ...]:
-    """Return who links in which task.
+    """Return who links in which task, or where an attack can run at all if none suits it.
 
     Who needs the true frame links where it shows, the others where it does not, and who needs
-    ``one_stretch`` of a walk where there is one; an attack that none of the tasks suits is run in
-    every one that it can run in.
+    ``one_stretch`` of a walk where there is one.
     """
     chosen: dict[str, list[Task]] = {}
     for link in links:

@@ -71,12 +71,8 @@ class Plan:
     @property
     def pairs(self) -> tuple[tuple[Plugin, Consumer], ...]:
         """Every mechanism with each of its consumers."""
-        return tuple(
-            (unit.mechanism, one)
-            for unit in self.units
-            if unit.block == 0
-            for one in unit.consumers.values()
-        )
+        first = (unit for unit in self.units if unit.block == 0)
+        return tuple((unit.mechanism, one) for unit in first for one in unit.consumers.values())
 
 
 def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
