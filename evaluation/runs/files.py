@@ -59,15 +59,11 @@ WRITTEN: Final = (
     *(f"tables/{name}.tex" for name in ("sweep", "attacks", "paper", "linkability", "verdict")),
 )
 """All that a run leaves beside its manifest, its cells, and its figures."""
-
-
-_TEXTS: Final = frozenset(
-    (
-        *("dataset", "mechanism", "family", "adding", "consumer", "knowledge", "metric", "unit"),
-        *("claim", "answer", "evidence", "criterion", "predictor", "robot", "score", "reference"),
-        *("cohort", "outcome", "invalid", "spec", "kind", "why"),
-    )
-)
+_TEXTS: Final = {
+    *("dataset", "mechanism", "family", "adding", "consumer", "knowledge", "metric", "unit"),
+    *("claim", "answer", "evidence", "criterion", "predictor", "robot", "score", "reference"),
+    *("cohort", "outcome", "invalid", "spec", "kind", "why"),
+}
 """Columns of text; all others are numbers or truth values."""
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{16}\.tmp")
 _NOT_FOLLOWED = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
@@ -108,16 +104,13 @@ def from_csv(content: bytes) -> pd.DataFrame:
     """Return the table that `to_csv` wrote; ValueError if it is none."""
     import pandas as pd  # noqa: PLC0415 - as said above
 
-    names = content.partition(b"\n")[0].decode().split(",")
-    frame = pd.read_csv(
-        io.BytesIO(content),
-        dtype=dict.fromkeys(_TEXTS.intersection(names), str),
-        keep_default_na=False,
-        na_values=[""],  # a name may be "NA"
-    )
-    for name in _TEXTS.intersection(names):
-        known = frame[name].fillna("").unique()
-        frame[name] = frame[name].fillna("").map({one: _typed(one) for one in known})
+    texts = _TEXTS.intersection(content.partition(b"\n")[0].decode().split(","))
+    kinds = dict.fromkeys(texts, str)
+    # A name may be "NA".
+    frame = pd.read_csv(io.BytesIO(content), dtype=kinds, keep_default_na=False, na_values=[""])
+    for name in texts:
+        column = frame[name].fillna("")
+        frame[name] = column.map({one: _typed(one) for one in column.unique()})
     return frame
 
 
@@ -230,13 +223,12 @@ def checked(out: Path, names: Iterable[str]) -> Iterator[tuple[str, bytes | None
     """
     known = dict(_lines(out))
     for name in dict.fromkeys(names):
-        content = None
         try:
             content = content_of(out / FOLDER / name)
         except FileNotFoundError:
             continue
         except OSError:
-            pass
+            content = b""
         is_sound = content and hashlib.sha256(content).hexdigest() == known.get(name)
         yield name, content if is_sound else None
 
@@ -310,24 +302,19 @@ def locked(out: Path) -> Iterator[None]:
             os.ftruncate(file, 0)
             os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
         for folder in (out, *(out / name for name in SUBFOLDERS)):
-            _check_folder(folder, is_within=folder != out)
+            if folder != out and folder.is_symlink():
+                raise SettingsError(
+                    f"{folder} is a link, and a run writes into folders of its own alone; "
+                    "remove it or choose another --out"
+                )
+            with contextlib.suppress(OSError):  # not there, or what cannot be removed may stay
+                for path in [path for path in folder.iterdir() if is_temporary(path.name)]:
+                    path.unlink()
         yield
     finally:
         with contextlib.suppress(OSError):
             path.unlink(missing_ok=True)
         os.close(file)
-
-
-def _check_folder(folder: Path, *, is_within: bool) -> None:
-    """Refuse a folder of the run that leads elsewhere; remove what a killed run left in it."""
-    if is_within and folder.is_symlink():
-        raise SettingsError(
-            f"{folder} is a link, and a run writes into folders of its own alone; "
-            "remove it or choose another --out"
-        )
-    with contextlib.suppress(OSError):  # it is not there, or what cannot be removed may stay
-        for path in [path for path in folder.iterdir() if is_temporary(path.name)]:
-            path.unlink()
 
 
 def _locked(path: Path) -> int | None:
@@ -339,6 +326,7 @@ def _locked(path: Path) -> int | None:
         file = opened(path, os.O_RDWR | os.O_CREAT)
     except OSError as error:
         raise SettingsError(f"cannot {what}: {error.strerror}; {way_out}") from None
+    wrong = ""
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         with contextlib.suppress(FileNotFoundError):
@@ -350,8 +338,6 @@ def _locked(path: Path) -> int | None:
         wrong = f"another run is writing to {path.parent}{who}; wait for it or choose another --out"
     except OSError as error:  # some network file systems
         wrong = f"cannot lock {path}: {error.strerror}; choose --out on a local disk"
-    else:
-        wrong = ""
     os.close(file)
     if wrong:
         raise SettingsError(wrong)

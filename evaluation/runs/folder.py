@@ -20,12 +20,9 @@ def usable(out: Path) -> Iterator[None]:
 
     Raises SettingsError if no folder can have that name, or it cannot be entered, read or changed.
     """
-    try:
-        is_name = "\0" not in str(out) and bool(str(out).encode())
-    except UnicodeEncodeError:
-        is_name = False
-    if not is_name:
-        raise SettingsError(f"{str(out)!a} cannot be the name of a folder; choose another --out")
+    name = str(out)
+    if "\0" in name or name.encode(errors="ignore").decode() != name:
+        raise SettingsError(f"{name!a} cannot be the name of a folder; choose another --out")
     try:
         yield
     except OSError as error:
@@ -43,12 +40,9 @@ def check_folder(out: Path) -> None:
         if not out.exists() or (out / files.MANIFEST).exists():
             return
         for path in out.iterdir():  # a run that is killed before its manifest is there leaves some
+            is_ours = path.name in {files.LOCK, files.PLUGIN_ERROR} or files.is_temporary(path.name)
             is_empty = path.name == files.FOLDER and path.is_dir() and not any(path.iterdir())
-            if (
-                not is_empty
-                and path.name not in {files.LOCK, files.PLUGIN_ERROR}
-                and not files.is_temporary(path.name)
-            ):
+            if not (is_ours or is_empty):
                 raise SettingsError(f"{out} is not empty and holds no run; choose another --out")
 
 
@@ -125,10 +119,8 @@ def _drop_other_code(out: Path, manifest: dict[str, Any], held: dict[str, Index]
 
 def _remove_run(out: Path) -> None:
     """Delete what a run wrote, by name: the folder may hold what is not ours. Manifest last."""
-    found = parsed(out)
-    ours = [
-        path for path in (out / files.FOLDER).glob("*.parquet") if CELL_NAME.fullmatch(path.name)
-    ]
+    found, cells = parsed(out), (out / files.FOLDER).glob("*.parquet")
+    ours = [path for path in cells if CELL_NAME.fullmatch(path.name)]
     ours += [out / name for name in files.WRITTEN]
     with contextlib.suppress(DataError):
         ours += _figures(out, undamaged(found, out=out))

@@ -76,7 +76,7 @@ def parsed(out: Path) -> dict[str, Any]:
     """Return what the manifest's file holds, if it is one at all; DataError if not."""
     path = out / MANIFEST
     try:
-        manifest = json.loads(content_of(path))
+        manifest: dict[str, Any] = json.loads(content_of(path))
     except FileNotFoundError:
         raise DataError(
             f"{out} holds no run ({MANIFEST} is missing); make one with "
@@ -84,12 +84,10 @@ def parsed(out: Path) -> dict[str, Any]:
         ) from None
     except (OSError, ValueError, RecursionError) as error:
         raise DataError(f"{path} cannot be read: {error}; choose another --out") from None
-    parts = {"identity": dict, "cells": list}
-    if not isinstance(manifest, dict) or not all(
-        isinstance(manifest.get(name), kind) for name, kind in parts.items()
-    ):
-        raise DataError(f"{path} is not the manifest of a run; choose another --out")
-    return manifest
+    match manifest:
+        case {"identity": dict(), "cells": list()}:
+            return manifest
+    raise DataError(f"{path} is not the manifest of a run; choose another --out")
 
 
 def undamaged(found: dict[str, Any], *, out: Path) -> dict[str, Any]:
