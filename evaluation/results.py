@@ -13,8 +13,7 @@ import numpy as np
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from evaluation.analysis import linkability, paper, summary
-from evaluation.analysis import weak_attacks as flags
+from evaluation.analysis import linkability, paper, summary, weak_attacks
 from evaluation.analysis.bounds import gaps, linked_gaps
 from evaluation.analysis.decisions import decisions
 from evaluation.analysis.families import families_in
@@ -33,8 +32,7 @@ from evaluation.experiment.settings import Settings, check_drawing
 from evaluation.reporting import page
 from evaluation.reporting.announcements import plan_lines
 from evaluation.reporting.answers import answers
-from evaluation.reporting.figures.figure import figures_of
-from evaluation.reporting.figures.figure import write as write_figures
+from evaluation.reporting.figures import figure
 from evaluation.reporting.finished import load
 from evaluation.reporting.progress import progress_bar
 from evaluation.reporting.rows import Results
@@ -149,7 +147,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
     """
     results, looked = _results(out)
     with aside(partial(_as_csv, [getattr(results, of) for of in FRAMES])) as tables:
-        write_whole(out / "flags.json", flags.to_json(results.flags, looked))
+        write_whole(out / "flags.json", weak_attacks.to_json(results.flags, looked))
         write_whole(out / "verdict.json", verdict.to_bytes(results.verdict))
         write_tex(results, folder=out / "tables")
         write_text(results)
@@ -171,7 +169,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         linked, sums = summary.linkage_estimates(read), summary.linkage_sums(read)
         table = linkability.linkability(read, dataset=dataset)
         found, attacked, (curves, decided, at_raw_alarms), worlds = of_scenes()
-    flagged, looked = flags.flags(found, slow=flags.slow_attacks(manifest))
+    flagged, looked = weak_attacks.flags(found, slow=weak_attacks.slow_attacks(manifest))
     sweeps = Sweeps({**found, **at_raw_alarms, **linked}, known)
     best = strongest(sweeps.found, known)
     asked = {
@@ -183,7 +181,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         sums |= attacked
         frontiers = frontier(sweeps, predictors=predictors, dataset=dataset, sums=sums, seed=seed)
         tidy = summary.to_frame({**found, **linked}, worlds=worlds, known=known, dataset=dataset)
-        far = flags.far_from_optimum(gaps(tidy))
+        far = weak_attacks.far_from_optimum(gaps(tidy))
         in_galleries, across = of_people()
     judged = Sweeps({**sweeps.found, **crossed}, known) if crossed else sweeps
     said = verdict.verdict(judged, across, strongest=best, scored=halves, manifest=manifest)
@@ -237,9 +235,9 @@ def _as_csv(frames: Sequence[pd.DataFrame]) -> list[bytes]:
 
 
 def _draw(results: Results, *, pdf: bool) -> None:
-    figures = figures_of(results)
+    figures = figure.figures_of(results)
     folder.note_figures(results.out, [one.name for one in figures])
-    write_figures(figures, folder=results.out / "figures", dataset=results.dataset, pdf=pdf)
+    figure.write(figures, folder=results.out / "figures", dataset=results.dataset, pdf=pdf)
     page.write(results, figures=figures)
 
 

@@ -1,9 +1,8 @@
 """Does a verdict hold under other assumptions? `python -m evaluation.sensitivity OUT`.
 
-Each variant changes one assumption of a finished run (error law, epsilon, constants, recording,
-predictor) and is a run of its own in OUT/sensitivity/VARIANT, with the attacks that the verdict is
-about. OUT/sensitivity.csv holds what becomes of every item; docs/sensitivity.md says how to read
-it.
+Each variant changes one assumption of a finished run and is a run of its own in
+OUT/sensitivity/VARIANT, with the attacks that the verdict is about. OUT/sensitivity.csv holds what
+becomes of every item; docs/sensitivity.md says how to read it.
 """
 
 import json
@@ -67,8 +66,7 @@ def _command(options: Namespace) -> int:
     if manifest is not None and not options.list:
         return _run(options, variants, manifest)
     width = max(len(one.name) for one in variants)
-    for one in variants:
-        print(f"{one.name:<{width}}  {one.about}")
+    print(*(f"{one.name:<{width}}  {one.about}" for one in variants), sep="\n")
     return DONE
 
 
@@ -84,6 +82,7 @@ def _run(options: Namespace, variants: Sequence[Variant], manifest: Mapping[str,
     if manifest.get("state") != "finished":
         raise DataError(f"the run in {options.out} is not finished; run the matrix again")
     outcomes: list[dict[str, Any]] = []
+    sources = options.out, held.folder_of(options.out, BASE)
     for place, variant in enumerate(variants, start=1):
         print(f"{place} of {len(variants)}: {variant.name}", file=sys.stderr)
         started, why = time.monotonic(), ""
@@ -99,7 +98,6 @@ def _run(options: Namespace, variants: Sequence[Variant], manifest: Mapping[str,
                 trust=options.trust,
             )
             ready = plan(settings)
-            sources = options.out, held.folder_of(options.out, BASE)
             borrow(ready, sources=sources, fresh=options.fresh)
             # `evaluation.report` draws those that matter.
             run(ready=ready, progress=False, pictures=False)
@@ -109,13 +107,11 @@ def _run(options: Namespace, variants: Sequence[Variant], manifest: Mapping[str,
             why = str(error)
         check_interrupt()
         seconds = round(time.monotonic() - started, 1)
-        outcomes.append(
-            {"name": variant.name, "state": "failed" if why else "finished", "why": why}
-            | {"seconds": seconds, "left_out": list(left_out)}
-        )
-        for one in left_out:
-            print(f"notice: left out: {one}", file=sys.stderr)
-        print(f"failed: {why}" if why else f"done in {seconds:.0f} s", file=sys.stderr)
+        told = {"name": variant.name, "state": "failed" if why else "finished", "why": why}
+        outcomes.append(told | {"seconds": seconds, "left_out": list(left_out)})
+        notices = [f"notice: left out: {one}" for one in left_out]
+        end = f"failed: {why}" if why else f"done in {seconds:.0f} s"
+        print(*notices, end, sep="\n", file=sys.stderr)
         rows, not_shown = held.collect(options.out)
         write_whole(options.out / held.TABLE, to_csv(rows))
     if options.json:

@@ -6,13 +6,13 @@ since only a genie who is told the scale of every error reaches the ceiling. On 
 would mix that with how far people are from the motion.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple, cast
 
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.keys import Key, Source, Where, worlds_of
+from evaluation.analysis.keys import Found, Key, Source, Where, worlds_of
 from evaluation.analysis.metrics import BOUNDS, EXPOSURE, GAP, RANK_GAP, RANK_OPTIMUM, SUCCESS
 from evaluation.analysis.strongest import HEADLINE
 from evaluation.experiment.constants import BOUND, MODEL
@@ -22,7 +22,7 @@ _ENDS = ["value", "ci_low", "ci_high"]
 _PLACE = ["world", "mechanism", "level", "task"]
 
 
-def linked_gaps(found: Mapping[Key, Estimate]) -> dict[Key, Estimate]:
+def linked_gaps(found: Found) -> dict[Key, Estimate]:
     """Return linkage of a model world with the optimum's name, and what attacks lack of it.
 
     Differences are paired: the same people, drawn alike.

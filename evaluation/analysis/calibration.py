@@ -1,11 +1,10 @@
 """The free constants of the sensing model, fitted to the paper's numbers.
 
-The paper's link budget leaves three constants open. They are fitted to three of its numbers, with
-sigma_cap_m fixed beforehand: processing gain (net of the CRB gap) and large-scale spread on raw PLR
-and raw MEL, the CRB gap on the PLR of FID at eta = 1000. No other number was fitted, but all had
-been seen when the readings were chosen. The ridge shows how the constants move, and the other
-numbers with them, when what was fixed beforehand is fixed elsewhere: the cap on sigma_raw is a
-fourth constant in all but name.
+The paper's link budget leaves three constants open: processing gain (net of the CRB gap) and
+large-scale spread are fitted to raw PLR and raw MEL, the CRB gap to the PLR of FID at eta = 1000,
+with sigma_cap_m, a fourth one in all but name, fixed beforehand. No other number was fitted, but
+all had been seen when the readings were chosen. The ridge shows how the constants move, and the
+other numbers with them, when what was fixed beforehand is fixed elsewhere.
 """
 
 import math
@@ -30,8 +29,7 @@ from isac_track.scenes import Cut, cut, make_scenes, track_order
 from isac_track.types import Floats, Ints, Tracks
 
 FITTED = ("processing_gain_db", "large_scale_db", "crb_gap_db")  # Settings of the sensing model.
-_GAINS, _SPREADS, _GAPS = (-20.0, 60.0), (2.0, 30.0), (0.0, 40.0)
-"""Ranges in dB; the gain is net, the processing gain less the CRB gap."""
+_GAINS, _SPREADS, _GAPS = (-20.0, 60.0), (2.0, 30.0), (0.0, 40.0)  # In dB; gains less the CRB gap.
 _RESOLUTION_DB = 0.01
 _FID_ETA = 1000.0
 _LEVELS = ("raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1")
@@ -143,7 +141,7 @@ def fit(
     """Return the settings whose `FITTED` constants, to 0.01 dB, reproduce the targets.
 
     Those are raw PLR, raw MEL in s, and PLR under FID at eta = 1000 with linear adding. Raises
-    DataError if no constants in the searched ranges do.
+    DataError as `calibrate`.
     """
     raw_plr, raw_mel_s, fid_plr = targets
 

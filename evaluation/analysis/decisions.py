@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from scipy.sparse import csr_array
 
-from evaluation.analysis.keys import Key, Measure, Where
+from evaluation.analysis.keys import Found, Key, Measure, Where
 from evaluation.analysis.metrics import EQUAL_ALARMS
 from evaluation.analysis.summary import Scored, weights_of
 from isac_track.intervals import Estimate, estimate_of, percentile_interval
@@ -94,7 +94,7 @@ def curve(*, score: Floats, conflict: Bools, cluster: Ints, weights: Floats) -> 
 
 
 def decisions(
-    scored: Sequence[Scored], manifest: Mapping[str, Any], found: Mapping[Key, Estimate]
+    scored: Sequence[Scored], manifest: Mapping[str, Any], found: Found
 ) -> tuple[pd.DataFrame, pd.DataFrame, dict[Key, Estimate]]:
     """Return the curves of every predictor, a row on each, and misses at raw's false alarms.
 

@@ -15,7 +15,7 @@ import pandas as pd
 from scipy.special import ndtri, stdtr
 
 from evaluation.analysis.families import families_in
-from evaluation.analysis.keys import Key, keys_of
+from evaluation.analysis.keys import Found, Key, keys_of
 from evaluation.analysis.linkability import cards
 from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS, SUCCESS_OF_100
 from evaluation.analysis.strongest import strongest
@@ -226,9 +226,7 @@ def _rows(
     return table.loc[order.sort_values(["p", "t"], kind="stable").index].reset_index(drop=True)
 
 
-def _lead(
-    rows: pd.DataFrame, found: Mapping[Key, Estimate], cells: Sequence[Manifest]
-) -> pd.DataFrame:
+def _lead(rows: pd.DataFrame, found: Found, cells: Sequence[Manifest]) -> pd.DataFrame:
     """Return the rows that tell most, at the levels of the smoke preset, else at the first ones.
 
     Attacks are the strongest of A; rank 1 is of the first task, of 100 people if both have it, and

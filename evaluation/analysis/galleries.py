@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.keys import Key
+from evaluation.analysis.keys import Found
 from evaluation.analysis.linkability import dataset_of
 from evaluation.analysis.linked_people import LinkedProbes
 from isac_track.intervals import (
@@ -35,11 +35,7 @@ TPR: Final = "tpr_at_fpr_1pct"
 
 
 def galleries(
-    probes: Mapping[str, Sequence[LinkedProbes]],
-    found: Mapping[Key, Estimate],
-    *,
-    dataset: str,
-    seed: int,
+    probes: Mapping[str, Sequence[LinkedProbes]], found: Found, *, dataset: str, seed: int
 ) -> pd.DataFrame:
     """Return rank 1, TPR and expected rank over the gallery's size; the columns are `COLUMNS`.
 

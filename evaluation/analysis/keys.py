@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 from evaluation.experiment.constants import SHARED, WORLDS
@@ -11,9 +12,12 @@ from isac_track.protocols import ADVERSARIES
 if TYPE_CHECKING:
     import pandas as pd
 
+    from isac_track.intervals import Estimate
+
 INFORMED: Final = "informed"
 ORACLE: Final = "oracle"  # Adversary who is granted all: a reference, never the headline.
 Where: TypeAlias = "tuple[str, float | None]"  # Mechanism and level.
+Found: TypeAlias = "Mapping[Key, Estimate]"  # What is known of a run.
 _MOST_WRITTEN_OUT = 1e7
 
 

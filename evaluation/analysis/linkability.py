@@ -9,6 +9,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -164,15 +165,9 @@ def linked_tasks(linkability: pd.DataFrame) -> list[LinkedTask]:
         for source in most_knowing(one for level in cohorts["all"].values() for one in level):
             # The reconstructions that a linker runs behind, next to it.
             linkers.setdefault(source.consumer.partition("@")[0], []).append(source)
-        found.append(
-            LinkedTask(
-                name=task,
-                about=TASKS[task].about if task in TASKS else "",
-                attacks=tuple(source for behind in linkers.values() for source in behind),
-                cohorts=cohorts,
-                controls=tuple(rows_of(of[of["knowledge"] == ""])),
-            )
-        )
+        about = TASKS[task].about if task in TASKS else ""
+        controls = tuple(rows_of(of[of["knowledge"] == ""]))
+        found.append(LinkedTask(task, about, tuple(chain(*linkers.values())), cohorts, controls))
     return found
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW, Family
-from evaluation.analysis.keys import AS_SHARED, Key, Measure
+from evaluation.analysis.keys import AS_SHARED, Found, Measure
 from evaluation.analysis.linkability import dataset_of
 from evaluation.analysis.metrics import (
     ACHIEVED,
@@ -53,7 +53,7 @@ Curves: TypeAlias = "dict[Measure, tuple[Floats, Floats]]"
 class Sweeps:
     """Every estimate of a run, and its mechanisms."""
 
-    def __init__(self, found: Mapping[Key, Estimate], known: Mapping[str, Family]) -> None:
+    def __init__(self, found: Found, known: Mapping[str, Family]) -> None:
         self.found = found
         self.known = known
         self._levels: dict[str, list[float | None]] = {}

@@ -86,8 +86,7 @@ def is_fitted(row: Mapping[Any, Any]) -> bool:
 def paper_table(sweeps: Sweeps, *, dataset: str) -> pd.DataFrame:
     """Return the paper's numbers beside ours, for both adding rules.
 
-    `within` says whether the paper's value lies in our interval; it is empty unless the data
-    set is the paper's.
+    `within`, whether the paper's value lies in our interval, is empty on other data than its own.
     """
     rows = []
     for adding in ADDING_RULES:

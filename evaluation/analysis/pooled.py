@@ -20,7 +20,7 @@ import pandas as pd
 from scipy.special import ndtri, stdtrit
 
 from evaluation.analysis.families import ADDING_RULES, FID, RAW, families_in
-from evaluation.analysis.keys import AS_SHARED, Key, Source, Where
+from evaluation.analysis.keys import AS_SHARED, Found, Source, Where
 from evaluation.analysis.linkability import cards
 from evaluation.analysis.matching import Sweeps
 from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE, SUCCESS, SUCCESS_OF_100
@@ -93,9 +93,7 @@ def answers_of(
     return rows
 
 
-def _at(
-    found: Mapping[Key, Estimate], where: Where, best: Mapping[str, Source]
-) -> dict[str, Estimate]:
+def _at(found: Found, where: Where, best: Mapping[str, Source]) -> dict[str, Estimate]:
     """Return the answers that are read at one level."""
     pairs = {}
     if missed := next((key.measure for key in found if key.metric == MISSED_RATE), None):

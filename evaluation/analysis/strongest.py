@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 import numpy as np
 
 from evaluation.analysis.families import CLEAN, FID, FIXED, RAW, SWEPT, Family
-from evaluation.analysis.keys import AS_SHARED, INFORMED, Key, Source, Where
+from evaluation.analysis.keys import AS_SHARED, INFORMED, Found, Key, Source, Where
 from evaluation.analysis.metrics import EXPOSURE, METRICS, SUCCESS, SUCCESS_OF_100
 from evaluation.experiment.presets import IDENTITY
 from isac_track.rng import stream
@@ -52,7 +52,7 @@ def strongest_of(
     return max(finite, key=means.__getitem__, default=None)
 
 
-def strongest(found: Mapping[Key, Estimate], known: Mapping[str, Family]) -> dict[str, Source]:
+def strongest(found: Found, known: Mapping[str, Family]) -> dict[str, Source]:
     """Return the strongest linker of a run by task; under "" the strongest reconstruction.
 
     `found` is every estimate of the run, `known` its mechanisms.
@@ -67,7 +67,7 @@ def strongest(found: Mapping[Key, Estimate], known: Mapping[str, Family]) -> dic
     return best
 
 
-def success_of(found: Mapping[Key, Estimate], linker: Source) -> str:
+def success_of(found: Found, linker: Source) -> str:
     """Return the metric of who is found by a linker: rank 1 of 100 where so many are candidates."""
     at_raw = found.get(linker.measure(SUCCESS_OF_100).at(RAW, None))
     return SUCCESS_OF_100 if at_raw is not None and np.isfinite(at_raw.value) else SUCCESS
@@ -133,7 +133,7 @@ def cross_fitted(
     return dict(zip(keys, found, strict=True)), [of_first, of_second]
 
 
-def by_task(found: Mapping[Key, Estimate], *, metric: str) -> dict[str, Levels]:
+def by_task(found: Found, *, metric: str) -> dict[str, Levels]:
     """Return the success of every attack by task, level, and attack."""
     values: dict[str, Levels] = {}
     for key, one in found.items():

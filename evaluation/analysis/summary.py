@@ -17,7 +17,7 @@ import pandas as pd
 import pyarrow as pa
 
 from evaluation.analysis.families import Family
-from evaluation.analysis.keys import Key
+from evaluation.analysis.keys import Found, Key
 from evaluation.analysis.linkability import Cards, dataset_of
 from evaluation.analysis.metrics import BOUNDS, DESCRIPTORS, GAP, METRICS, OF_ROBOT, RECONSTRUCTION
 from evaluation.experiment.constants import MODEL
@@ -141,11 +141,7 @@ def clusters(table: pa.Table, manifest: Mapping[str, Any]) -> Ints:
 
 
 def to_frame(
-    found: Mapping[Key, Estimate],
-    *,
-    worlds: Mapping[str, Mapping[Key, Estimate]],
-    known: Mapping[str, Family],
-    dataset: str,
+    found: Found, *, worlds: Mapping[str, Found], known: Mapping[str, Family], dataset: str
 ) -> pd.DataFrame:
     """Return the tidy summary, `COLUMNS`; the first six of them are unique together.
 

@@ -21,14 +21,13 @@ import pandas as pd
 
 from evaluation.analysis.bounds import Gap
 from evaluation.analysis.families import CLEAN, RAW
-from evaluation.analysis.keys import AS_SHARED, Key, Source, Where, where_text
+from evaluation.analysis.keys import AS_SHARED, Found, Source, Where, where_text
 from evaluation.analysis.metrics import EXPOSURE, SUCCESS
 from evaluation.experiment.constants import BOUND
 from evaluation.experiment.presets import IDENTITY
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate, difference
 from isac_track.protocols import ADVERSARIES
 
-Found = Mapping[Key, Estimate]
 Levels = Mapping[Where, Mapping[Source, Estimate]]
 SIMPLER = (IDENTITY, "moving_average", "savgol", "kalman_rts")  # From the simplest on.
 BEATEN, DOES_NOT_FALL, FAR = "beaten", "does_not_fall", "far_from_optimum"
