@@ -31,9 +31,8 @@ examples:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
     given = sys.argv[1:] if arguments is None else list(arguments)
-    if "--plan" in given:
-        return exit_code(lambda: _plan(given))
-    return exit_code(lambda: _run(given))
+    answer = _plan if "--plan" in given else _run
+    return exit_code(lambda: answer(given))
 
 
 def _plan(arguments: Sequence[str]) -> int:

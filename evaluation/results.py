@@ -102,15 +102,9 @@ def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> S
     usual = plan(settings)
     if not usual.axes.predictors:
         raise SettingsError("--precision is that of missed-conflict rates: name a --predictor")
-    ready = plan(
-        settings.changed(
-            precision=None,
-            scenes=BLOCK_SCENES,
-            attacks=(),
-            tasks=(),
-            out=usual.out.with_name(f"{usual.out.name}-pilot"),
-        )
-    )
+    out = usual.out.with_name(f"{usual.out.name}-pilot")
+    alone = {"precision": None, "scenes": BLOCK_SCENES, "attacks": (), "tasks": ()}
+    ready = plan(settings.changed(**alone, out=out))
     done = None if settings.fresh else _finished(ready)
     pilot = done or run(ready=ready, progress=progress, pictures=False)
     missed = pilot.summary[pilot.summary["metric"] == "missed_conflict_rate"]

@@ -36,10 +36,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     add = command.add_argument
     add("out", type=Path, metavar="OUT", nargs="?", help="folder of a finished run")
-    about = (
-        "a variant of --list, or STAGE.KEY=VALUE, law=LAW, epsilon=METRES, predictor=SPEC, "
-        "recording=NAME|PATH; repeatable; replaces the list"
-    )
+    about = "a variant of --list, or STAGE.KEY=VALUE, law=LAW, epsilon=METRES, predictor=SPEC, "
+    about += "recording=NAME|PATH; repeatable; replaces the list"
     add("--variant", action="append", metavar="NAME", help=about)
     about = "a class of your own that the run used, package.module:Class; repeatable"
     add("--trust", action="append", default=[], metavar="SPEC", help=about)
@@ -82,7 +80,6 @@ def _run(options: Namespace, variants: Sequence[Variant], manifest: Mapping[str,
     if manifest.get("state") != "finished":
         raise DataError(f"the run in {options.out} is not finished; run the matrix again")
     outcomes: list[dict[str, Any]] = []
-    sources = options.out, held.folder_of(options.out, BASE)
     for place, variant in enumerate(variants, start=1):
         print(f"{place} of {len(variants)}: {variant.name}", file=sys.stderr)
         started, why = time.monotonic(), ""
@@ -98,6 +95,7 @@ def _run(options: Namespace, variants: Sequence[Variant], manifest: Mapping[str,
                 trust=options.trust,
             )
             ready = plan(settings)
+            sources = options.out, held.folder_of(options.out, BASE)
             borrow(ready, sources=sources, fresh=options.fresh)
             # `evaluation.report` draws those that matter.
             run(ready=ready, progress=False, pictures=False)

@@ -9,7 +9,6 @@ import warnings
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 from evaluation.experiment.presets import PRESETS
 from evaluation.experiment.settings import Settings
@@ -36,12 +35,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         epilog=_EXIT,
     )
     add = command.add_argument
-    several: dict[str, Any] = {"action": "append"}
-    add("--dataset", metavar="NAME|PATH", required=True, help="repeatable: a recording", **several)
+    about = "repeatable: a recording"
+    add("--dataset", action="append", metavar="NAME|PATH", required=True, help=about)
     add("--preset", default="paper", choices=list(PRESETS), help="of every run (default: paper)")
-    add("--seed", metavar="N", type=int, help="repeatable (default: 0)", **several)
+    add("--seed", action="append", metavar="N", type=int, help="repeatable (default: 0)")
     about = "repeatable: law of the sensing error (default: radial)"
-    add("--law", choices=LAWS, help=about, **several)
+    add("--law", action="append", choices=LAWS, help=about)
     add("--out", metavar="DIR", type=Path, required=True, help="folder of the study")
     add("--jobs", metavar="N", type=int, help="worker processes of a run")
     add("--executor", metavar="local|dask", default="local", help="as in evaluation.matrix")
@@ -56,23 +55,12 @@ def _study(options: argparse.Namespace) -> int:
         dict.fromkeys(options.seed or [0]),
         dict.fromkeys(options.law or LAWS[:1]),
     )
-    # All is checked before the first run begins.
-    asked = [
-        (
-            law,
-            Settings(
-                preset=options.preset,
-                dataset=dataset,
-                seed=seed,
-                stages=StageSettings().changed({"sensing.law": law}),
-                jobs=options.jobs,
-                executor=options.executor,
-                scheduler=options.scheduler,
-                out=options.out / f"{Path(dataset).stem}-{options.preset}-{seed}-{law}",
-            ),
-        )
-        for dataset, seed, law in every
-    ]
+    same = {name: getattr(options, name) for name in ("preset", "jobs", "executor", "scheduler")}
+    asked = []
+    for dataset, seed, law in every:  # all is checked before the first run begins
+        out = options.out / f"{Path(dataset).stem}-{options.preset}-{seed}-{law}"
+        stages = StageSettings().changed({"sensing.law": law})
+        asked.append((law, Settings(dataset=dataset, seed=seed, stages=stages, out=out, **same)))
     from evaluation.results import study  # noqa: PLC0415 - --help answers at once
     from evaluation.runs.execute import FailedCellsWarning  # noqa: PLC0415 - as said
 

@@ -20,8 +20,6 @@ class Metric:
     head: str  # Over a column: the field's own name, short.
     measured: Measured
     summary_unit: str = "fraction"  # As in `summary.csv`: a value is in this unit.
-    worse: Literal["higher", "lower"] = "higher"
-    """Which way is worse: for a robot if a predictor has it, else for the privacy of who walked."""
     noun: str = ""  # In a sentence; empty: as over a column.
     digits: int = 1  # Shown after the point, in the unit shown.
     column: str = ""  # Of a cell's tracks: the metric is the mean of it, over those that have one.
@@ -69,9 +67,9 @@ _ROWS: Final = (
     Metric("plr", "PLR", "descriptor", column="plr", is_headline=True),
     Metric("ael", "AEL", "descriptor", "s", digits=3, column="ael_s", is_headline=True),
     Metric("mel", "MEL", "descriptor", "s", digits=3, column="mel_s", is_headline=True),
-    Metric("rmse", "RMSE", "reconstruction", "m", "lower", digits=3, column="mse_m2", is_root=True),
+    Metric("rmse", "RMSE", "reconstruction", "m", digits=3, column="mse_m2", is_root=True),
     Metric(
-        *("rmse_over_benchmark", "RMSE ratio", "reconstruction", "ratio", "lower"),
+        *("rmse_over_benchmark", "RMSE ratio", "reconstruction", "ratio"),
         digits=2,
         column="mse_m2",
         over="benchmark_mse_m2",
@@ -83,24 +81,22 @@ _ROWS: Final = (
         column="plr",
         over="benchmark_plr",
     ),
-    Metric(
-        "plr_gap", "below the optimum", "bound", worse="lower", column="plr_gap", is_difference=True
-    ),
+    Metric("plr_gap", "below the optimum", "bound", column="plr_gap", is_difference=True),
     Metric("rank1_optimum", "optimal rank 1", "bound"),
-    Metric("rank1_gap", "below the optimum", "bound", worse="lower", is_difference=True),
+    Metric("rank1_gap", "below the optimum", "bound", is_difference=True),
     Metric("plr_optimum", "optimal PLR", "bound", column="plr_optimum"),
     Metric("plr_ceiling", "PLR ceiling", "bound", column="plr_ceiling"),
     Metric("rank1", "rank 1", "linkage", is_headline=True),
     Metric("rank1_g100", "rank 1 of 100", "linkage", is_headline=True),
     Metric("rank1_assigned", "rank 1, assigned", "linkage"),
-    Metric("false_link_rate", "false links", "linkage", worse="lower"),
+    Metric("false_link_rate", "false links", "linkage"),
     Metric("mrr", "MRR", "linkage", "ratio", digits=3),
     Metric("auc", "AUC", "linkage"),
-    Metric("eer", "EER", "linkage", worse="lower", is_biased=True),
+    Metric("eer", "EER", "linkage", is_biased=True),
     Metric("tpr_at_fpr_1pct", "TPR at FPR 1 %", "linkage"),
     Metric("tpr_at_fpr_01pct", "TPR at FPR 0.1 %", "linkage"),
-    Metric("cllr", "Cllr", "linkage", "bit", "lower", digits=3),
-    Metric("cllr_min", "Cllr_min", "linkage", "bit", "lower", digits=3, is_biased=True),
+    Metric("cllr", "Cllr", "linkage", "bit", digits=3),
+    Metric("cllr_min", "Cllr_min", "linkage", "bit", digits=3, is_biased=True),
     Metric("d_sys", "D_sys", "linkage", "ratio", digits=3),
     Metric("d_sys_published", "D_sys, published program", "linkage", "ratio", digits=3),
     Metric("d_sys_corrected", "D_sys, corrected", "linkage", "ratio", digits=3),
