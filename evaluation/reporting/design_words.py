@@ -192,7 +192,6 @@ def notes(choice: design.Choice) -> list[str]:
     if 0.0 < limit < 1.0 and not choice.limits.as_shared:
         usual = {"q": steady.Q_M2_PER_S3, "dt_s": steady.INTERVAL_S}
         closed = told(plr=limit, epsilon_m=steady.EPSILON_M, **usual)[:2]
-    is_hopeless = any(scheme.chosen is None for scheme in schemes)
     raw_misses = [reason(one) for one in choice.raw_checks if one.status == "not met"]
     crowds = [one.task for one in choice.tasks if not one.limited]
     return _said(
@@ -200,7 +199,7 @@ def notes(choice: design.Choice) -> list[str]:
         dataset=choice.manifest["dataset"],
         silent=", ".join(one.name for one in schemes if one.name not in choice.answers),
         undeclared=", ".join(dict.fromkeys(one.name for one in schemes if not one.family.adding)),
-        raw_misses="; ".join(raw_misses) * is_hopeless,
+        raw_misses="; ".join(raw_misses) * any(one.chosen is None for one in schemes),
         closed=" ".join(closed),
         crowds=", ".join(crowds) * (SUCCESS in choice.limits.given),
     )

@@ -97,9 +97,14 @@ def show(
         short_list=comparing.short_list,
         significance=f"{comparing.SIGNIFICANCE:g}",
     )
+    title = "What tells most, B - A with 95 % intervals, p after Holm"
+    keys = [
+        make.said("", lambda row: f"{METRICS[row['metric']].title}, {_source(row)}"),
+        make.said("", lambda row: where_text(row["mechanism"], row["level"])),
+    ]
     parts = terminal.laid_out(
         said,
-        lead=[lead(comparison.lead)],
+        lead=[_table("lead", title, comparison.lead, keys)],
         changed=terminal.aligned(changed, left={0, 1, 2}),
         differences=[differences(shown, of=len(other), room=console.width)],
     )
@@ -108,16 +113,6 @@ def show(
 
 def _value(setting: object) -> str:
     return "-" if setting is None else make.shortened(str(setting), room=_ROOM)
-
-
-def lead(shown: pd.DataFrame) -> Table:
-    """Return the table of what tells most."""
-    keys = [
-        make.said("", lambda row: f"{METRICS[row['metric']].title}, {_source(row)}"),
-        make.said("", lambda row: where_text(row["mechanism"], row["level"])),
-    ]
-    title = "What tells most, B - A with 95 % intervals, p after Holm"
-    return _table("lead", title, shown, keys)
 
 
 def differences(shown: pd.DataFrame, *, of: int, room: int) -> Table:

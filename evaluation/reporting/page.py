@@ -19,10 +19,7 @@ from evaluation.runs.pieces import failed_lines
 
 
 def write(run: Results, *, figures: Sequence[Figure]) -> Path:
-    """Write `report.html` into the run folder with the figures of the run; return its path.
-
-    Raises DataError if the page cannot be written.
-    """
+    """Write `report.html` with the figures of a run; return its path. DataError if it cannot be."""
     path = run.out / PAGE
     write_whole(path, render(run, figures=figures).encode())
     return path

@@ -111,10 +111,7 @@ def sources_of(rows: pd.DataFrame) -> list[Source]:
 
 
 def exposure_table(summary: pd.DataFrame, *, slow: Collection[str] = ()) -> Table:
-    """Return PLR as shared and after each attack, of the adversary that knows most, all levels.
-
-    `slow` attacks saw one release of each source track only; a note says so.
-    """
+    """Return PLR as shared and after each attack; a note tells which are `slow` and saw less."""
     rows = after_attack(summary)
     rows = rows[rows["metric"] == EXPOSURE]
     shown = most_knowing(sources_of(rows))
@@ -128,11 +125,7 @@ def exposure_table(summary: pd.DataFrame, *, slow: Collection[str] = ()) -> Tabl
 
 
 def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
-    """Return what is left after every attack and adversary, at the levels that tell.
-
-    Adversaries whose numbers are the same share a row; the control is left out where it says what
-    was shared. With `only` of this one alone, but all levels.
-    """
+    """Return what all attacks and adversaries leave, at levels that tell; or `only` one, at all."""
     rows = after_attack(summary)
     rows = rows if only is None else picked.of_source(rows, only)
     known, blocks = families_in(rows), picked.by_level(rows)
@@ -159,7 +152,7 @@ def _merged(name: str, at: float | None, found: Mapping[Source, Any]) -> list[di
     shared = cells.get(AS_SHARED, {})
     groups: dict[tuple[str, tuple[str, ...]], list[Source]] = {}
     for source, of in cells.items():
-        # Only an attack has a ratio to the benchmark.
+        # Only an attack has a ratio to the benchmark. A control that says the same is left out.
         is_same = all(of[one].text == cell.text for one, cell in shared.items() if cell.text)
         if source.consumer != IDENTITY or not (shared and is_same):
             key = source.consumer, tuple(cell.full for cell in of.values())
@@ -233,10 +226,8 @@ def strength_table(run: picked.Results) -> Table:
         make.held(told, unit=METRICS["cllr_min"].unit),
     ]
     title = "What the headline linker of each task tells, by ranks and by scores; 95 % intervals"
-    notes = [
-        "1 - Cllr_min: what its scores tell of a pair at best, 0 nothing, 1 bit all.",
-        "Rank 1 of 100 is empty with fewer candidates.",
-    ]
+    notes = ["1 - Cllr_min: what its scores tell of a pair at best, 0 nothing, 1 bit all."]
+    notes.append("Rank 1 of 100 is empty with fewer candidates.")
     return make.built("strength", title, records, columns, notes=notes, n_headings=2, n_keys=5)
 
 

@@ -66,12 +66,10 @@ class Results:
     linkability: pd.DataFrame
     galleries: pd.DataFrame  # Rank 1 and expected rank over the number of candidates.
     verdict: dict[str, Any]  # As in `verdict.json`.
-    failed: pd.DataFrame
-    """Cells that could not be computed, and why; no other table holds their levels."""
+    failed: pd.DataFrame  # Cells that could not be computed, and why; no other table holds them.
     strongest: Mapping[str, Source] = field(default_factory=dict)
     """Of every linkage task the attack that the verdict is about; under "" the reconstruction."""
-    gallery: pd.DataFrame | None = None
-    """Sample tracks, as in `gallery.parquet`; None without, and as `load` reads a run."""
+    gallery: pd.DataFrame | None = None  # As in `gallery.parquet`; None without, and of `load`.
 
     @property
     def measured(self) -> pd.DataFrame:
@@ -97,9 +95,8 @@ class Results:
                 one = self._scaled(name)
                 shown.append(one[[*_AT, "value"]].rename(columns={"value": one.attrs["title"]}))
         both = reduce(lambda left, right: left.merge(right, on=_AT, how="left"), shown)
-        table = both.head(_MOST_SHOWN).to_html(
-            index=False, border=0, float_format="{:.4g}".format, na_rep=""
-        )
+        most = both.head(_MOST_SHOWN)
+        table = most.to_html(index=False, border=0, float_format="{:.4g}".format, na_rep="")
         said = "".join(f"<li>{escape(str(one))}</li>" for one in self.verdict.get("answer", ()))
         return f"<p>{escape(repr(self)[1:-1])}</p>{table}<ul>{said}</ul>"
 
@@ -330,8 +327,7 @@ class Scheme:
 
     mechanism: str
     name: str  # Family and parameters, without the adding rule.
-    rules: Sequence[str]
-    """Adding rules under which it is shown: its own, or all where it declares none."""
+    rules: Sequence[str]  # Under which it is shown: its own, or all where it declares none.
     title: str
     label: str  # Of the axis.
     log: bool

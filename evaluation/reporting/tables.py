@@ -1,8 +1,7 @@
 """Which tables of a run are shown where: terminal, text file, page, LaTeX, README and docs.
 
 In README and docs a block is ``<!-- table: NAME RUN -->`` ... ``<!-- end -->``: table NAME of
-`docs/results/RUN.csv`, which holds the rows of a run's `summary.csv` that these tables show, and
-of the smoke run all.
+`docs/results/RUN.csv`, the rows of a run's `summary.csv` that are shown, of the smoke run all.
 """
 
 import contextlib
@@ -55,10 +54,7 @@ def show(run: Results, *, before: int = 1, verbose: bool = False) -> None:
 
 
 def write_text(run: Results) -> None:
-    """Write `tables.txt`: all that is not on the first screen.
-
-    Raises DataError if the file cannot be written.
-    """
+    """Write `tables.txt`: all that is not on the first screen. DataError if it cannot be."""
     sink = io.StringIO()
     terminal.show(_everything(run), console=Console(file=sink, width=_WIDE, highlight=False))
     write_whole(run.out / TABLES, sink.getvalue().encode())
@@ -115,10 +111,7 @@ def page_tables(run: Results) -> dict[str, Table]:
 
 
 def write_tex(run: Results, *, folder: Path) -> None:
-    """Write sweep, attacks, paper, linkability and verdict as `.tex`: booktabs tabulars.
-
-    Raises DataError if the folder cannot be written.
-    """
+    """Write sweep, attacks, paper, linkability and verdict as `.tex`. DataError if it cannot be."""
     with contextlib.suppress(OSError):  # write_whole says what is wrong
         folder.mkdir(parents=True, exist_ok=True)
     attacked = measured.after_attack(run.ours)
@@ -193,10 +186,7 @@ def write_docs(run: Results, *, root: Path) -> list[Path]:
 
 
 def filled(text: str, *, results: Path) -> str:
-    """Return a text with all of its blocks written anew.
-
-    Raises DataError if a block names a table or a run that is not there.
-    """
+    """Return a text, its blocks written anew. DataError for a table or run that is not there."""
 
     def block(found: re.Match[str]) -> str:
         start, name, run, end = found.groups()

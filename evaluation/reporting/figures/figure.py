@@ -65,10 +65,7 @@ def figures_of(run: Results) -> list[Figure]:
 
 
 def write(figures: Iterable[Figure], *, folder: Path, dataset: str, pdf: bool) -> None:
-    """Write every figure of a data set as SVG and, if asked for, as PDF.
-
-    Raises DataError if the folder cannot be written.
-    """
+    """Write every figure of a data set as SVG, with `pdf` as PDF, too. DataError if that fails."""
     with contextlib.suppress(OSError):  # write_whole says what is wrong
         folder.mkdir(parents=True, exist_ok=True)
     template = HTML.get_template("figure.svg.j2")
