@@ -98,9 +98,8 @@ def plan_lines(ready: Plan) -> Iterator[str]:
     # Reading all of them would take seconds here; the run does, and says which are damaged.
     check_folder(ready.out)
     with usable(ready.out):
-        finished = n_finished(ready)
-    is_continued = finished and not ready.settings.fresh
-    so_far = f", {finished} of them finished by {CHECKSUMS}" if is_continued else ""
+        finished = n_finished(ready) * (not ready.settings.fresh)
+    so_far = f", {finished} of them finished by {CHECKSUMS}" if finished else ""
     yield (
         f"{ready.dataset.name}: {len(ready.tracks)} of {len(ready.dataset.tracks)} tracks used, "
         f"{scenes_text(ready.identity)}; {ready.n_cells} cells{so_far}, in {near(ready.out)}"

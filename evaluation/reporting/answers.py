@@ -20,8 +20,7 @@ from evaluation.reporting.rows import HEADLINE, Results
 from evaluation.verdict import rules
 from isac_track.intervals import Estimate
 
-LIMIT: Final = 0.5
-"""Of PLR after attack: below it most positions are kept; what the last answer looks for."""
+LIMIT: Final = 0.5  # Of PLR after attack: below it most positions are kept.
 _MATTERS: Final = 0.05
 _UNDOES: Final = {"repeats": "repeats", "anchor": "a known position"}
 """Who undoes what a slow error hides: who sees a walk twice, or knows where it once was."""
@@ -135,8 +134,7 @@ def _choices(of: Headline) -> dict[str, _Choice]:
         some = [one for one in options if rule_of[one] in ("", rule)]
         has = any(np.isfinite(one.left.ci_high) for one in some)
         kept = [one for one in some if (one.left.ci_high if has else one.left.value) <= LIMIT]
-        first = attrgetter("cost.value" if kept else "left.value")
-        best = min(kept or some, key=first)
+        best = min(kept or some, key=attrgetter("cost.value" if kept else "left.value"))
         found[rule] = best._replace(is_kept=bool(kept), has_interval=has)
     return found
 

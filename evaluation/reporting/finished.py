@@ -19,18 +19,16 @@ class _Known(NamedTuple):
 
 
 def load(out: Path | str) -> Results:
-    """Return the results of a finished run as its tables hold them; nothing is made anew.
+    """Return the results of a finished run as its tables hold them, without the gallery of tracks.
 
-    The gallery of tracks, which only pictures need, is not read. `evaluation.report` makes the
-    tables anew from the cells.
+    Nothing is made anew: that does `evaluation.report`, from the cells.
 
     Raises DataError if the folder holds no run, or a table is missing or broken, with the way out.
     """
     out = Path(out)
     manifest = read_manifest(out)
-    found: dict[str, Any] = {}
-    for of, name in {**FRAMES, "flags": "flags.json", "verdict": "verdict.json"}.items():
-        found[of] = made_of(out, name)
+    files = {**FRAMES, "flags": "flags.json", "verdict": "verdict.json"}
+    found: dict[str, Any] = {of: made_of(out, name) for of, name in files.items()}
     found["flags"] = pd.DataFrame(found["flags"]["flags"], columns=found["flags"].get("columns"))
     results = Results(out=out, manifest=manifest, **found)
     rows = results.measured

@@ -94,7 +94,6 @@ def _doubts(run: Results, of: Headline) -> list[str]:
     ]
     is_linked = (run.linkability["cohort"] == "all") & (run.linkability["knowledge"] != "")
     linked = run.linkability.loc[is_linked, "invalid"].fillna("")
-    controls = run.verdict.get("controls", ())
     linkage = run.manifest.get("linkage") or {}
     tasks = linkage.get("tasks", {}).values()
     return paragraphs(
@@ -108,7 +107,7 @@ def _doubts(run: Results, of: Headline) -> list[str]:
         shortcuts=sorted({name for one in linked if one for name in one.split(", ")}),
         tests=[one for task in run.tasks for some in control_tests(task).values() for one in some],
         level=LEVEL,
-        n_controls=sum(one["decision"] == DOES_NOT for one in controls),
+        n_controls=sum(one["decision"] == DOES_NOT for one in run.verdict.get("controls", ())),
         n_frozen=max((one.get("frozen", 0) for one in tasks), default=0),
         skipped=[*linkage.get("skipped", ())],
         n_notices=len(notices(run.manifest)),

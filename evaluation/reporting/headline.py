@@ -99,11 +99,7 @@ def headline(
     attacks: Mapping[str, Source] | None = None,
     linkability: pd.DataFrame | None = None,
 ) -> Headline:
-    """Return what comes first of a run's summary.
-
-    `attacks` are the strongest of the run as in `Results`, by default those of the summary's own
-    levels; `linkability` tells the sizes of galleries.
-    """
+    """Return what comes first of a summary; `attacks` are the strongest, by default of its own."""
     rows = summary[summary["metric"].isin(_METRICS)]
     world = worlds_of(rows)
     own = rows[world == ""]

@@ -7,19 +7,14 @@ from collections.abc import Callable, Iterator
 from datetime import timedelta
 from typing import Final
 
-_REPORT: Final = 0.12
-"""What the report takes of the time of the cells, measured: 11 to 13 % of a default run."""
+_REPORT: Final = 0.12  # What the report takes of the time of the cells, measured: 11 to 13 %.
 _LEAST_S, _LEAST_SHARE = 3.0, 0.03  # Before, nobody can say how long it will take.
 _MARKS: Final = (0.1, 0.5, 1.0)  # Shares at which a line is written where there is no terminal.
 _BAR, _WHAT = 10, 34  # Characters: with the times they fill 80 columns.
 
 
 class Clock:
-    """What is left of a run, from how fast its cells have been finished since the first one.
-
-    Scenes and links take turns, so that cells finished go with the time that they take. What comes
-    before the first, compiling for one, happens once.
-    """
+    """What is left of a run, from how fast its cells, scenes and links by turns, were finished."""
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self._now = now
@@ -28,7 +23,7 @@ class Clock:
     def text(self, done: int, total: int) -> str:
         """Return how long it took, and how long it will take if that can be said."""
         now = self._now()
-        if done and not self._first[1]:
+        if done and not self._first[1]:  # what comes before, compiling for one, happens once
             self._first = now, done
         since, n_first = self._first
         is_known = now - since >= _LEAST_S and done - n_first >= _LEAST_SHARE * total > 0

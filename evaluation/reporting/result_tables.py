@@ -138,8 +138,7 @@ def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
         *map(make.said, ("positions", "adversary")),
         *(make.held(METRICS[one].head, one, unit=METRICS[one].unit) for one in RECONSTRUCTION),
     ]
-    title = f"{title}; 95 % intervals"
-    return make.built("attacks", title, told, columns, n_headings=3, n_keys=5)
+    return make.built("attacks", f"{title}; 95 % intervals", told, columns, n_headings=3, n_keys=5)
 
 
 def _merged(name: str, at: float | None, found: Mapping[Source, Any]) -> list[dict[str, Any]]:

@@ -73,8 +73,7 @@ class Results:
 
     @property
     def measured(self) -> pd.DataFrame:
-        """The summary without what holds under other assumptions, such as another error law."""
-        # That has a data set of its own, named after this one.
+        """The summary without other assumptions, such as another law: data sets named after it."""
         return self.summary[~self.summary["dataset"].str.startswith(f"{self.dataset}:")]
 
     def __repr__(self) -> str:

@@ -72,8 +72,7 @@ def _everything(run: Results) -> Iterator[Part]:
     yield from (bound_table(run), linked_bound_table(run))
     yield from (measured.rank_table(run, task) for task in run.tasks)
     yield measured.strength_table(run)
-    yield answers.paper_table(run)
-    yield answers.claims_table(run)
+    yield from (answers.paper_table(run), answers.claims_table(run))
     for name, why in run.manifest.get("linkage", {}).get("skipped", {}).items():
         yield ""
         yield f"{name} is left out: {why}", "yellow"

@@ -1,7 +1,4 @@
-"""The figures of a run: panels of charts, on the page and as files of their own.
-
-A file in this folder with a function `figures` makes some; those without a panel are none.
-"""
+"""The figures of a run, panels of charts: a file of this folder with `figures` makes some."""
 
 import contextlib
 import io

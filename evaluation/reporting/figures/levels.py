@@ -151,9 +151,8 @@ def _attacked(run: picked.Results) -> Iterator[Figure]:
     ]
     across = _raw([one for one in series if one.label == "as shared"])
     panels, key = list[tuple[str, Chart]](), dict[str, Look]()
-    y = Axis("PLR, shared or attacked (%)")
     for scheme in picked.schemes(rows):
-        panels += _panel(scheme, series, key, y=y, across=across)
+        panels += _panel(scheme, series, key, y=Axis("PLR, shared or attacked (%)"), across=across)
     title = "PLR as shared and after each attack, over the level"
     said = "Dashed: raw as shared. Hollow: the oracle, a reference."
     yield Figure("after_attack", "after", title, panels, 2, key, said)
