@@ -37,8 +37,8 @@ def pictures(of: Headline) -> list[Picture | None]:
     telling = chosen = None
     if of.linked:
         about = ", over PLR as shared: did PLR tell, all would lie on one line"
-        shown: dict[str, Any] = {"x_label": "PLR as shared (%)", "has_hollow": False}
-        telling = _plane(of, of.shared, of.linked[-1], about, **shown)
+        x_label = "PLR as shared (%)"
+        telling = _plane(of, of.shared, of.linked[-1], about, x_label=x_label, has_hollow=False)
     if of.attacked and of.robots:
         who = robot_name(of.robots[0].measure.consumer)
         about = f", over what {who} misses; dashed: {100 * LIMIT:g} %"
