@@ -7,18 +7,18 @@ from typing import ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import Linking, learn, linker
+from attacks.linkage.learning import learn, linker
 from attacks.linkage.signals import aligned_costs, factors, motion_of, on_grid
 from attacks.parameters import positive, tried
 from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
-from isac_track.types import Floats, Release
+from isac_track.types import Floats, Knowledge, Release
 
 _RANK = 8  # Polynomials of a profile.
 _TAUGHT_BY = 80  # Mated pairs to learn from: three widths on all would cost more than the attack.
 
 
 @dataclass(frozen=True, slots=True)
-class Shape(Linking):
+class Shape:
     """Least mean squared distance of two paths over shift, rotation and lag; no reflection.
 
     For every lag, that of the overlapping stretches a and b (complex, less their means, projected
@@ -40,6 +40,9 @@ class Shape(Linking):
     """More tell more of a walk that is shared almost as it is, and hold more of the noise."""
     reach_s: float = 6.0  # s, greatest lag.
 
+    kind: ClassVar[str] = "linkage"
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
     DEFAULT_FLOOR_M2: ClassVar[float] = 0.01
 
     def __post_init__(self) -> None:
@@ -68,7 +71,7 @@ def _shapes(
 
 
 @dataclass(frozen=True, slots=True)
-class Profile(Linking):
+class Profile:
     """Least mean squared distance of two profiles of speed and turning over all lags.
 
     The profile is the speed in m/s and the signed turning rate in rad/s times `turn_m`, four
@@ -82,6 +85,9 @@ class Profile(Linking):
     floor: float | None = None  # None: learnt, or `DEFAULT_FLOOR`.
     reach_s: float = 6.0  # s, greatest lag.
 
+    kind: ClassVar[str] = "linkage"
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
     DEFAULT_FLOOR: ClassVar[float] = 0.002
 
     def __post_init__(self) -> None:

@@ -2,14 +2,15 @@
 
 from dataclasses import dataclass
 from functools import partial
+from typing import ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import Linking, mated, teaches
+from attacks.linkage.learning import mated, teaches
 from attacks.linkage.signals import STEP_S, Signals, motion_of, on_grid
 from attacks.remembered import by_track, noise_m2
 from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
-from isac_track.types import Floats, Release
+from isac_track.types import Floats, Knowledge, Release
 
 _STOPPED_M_S = 0.3
 _BANDS_HZ = ((0.4, 0.7), (0.7, 1.0), (1.0, 1.4), (1.4, 2.0))
@@ -38,7 +39,7 @@ simulated crowd, rounded; a blind adversary's metric."""
 
 
 @dataclass(frozen=True, slots=True)
-class Behaviour(Linking):
+class Behaviour:
     """Distance of two walks' features, in a metric that tells people apart.
 
     Blind, each is divided by a fixed scale and the score is minus the squared distance. Informed,
@@ -55,6 +56,10 @@ class Behaviour(Linking):
     """
 
     shrinkage: float = 0.7
+
+    kind: ClassVar[str] = "linkage"
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
 
     def __post_init__(self) -> None:
         if not 0 <= self.shrinkage <= 1:

@@ -6,18 +6,18 @@ from typing import ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import Linking, learn, linker
+from attacks.linkage.learning import learn, linker
 from attacks.linkage.signals import EXPONENT, FULL_CELLS, Signals, blocks, factors, loops, motion_of
 from attacks.parameters import positive, tried
 from isac_track.protocols import AttackContext, Linker
-from isac_track.types import Floats, Release
+from isac_track.types import Floats, Knowledge, Release
 
 _STRIDE = 2  # Cells between those compared: 2 Hz of signals that are smoothed over more than that.
 _TAUGHT_BY = 48  # Mated pairs to learn from: five candidates on all would cost too much.
 
 
 @dataclass(frozen=True, slots=True)
-class DTW(Linking):
+class DTW:
     """Least squared distance of two profiles of speed and turning under warping of time.
 
     The profiles, (speed in m/s, turning rate in rad/s times `turn_m`) twice a second, may be
@@ -39,6 +39,9 @@ class DTW(Linking):
     penalty: float | None = None  # None: learnt, or `DEFAULT_PENALTY`.
     floor: float = 0.003
 
+    kind: ClassVar[str] = "linkage"
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
     DEFAULT_PENALTY: ClassVar[float] = 0.1
 
     def __post_init__(self) -> None:

@@ -13,7 +13,7 @@ from attacks.linkage.alignment import Profile, Shape
 from attacks.linkage.behaviour import FEATURES, Behaviour, features
 from attacks.linkage.dtw import DTW
 from attacks.linkage.histogram import Histogram
-from attacks.linkage.learning import LEAST_MATES, Linking, among, mated
+from attacks.linkage.learning import LEAST_MATES, among, mated
 from attacks.linkage.likelihood_ratio import LikelihoodRatio
 from attacks.parameters import positive
 from attacks.reconstruction.kalman_rts import RadialRTS
@@ -28,7 +28,7 @@ _WEAKEST = 0.01  # Quantile of strangers' scores below which a score says no mor
 
 
 @dataclass(frozen=True, slots=True)
-class Fusion(Linking):
+class Fusion:
     """Conditional logit of the scores of all other linkers and of what a pair has in common.
 
     Scores of `likelihood_ratio`, `behaviour` and `histogram`, of `shape`, `profile` and `dtw`
@@ -45,6 +45,7 @@ class Fusion(Linking):
 
     ridge: float = 1.0
 
+    kind: ClassVar[str] = "linkage"
     one_stretch: ClassVar[bool] = True
     requires: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
     uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.MECHANISM})

@@ -7,12 +7,12 @@ from typing import ClassVar
 import numpy as np
 from scipy.special import xlogy
 
-from attacks.linkage.learning import Linking, learn, linker
+from attacks.linkage.learning import learn, linker
 from attacks.linkage.signals import Signals, factors, loops, motion_of
 from attacks.parameters import positive, tried
 from attacks.remembered import by_track
 from isac_track.protocols import AttackContext, Linker
-from isac_track.types import Floats, Ints, Release
+from isac_track.types import Floats, Ints, Knowledge, Release
 
 _FASTEST_M_S = 2.2
 _TAUGHT_BY = 64  # Mated pairs to learn from: four candidates on all would cost too much.
@@ -20,7 +20,7 @@ _TURNS_RAD_S = np.array([-0.5, -0.2, 0.0, 0.2, 0.5])
 
 
 @dataclass(frozen=True, slots=True)
-class Histogram(Linking):
+class Histogram:
     """Likelihood that two walks' speeds and turning rates are drawn from one distribution.
 
     Every quarter of a second of a walk counts for a cell of speed and signed turning rate, split
@@ -42,6 +42,9 @@ class Histogram(Linking):
     factor: float | None = None  # Of `signals.widths_s`; None: learnt from the training set, or 1.
     speeds: int | None = None  # Centres from 0 to 2.2 m/s; None: learnt, or `DEFAULT_SPEEDS`.
 
+    kind: ClassVar[str] = "linkage"
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
     DEFAULT_SPEEDS: ClassVar[int] = 12
 
     def __post_init__(self) -> None:

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import Linking, learn, linker, mated
+from attacks.linkage.learning import learn, linker, mated
 from attacks.linkage.signals import loops
 from attacks.parameters import positive, tried
 from attacks.remembered import by_track, noise_m2
@@ -22,7 +22,7 @@ _LONGEST_S = 60.0  # A longer gap counts as one of this length: nobody's state o
 
 
 @dataclass(frozen=True, slots=True)
-class Kinematic(Linking):
+class Kinematic:
     """Likelihood that a gallery walk starts in the state that a probe's has got to by then.
 
     A constant-velocity filter runs along every probe and, back in time, along every gallery walk.
@@ -43,7 +43,9 @@ class Kinematic(Linking):
     """Least error variance per axis: a smoother's errors are correlated and do not show in the
     innovations. None: learnt, or `DEFAULT_FLOOR_M2`."""
 
+    kind: ClassVar[str] = "linkage"
     requires: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.SCENE})
+    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
     DEFAULT_Q: ClassVar[float] = 0.05
     DEFAULT_FLOOR_M2: ClassVar[float] = 0.01
 

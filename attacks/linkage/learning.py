@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import cache, lru_cache
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -14,15 +14,6 @@ from isac_track.types import Floats, Ints, Knowledge, Release, read_only
 _MOST_PAIRS = 2**19  # Of which all scores are remembered, 4 MB for each linker and adversary.
 LEAST_MATES = 8  # Fewer mated pairs teach nothing that could be trusted: defaults are kept.
 MARGIN = 0.02  # Of the mean log rank: with 90 pairs a smaller gain is as likely chance.
-
-
-class Linking:
-    """What most linkage attacks declare: they need nothing, and learn from mates if they may."""
-
-    __slots__ = ()
-    kind: ClassVar[str] = "linkage"
-    requires: ClassVar[frozenset[Knowledge]] = frozenset()
-    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
 
 
 def linker(score: Callable[..., Floats], *chosen: object) -> Linker:

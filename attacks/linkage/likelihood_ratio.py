@@ -9,7 +9,7 @@ from typing import ClassVar, TypeAlias
 import numpy as np
 from scipy.special import logsumexp
 
-from attacks.linkage.learning import Linking, linker
+from attacks.linkage.learning import linker
 from attacks.parameters import positive
 from attacks.reconstruction.kalman_rts import RadialRTS, information
 from attacks.remembered import remembered, whole
@@ -24,7 +24,7 @@ _Slow: TypeAlias = tuple[float, float]  # As from `added_error`.
 
 
 @dataclass(frozen=True, slots=True)
-class LikelihoodRatio(Linking):
+class LikelihoodRatio:
     """ln p(y1, y2) - ln p(y1) - ln p(y2), over all rotations, shifts and lags.
 
     A walk's overlap with another is a sum of Legendre polynomials p of degree 1 to `rank` (the mean
@@ -56,7 +56,9 @@ class LikelihoodRatio(Linking):
     window_s: float = 12.0  # What comes later in a walk is left out.
     reach_s: float = 6.0  # Greatest lag.
 
+    kind: ClassVar[str] = "linkage"
     one_stretch: ClassVar[bool] = True
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
     uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.MECHANISM})
 
     def __post_init__(self) -> None:
