@@ -36,10 +36,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def exit_code(command: Callable[[], int], *, interrupted: str = "interrupted") -> int:
-    """Run a command and return its exit code, its errors told in one line.
-
-    `interrupted` is what is said after Ctrl-C.
-    """
+    """Run a command and return its exit code; errors and `interrupted` are told in one line."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by who started this: nobody listens
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115 - stays open
@@ -73,11 +70,7 @@ def _hush() -> None:
 
 
 def check_interrupt() -> None:
-    """Raise KeyboardInterrupt if one was asked for and lost.
-
-    Python raises it wherever it is at the time; in a callback of the garbage collector, say, it is
-    printed and forgotten.
-    """
+    """Raise KeyboardInterrupt if one was asked for and lost: in a garbage collector's call, say."""
     if _asked.is_set():
         _asked.clear()
         raise KeyboardInterrupt

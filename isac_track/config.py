@@ -3,8 +3,7 @@
 A field marked *paper* is a value of the paper's table or text, *reading* settles what the
 paper leaves open (``docs/reproduction.md``), *fitted* is output of ``python -m
 evaluation.calibrate``. ``--set STAGE.KEY=VALUE`` and the same keys in a TOML file change them.
-The range of a number ends far beyond what is physical or of use, but within what the arithmetic
-and the memory of a computer can take.
+A range ends far beyond what is of use, but within what arithmetic and memory can take.
 """
 
 from collections.abc import Mapping
@@ -188,8 +187,7 @@ class StageSettings:
     def changed(self, values: Mapping[str, Any]) -> Self:
         """Return settings with ``{"stage.key": value}`` applied; text is read as the field's type.
 
-        It is a SettingsError if a stage or key is unknown (with the nearest known one) or a value
-        out of range.
+        SettingsError if a stage or key is unknown (with the nearest) or a value out of range.
         """
         per_stage: dict[str, dict[str, Any]] = {}
         known = list(self.flat())

@@ -64,10 +64,7 @@ def raised_at(error: BaseException) -> str:
 
 
 def code_at(file: str, line: int) -> str:
-    """Return a place in a stranger's code, as ` (file.py, line 3)`.
-
-    What a session defines travels without the name of its file: then it is `UNNAMED`.
-    """
+    """Return a place in a stranger's code, as ` (file.py, line 3)`; a session's has no file."""
     where = UNNAMED if file.startswith("<") else Path(file).name
     return f" ({where}, line {line})"
 

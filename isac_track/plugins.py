@@ -80,10 +80,7 @@ class Plugin:
 
 
 def names(kind: Kind) -> dict[str, str]:
-    """Return ``{name: "module:Class"}`` of built-ins and entry points.
-
-    None of them is imported but the built-in mechanisms.
-    """
+    """Return ``{name: "module:Class"}`` of all; only the built-in mechanisms are imported."""
     known = dict(_BUILT_IN.get(kind, {}))
     if kind == "mechanisms":
         for module in _MECHANISMS:
@@ -142,8 +139,7 @@ def plugins_of(kind: Kind, given: Any) -> tuple[Plugin, ...]:  # noqa: ANN401 - 
     """Return the plug-ins that a SPEC or an object stands for.
 
     An object is called as its SPEC would be: by its name if it has one, else `module:Class`.
-
-    Raises SettingsError and PluginError as `parse`, and for what is no plug-in.
+    SettingsError and PluginError as `parse` raises them, and for what is no plug-in.
     """
     if isinstance(given, str):
         return parse(kind, given)
@@ -163,10 +159,7 @@ def plugins_of(kind: Kind, given: Any) -> tuple[Plugin, ...]:  # noqa: ANN401 - 
 
 
 def parse_all(kind: Kind, given: Iterable[Any]) -> tuple[Plugin, ...]:
-    """Return the plug-ins of several SPECs and objects, each once, in the order given.
-
-    Raises SettingsError as `plugins_of`, and for two that are called the same but are not.
-    """
+    """Return the plug-ins of all that is given, each once; SettingsError for two of one name."""
     found: dict[str, Plugin] = {}
     for one in (plugin for some in given for plugin in plugins_of(kind, some)):
         if found.setdefault(one.spec, one).digest != one.digest:
@@ -177,10 +170,7 @@ def parse_all(kind: Kind, given: Iterable[Any]) -> tuple[Plugin, ...]:
 
 
 def _digest(given: object, origin: str) -> str:
-    """Return a digest of an object as it travels; one that is no other's where that is unstable.
-
-    Of a class that no module has, the code travels along.
-    """
+    """Return a digest of an object and its class as they travel; a random one if it is unstable."""
     from cloudpickle import dumps, loads  # noqa: PLC0415 - SPECs need none
 
     cls = type(given)
@@ -201,10 +191,7 @@ def _digest(given: object, origin: str) -> str:
 
 
 def kind_named(spec: str) -> Kind:
-    """Return which kind of plug-in a SPEC names: by its name, or the method of its class.
-
-    Where nothing tells, an attack: what is wrong with it, `parse` says.
-    """
+    """Return the kind of a SPEC by its name or its class's method; attacks if neither tells it."""
     for kind in _METHOD:
         with contextlib.suppress(PluginError, SettingsError):
             _load(kind, _split(kind, spec)[0])
@@ -253,11 +240,7 @@ def _split(kind: Kind, spec: str) -> tuple[str, list[tuple[str, str]]]:
 
 
 def _from_path(spec: str) -> str:
-    """Return a SPEC that begins with a path below this folder as `package.module:Class[...]`.
-
-    ``./my_attack`` is the folder that ``python -m attacks new my_attack`` wrote, ``./my_attack.py``
-    a file; the class is called after it.
-    """
+    """Return a SPEC with ./, a Python file or its folder, as `package.module:Class[...]`."""
     path, colon, rest = spec.partition(":")
     if not path.startswith("./"):
         return spec
@@ -420,10 +403,7 @@ def configured(kind: Kind, name: str, cls: type, origin: str, changes: dict[str,
 
 
 def check_declared(kind: Kind, instance: object, origin: str) -> str:
-    """Return the adding rule of a mechanism, else nothing; check the rest of what is declared.
-
-    What is wrong with it is a PluginError about `origin`.
-    """
+    """Return a mechanism's adding rule, else nothing; PluginError for what is declared wrongly."""
     from isac_track.protocols import kind_of  # noqa: PLC0415 - a list of names needs no numpy
     from isac_track.types import Adding, Knowledge  # noqa: PLC0415 - a list of names needs no numpy
 

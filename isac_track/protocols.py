@@ -232,10 +232,7 @@ class AttackContext:
 
     @property
     def companions(self) -> tuple[Release, ...]:
-        """Releases in the same frame: track i is of who walks along with track i.
-
-        It has one sample where nobody does.
-        """
+        """Releases in the same frame: track i is of who walks along with track i, or one sample."""
         companions: tuple[Release, ...] = self._get(Knowledge.COMPANIONS)
         return companions
 

@@ -242,8 +242,7 @@ _Container = TypeVar("_Container", bound="DataclassInstance")
 def derived(container: _Container, **changes: object) -> _Container:
     """Return a container with other values that are sound because those it had are.
 
-    As `dataclasses.replace`, but nothing is checked: not again what was looked at when the
-    container was made.
+    As `dataclasses.replace`, but what was checked when the container was made is not again.
     """
     new: _Container = object.__new__(type(container))
     for item in fields(container):
@@ -369,8 +368,7 @@ def end_to_end(values: NDArray[_Scalar], runs: Runs) -> NDArray[_Scalar]:
 def squared_lengths(vectors: Floats) -> Floats:
     """Return the squared lengths (...,) of vectors of the plane, (..., 2).
 
-    The root of it is a tenth of the work of np.hypot, whose guard against overflow nobody needs: a
-    scene is no 1e154 m.
+    Their root is a tenth of the work of np.hypot, whose guard against overflow nobody needs.
     """
     x, y = vectors[..., 0], vectors[..., 1]
     square: Floats = x * x

@@ -165,10 +165,7 @@ def _one_file(
 def _sessions(
     paths: Sequence[Path], source: registry.Known, *, unit: str | None, persistent_ids: bool
 ) -> _Read:
-    """Return the tracks of files that are sessions, what was mended, their digest and format.
-
-    The digest is over the hashes and names of the files, in their order, as sha256sum writes them.
-    """
+    """Return what sessions hold, as `_one_file` does; the digest is over the lines of sha256sum."""
     parts, notes, digest, formats, marked = [], list[Repair](), hashlib.sha256(), set(), {}
     for path in paths:
         data, where = registry.read_bytes(path, data_set=source), shown(path)
@@ -241,10 +238,7 @@ def _grand_central(path: Path, source: registry.Known) -> _Read:
 
 
 def _format_of(path: Path, name: str, *, data: bytes) -> tuple[str, tuple[Repair, ...]]:
-    """Return the format that was named, or else the one that extension or header name.
-
-    What was taken from a header is noted. The number of columns says nothing: id and frame swap.
-    """
+    """Return the format, as named, by extension or by header; columns tell no id from frame."""
     name = name or _EXTENSIONS.get(path.suffix.lower(), "")
     known = ", ".join((*FORMATS, GRAND_CENTRAL))
     if not name:

@@ -55,9 +55,8 @@ def read_columns(
 ) -> Rows:
     """Read rows of numbers with spaces or tabs between them; ``#`` begins a comment.
 
-    `by_marker`: who it is says the marker that the header names, not the id;
-    without a marker (-1) it is the id, made negative.
-    A DataError names file and line, or says that `fps` is missing or contradicts the file's.
+    `by_marker`: who it is says the header's marker; without one (-1) the id, made negative.
+    DataError names file and line, or says that `fps` is missing or contradicts the file's.
     """
     recording.check_text(data=data, path=path)
     header = read_header(format_name, data=data, path=path)
@@ -97,10 +96,7 @@ def read_columns(
 
 
 def read_header(format_name: str, *, data: bytes, path: str) -> Header:
-    """Return what the comments before the first row say, in a format that has such a header.
-
-    It is a DataError if it cannot be so.
-    """
+    """Return what the header says, if the format has one; DataError if it cannot be so."""
     if format_name != "pedpy":
         return Header()
     recording.check_text(data=data, path=path)

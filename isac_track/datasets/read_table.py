@@ -220,10 +220,7 @@ def _index(
 
 
 def _cleaned(name: str, *, is_group: bool) -> str:
-    """Return the id or group that a cell stands for: ``1.0`` is ``1``, names stay as they are.
-
-    A group may be empty, or a number that is not whole; other faults are a ValueError.
-    """
+    """Return the id or group of a cell, ``1`` for ``1.0``; ValueError for what is none."""
     if len(name) > _LONGEST_NAME:
         shown = f"{name[:20]!r}... has {len(name)} characters"
         raise ValueError(f"the name {shown}, over {_LONGEST_NAME}")

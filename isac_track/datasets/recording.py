@@ -71,10 +71,7 @@ class Rows:
 
 
 def in_metres(rows: Rows, *, unit: str | None) -> Rows:
-    """Return rows in m; `unit` is what their reader is told of the lengths, if anything.
-
-    It is a DataError if the file says otherwise. A conversion is noted.
-    """
+    """Return rows in m, a conversion noted; DataError if `unit` contradicts what the file says."""
     told, path = unit or rows.unit or "m", rows.place.path
     if told not in METRES:
         hint = f"must be one of {', '.join(METRES)}, got {told[:40]!r}"
@@ -90,11 +87,7 @@ def in_metres(rows: Rows, *, unit: str | None) -> Rows:
 
 
 def framed(columns: Mapping[str, Floats], place: Place) -> Rows:
-    """Return rows whose `t` still counts frames, from the first one.
-
-    `columns` are frame, id, x and y, (M,) each, as the format calls them. The DataError
-    of the first number that cannot be one of a recording names its line.
-    """
+    """Return rows, `t` in frames from the first, of the format's frame, id, x and y, (M,) each."""
     check_numbers(columns, place)
     frame, person, x, y = columns.values()
     ids = np.unique(person)
@@ -108,10 +101,7 @@ def framed(columns: Mapping[str, Floats], place: Place) -> Rows:
 
 
 def check_numbers(columns: Mapping[str, Floats], place: Place) -> None:
-    """Check that all numbers are finite and below their limit, and whole where they count.
-
-    The DataError of the first row that offends names its line.
-    """
+    """Raise DataError for the first row with a number not finite, too large, or not whole."""
     offending = []
     for index, (name, column) in enumerate(columns.items()):
         bad = ~(np.abs(column) < _LIMITS[name])  # True for NaN
@@ -155,9 +145,8 @@ def printable(text: str) -> str:
 def lines_of(data: bytes) -> Iterator[str]:
     r"""Yield the lines of what `check_text` accepts, ended by any of ``\n \r\n \r``.
 
-    One by one, without mark and line end: as a list, or as a text with a single wide
-    character, they would need many times the memory of the file. Not splitlines: that also
-    breaks at form feeds and the like.
+    One by one, without mark and line end: a list, or a text with a single wide character, needs
+    many times the memory of the file. Not splitlines: that also breaks at form feeds and the like.
     """
     for line in io.TextIOWrapper(io.BytesIO(data), encoding="utf-8-sig"):
         yield line.removesuffix("\n")

@@ -89,10 +89,7 @@ def cache_folder() -> Path:
 
 
 def locate(data_set: Known) -> tuple[dict[str, Path], list[str]]:
-    """Return the path of each file of `data_set` that is here, by name, and what is missing.
-
-    The data folder comes before the cache. Hashes are checked when the files are read.
-    """
+    """Return where the files of a data set are, by name, and what is missing; the cache is last."""
     folders = [folder for folder in (cache_folder(), _folder(DATA_VARIABLE)) if folder]
     is_folder = WHOLE in data_set.sha256
     names = [WHOLE] if is_folder else [*data_set.sha256]
@@ -122,10 +119,7 @@ def shown(path: Path | str) -> str:
 
 
 def read_bytes(path: Path, *, data_set: Known | None = None) -> bytes:
-    """Return what a file holds, of a known data set if one is given.
-
-    DataError if it cannot be had, or is not the file that the registry means.
-    """
+    """Return what a file holds; DataError if it cannot be had, or is not what `data_set` means."""
     try:
         if not path.is_file():
             reason = "this is a folder, not a file" if path.is_dir() else "no such file"
@@ -257,8 +251,7 @@ def _reason(error: Exception) -> str:
 def _answer(url: str) -> requests.Response:
     """Return what a server answers, its body still to come, within `LEAST_S`.
 
-    The limits of requests count from byte to byte: a header may trickle in for ever, and so may
-    redirections. So it is waited for, and left behind where it takes longer.
+    The limits of requests count from byte to byte: header and redirections may trickle for ever.
     """
     import requests  # noqa: PLC0415 - as above
 

@@ -91,9 +91,8 @@ def to_tracks(
 def walking_groups(*, ids: tuple[str, ...], members: Iterable[tuple[str, str]]) -> tuple[str, ...]:
     """Return the cluster of every id: those who share a label, directly or over others.
 
-    An id without a label is a cluster of its own, called like the id. A labelled cluster is
-    ``group:LABEL``, and never called like another id. `members` are (id, label) pairs: an id may
-    have several labels, which then are one group.
+    An id without a label is a cluster of its own, called like the id; a labelled one is
+    ``group:LABEL``, never called like another id. `members` are (id, label) pairs.
     """
     label_of: dict[str, str] = {}
     parent: dict[str, str] = {}

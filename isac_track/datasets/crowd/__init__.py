@@ -2,9 +2,8 @@
 
 ``plaza.npz`` and ``plaza_session2.npz`` are the output of ``python -m isac_track.datasets.crowd
 --out DIR``. ``docs/plaza.md`` describes the model, how it was tuned and what it must not be
-used for. Same settings, seed and session give the same millimetres. A crowd is chaotic, and
-two machines' mathematical functions may differ in the last bit; the state is therefore rounded
-to a micrometre in every step, which makes such a difference very unlikely to survive.
+used for. Same settings, seed and session give the same millimetres, very likely on any machine:
+the state is rounded in every step (`model.GRID_DIGITS`).
 """
 
 import json
@@ -23,14 +22,11 @@ FILES = {1: "plaza.npz", 2: "plaza_session2.npz"}  # Each bundled session's, in 
 
 
 def generate(settings: CrowdSettings, *, seed: int, session: int = 1) -> Tracks:
-    """Simulate one session of the crowd.
+    """Simulate one session of the crowd, numbered from 1.
 
-    The same seed gives the same people with the same traits in every session, on new routes,
-    at other times, in other company. Traits of a person do not depend on how many others
-    there are.
-
-    Sessions are numbered from 1. There is one walk a person, in whole millimetres at multiples of
-    ``settings.frame_s`` seconds; `source` is the persistent id of the person (``p0001``), `group`
+    The same seed gives the same people with the same traits in every session, however many, on new
+    routes, at other times, in other company. There is one walk a person, in whole millimetres at
+    multiples of ``settings.frame_s`` seconds; `source` is the persistent id (``p0001``), `group`
     the party that he or she walks with in this session (``s1g001``).
     """
     traits = draw_traits(settings, seed=seed)
@@ -38,15 +34,13 @@ def generate(settings: CrowdSettings, *, seed: int, session: int = 1) -> Tracks:
     frame, person, xy = simulate(settings, traits, plan, seed=seed, session=session)
     order = np.lexsort((frame, person))
     rows, first = np.unique(person[order], return_index=True)
-    party = np.empty(settings.n_people, dtype=np.int64)
-    for number, members in enumerate(party.members for party in plan.parties):
-        party[members] = number
+    party = {row: number for number, one in enumerate(plan.parties, 1) for row in one.members}
     return Tracks(
         t=frame[order].astype(np.float64) * settings.frame_s,
         xy=np.rint(xy[order] * 1e3) / 1e3,
         offsets=np.append(first, frame.size),
         source=tuple(person_id(row) for row in rows),
-        group=tuple(f"s{session}g{party[row] + 1:03d}" for row in rows),
+        group=tuple(f"s{session}g{party[row]:03d}" for row in rows),
     )
 
 

@@ -98,8 +98,7 @@ def _enter(
 ) -> None:
     """Put a party at the clearest of its entries, or part-way if it came before the start."""
     party = plan.parties[number]
-    first = party.targets_m[0]
-    entries = party.entry_m
+    rows, entries, first = party.members, party.entry_m, party.targets_m[0]
     if party.arrival_s < 0:
         gone = np.linspace(0.05, 0.85, len(entries))[:, None]
         entries = entries + gone * (first - entries)
@@ -107,14 +106,12 @@ def _enter(
     gap = np.hypot(*np.moveaxis(entries[:, None] - others[None], 2, 0)).min(axis=1, initial=2.0)
     entry = entries[int(np.argmax(gap))]
     ahead = (first - entry) / np.hypot(*(first - entry))
-    for row in party.members:
-        draw = noise[row].standard_normal(4)
-        crowd["pace"][row], crowd["wander"][row] = draw[:2]
-        crowd["sway"][row] = complex(draw[2], draw[3])
-        crowd["xy"][row] = entry + _turned(party.slots_m[party.members == row][0], ahead)
-        crowd["heading"][row] = ahead
-        crowd["v"][row] = ahead * plan.speed_mps[row]
-        crowd["here"][row] = True
+    draws = np.array([noise[row].standard_normal(4) for row in rows]).T
+    crowd["pace"][rows], crowd["wander"][rows] = draws[:2]
+    crowd["sway"][rows] = draws[2] + 1j * draws[3]
+    crowd["xy"][rows] = entry + _turned(party.slots_m, ahead)
+    crowd["heading"][rows], crowd["here"][rows] = ahead, True
+    crowd["v"][rows] = ahead * plan.speed_mps[rows, None]
 
 
 def _advance(

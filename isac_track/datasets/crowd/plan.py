@@ -134,12 +134,9 @@ def _party(settings: CrowdSettings, traits: Traits, members: Ints, rng: Generato
     usual = TRAIT_MEDIAN_AND_SPREAD["stops_per_m"][0]
     chat_s = min(CHAT_MEDIAN_S * float(np.exp(CHAT_SPREAD * rng.standard_normal())), CHAT_MAX_S)
     goes_via, chats = rng.random(2)
-    chat_chance = CHAT_CHANCE[members.size - 1] * habit / usual
-    if chats < chat_chance:
+    stands = chats < CHAT_CHANCE[members.size - 1] * habit / usual
+    if stands or goes_via < VIA_CHANCE:
         targets.insert(0, via)
-    elif goes_via < VIA_CHANCE:
-        targets.insert(0, via)
-        chat_s = 0.0
     # Stops follow a Poisson process along the way, drawn well past any route's length.
     gaps_m = rng.exponential(1.0, 40) / habit
     stop_s = STOP_MIN_S + rng.exponential(STOP_MEAN_S, 40)
@@ -152,7 +149,7 @@ def _party(settings: CrowdSettings, traits: Traits, members: Ints, rng: Generato
         ),
         targets_m=np.array(targets),
         exit_side=int(sides[leave]),
-        chat_s=chat_s,
+        chat_s=chat_s if stands else 0.0,  # read only where there is such a place
         stop_at_m=np.cumsum(gaps_m),
         stop_s=stop_s,
     )
