@@ -86,11 +86,9 @@ def may_be_ctrl_c() -> bool:
 
 @contextlib.contextmanager
 def _heard() -> Iterator[None]:
-    if (
-        threading.current_thread() is not threading.main_thread()
-        or signal.getsignal(signal.SIGINT) is not signal.default_int_handler
-    ):  # somebody else decides
-        yield
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield  # somebody else decides
         return
     _asked.clear()
     signal.signal(signal.SIGINT, _remember)

@@ -22,9 +22,8 @@ from importlib.util import find_spec
 from pathlib import PurePosixPath
 from typing import Any, Literal, TypeAlias, Union
 
-from isac_track import errors
 from isac_track.command_line import may_be_ctrl_c
-from isac_track.errors import IsacTrackError, PluginError, SettingsError
+from isac_track.errors import IsacTrackError, PluginError, SettingsError, did_you_mean, quoted, told
 
 Kind: TypeAlias = Literal["mechanisms", "predictors", "attacks"]
 
@@ -123,7 +122,7 @@ def parse(kind: Kind, spec: str) -> tuple[Plugin, ...]:
             if not parameter:
                 raise SettingsError(f"{name} takes no value")
             if parameter not in hints:
-                what = f"{name} has no parameter {errors.quoted(parameter)}"
+                what = f"{name} has no parameter {quoted(parameter)}"
                 raise SettingsError(f"{what}{_nearest(parameter, hints)}")
             if parameter in changes[0]:
                 raise SettingsError(f"{parameter} is given twice")
@@ -147,7 +146,7 @@ def plugins_of(kind: Kind, given: Any) -> tuple[Plugin, ...]:  # noqa: ANN401 - 
     if isinstance(given, type) or not hasattr(cls, "__dataclass_params__"):
         way_out = f": write {cls.__name__}()" if isinstance(given, type) else ""
         what = f"{kind} are SPECs or objects of frozen dataclasses"
-        raise SettingsError(f"{what}, got {errors.quoted(given)}{way_out}")
+        raise SettingsError(f"{what}, got {quoted(given)}{way_out}")
     origin = f"{cls.__module__}:{cls.__qualname__}"
     check_class(kind, cls, origin)
     known = {its: name for name, its in names(kind).items()}
@@ -184,8 +183,7 @@ def _digest(given: object, origin: str) -> str:
             setattr(cls, name, own[name])
     except Exception as error:  # a stranger's __reduce__ may do anything
         raise PluginError(
-            f"{origin} cannot be sent to a worker ({errors.told(error)}); "
-            "leave out what cannot be pickled"
+            f"{origin} cannot be sent to a worker ({told(error)}); leave out what cannot be pickled"
         ) from error
     return hashlib.sha256(content).hexdigest()[:16] if is_stable else secrets.token_hex(8)
 
@@ -211,7 +209,7 @@ def _naming(spec: str) -> Iterator[None]:
         yield
     except IsacTrackError as error:
         kind = PluginError if isinstance(error, PluginError) else SettingsError
-        raise kind(f"{errors.quoted(spec)}: {error}") from error.__cause__
+        raise kind(f"{quoted(spec)}: {error}") from error.__cause__
 
 
 def _split(kind: Kind, spec: str) -> tuple[str, list[tuple[str, str]]]:
@@ -235,7 +233,7 @@ def _split(kind: Kind, spec: str) -> tuple[str, list[tuple[str, str]]]:
             elif not equals and position == 0 and key:
                 pairs.append(("", key))
             else:
-                raise SettingsError(f"{errors.quoted(part)} is not key=value")
+                raise SettingsError(f"{quoted(part)} is not key=value")
     return name, pairs
 
 
@@ -246,9 +244,7 @@ def _from_path(spec: str) -> str:
         return spec
     parts = PurePosixPath(path.removesuffix(".py")).parts
     if not parts or not all(part.isidentifier() for part in parts):
-        raise SettingsError(
-            f"{errors.quoted(spec)}: ./ is followed by a Python file, or its folder"
-        )
+        raise SettingsError(f"{quoted(spec)}: ./ is followed by a Python file, or its folder")
     class_name = "".join(part.capitalize() for part in parts[-1].split("_"))
     module = ".".join(parts if path.endswith(".py") else (*parts, parts[-1]))
     return f"{module}:{class_name}{colon}{rest}"
@@ -260,7 +256,7 @@ def _load(kind: Kind, name: str) -> tuple[type, str]:
     origin = name if ":" in name else known.get(name)
     singular = kind.removesuffix("s")
     if origin is None:
-        raise SettingsError(f"unknown {singular} {errors.quoted(name)}{_nearest(name, known)}")
+        raise SettingsError(f"unknown {singular} {quoted(name)}{_nearest(name, known)}")
     module_name, _, attribute = origin.partition(":")
     try:
         cls = getattr(importlib.import_module(module_name), attribute)
@@ -268,7 +264,7 @@ def _load(kind: Kind, name: str) -> tuple[type, str]:
         if isinstance(error, KeyboardInterrupt) and may_be_ctrl_c():
             raise
         raise PluginError(
-            f"{singular} {name!r} cannot be loaded from {origin}: {errors.told(error)}"
+            f"{singular} {name!r} cannot be loaded from {origin}: {told(error)}"
         ) from error
     check_class(kind, cls, f"{singular} {name!r}: {origin}")
     return cls, origin
@@ -297,7 +293,7 @@ def _hints(cls: type, origin: str) -> dict[str, Any]:
             hints |= typing.get_type_hints(holder, globalns=known)
         except Exception as error:  # an annotation is code
             raise PluginError(
-                f"{origin}: the type of {item.name}: {errors.told(error)}; it must be imported at "
+                f"{origin}: the type of {item.name}: {told(error)}; it must be imported at "
                 "run time, not under TYPE_CHECKING"
             ) from error
     return hints
@@ -323,7 +319,7 @@ def _read(text: str, annotation: Any, key: str) -> Any:  # noqa: ANN401 - as ann
             if text.lower() == str(choice).lower():
                 return choice
         known = ", ".join(map(str, choices)).lower()
-        raise SettingsError(f"{key} must be one of {known}, got {errors.quoted(text)}")
+        raise SettingsError(f"{key} must be one of {known}, got {quoted(text)}")
     if annotation is str:
         return text
     if annotation in (int, float):
@@ -336,11 +332,11 @@ def _read_number(text: str, kind: type[int | float], key: str) -> float:
         number = kind(text)
     except ValueError:
         noun = "a whole number" if kind is int else "a number"
-        raise SettingsError(f"{key} must be {noun}, got {errors.quoted(text)}") from None
+        raise SettingsError(f"{key} must be {noun}, got {quoted(text)}") from None
     if kind is int and abs(number) >= _WHOLE_LIMIT:
-        raise SettingsError(f"{key} must have at most 12 digits, got {errors.quoted(text)}")
+        raise SettingsError(f"{key} must have at most 12 digits, got {quoted(text)}")
     if not math.isfinite(number):
-        raise SettingsError(f"{key} must be finite, got {errors.quoted(text)}")
+        raise SettingsError(f"{key} must be finite, got {quoted(text)}")
     # The 12 digits that names show: what two spellings share is one level, not two.
     return number if kind is int else float(f"{number:.12g}")
 
@@ -353,7 +349,7 @@ def _sweep(value: str, *, is_log: bool) -> list[str]:
         count = int(count_text)
     except ValueError:
         usage = "a sweep is LOW..HIGH/COUNT, as in fid:1..1000/10"
-        raise SettingsError(f"{usage}, got {errors.quoted(value)}") from None
+        raise SettingsError(f"{usage}, got {quoted(value)}") from None
     if count > _MOST_LEVELS:
         raise SettingsError(f"a sweep has at most {_MOST_LEVELS} levels, got {count}")
     if count < 2 or not (math.isfinite(low) and math.isfinite(high)) or low == high:  # noqa: PLR2004 - a sweep has two ends
@@ -381,11 +377,11 @@ def configured(kind: Kind, name: str, cls: type, origin: str, changes: dict[str,
     except IsacTrackError:
         raise
     except ValueError as error:
-        raise SettingsError(errors.told(error).removeprefix("ValueError: ")) from None
+        raise SettingsError(told(error).removeprefix("ValueError: ")) from None
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt) and may_be_ctrl_c():
             raise
-        why = f"{errors.told(error)}; a plug-in refuses a value by a ValueError"
+        why = f"{told(error)}; a plug-in refuses a value by a ValueError"
         raise PluginError(f"{origin} cannot be made: {why}") from error
     adding = check_declared(kind, instance, origin)
     level: float | None = None
@@ -411,7 +407,7 @@ def check_declared(kind: Kind, instance: object, origin: str) -> str:
         try:
             return getattr(instance, attribute, default)
         except Exception as error:  # it may be a property
-            raise PluginError(f"{origin}.{attribute}: {errors.told(error)}") from error
+            raise PluginError(f"{origin}.{attribute}: {told(error)}") from error
 
     if kind == "mechanisms":
         # A rule for an error that is not there is none.
@@ -439,4 +435,4 @@ def _text(value: object) -> str:
 
 def _nearest(name: str, known: Collection[str]) -> str:
     listed = f"; known: {', '.join(sorted(known))}" if known else "; it has none"
-    return errors.did_you_mean(name, known, quote="'") or listed
+    return did_you_mean(name, known, quote="'") or listed

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from isac_track.datasets import crowd, read_frames, read_gc, read_table, recording, registry
-from isac_track.datasets.recording import Repair, Rows, checked_fps, steps_within
-from isac_track.datasets.registry import DEFAULT, FALLBACK, GROUPS_FILE, KNOWN, MAIN_FILE, shown
+from isac_track.datasets import crowd, read_frames, read_gc, read_table, registry
+from isac_track.datasets.recording import Repair, Rows, checked_fps, in_metres, listed, steps_within
+from isac_track.datasets.registry import DEFAULT, FALLBACK, GROUPS_FILE, KNOWN, Known, shown
 from isac_track.datasets.repair import to_tracks
 from isac_track.datasets.sessions import as_one
 from isac_track.datasets.sessions import files_in as session_files
@@ -32,23 +32,20 @@ if TYPE_CHECKING:
 
 __all__ = ["FORMATS", "Dataset", "Repair", "load", "read", "summarise"]
 
-_WITH_CLOCK: Mapping[str, Callable[..., Rows]] = {
-    "csv": read_table.read_csv,
-    "parquet": read_table.read_parquet,
-}
 FORMATS: Mapping[str, Callable[..., Rows]] = {
     **{name: partial(read_frames.read_columns, name) for name in read_frames.COLUMNS},
     "trajnet": read_frames.read_trajnet,
-    **_WITH_CLOCK,
+    "csv": read_table.read_csv,
+    "parquet": read_table.read_parquet,
 }
 """Each turns the bytes of a file into rows, and lets no error but `DataError` out."""
+_WITH_CLOCK = ("csv", "parquet")  # Their times are seconds, not frames.
 GRAND_CENTRAL = "gc"  # The format of an archive or a folder, as `read_gc` describes it.
 _EXTENSIONS = {".csv": "csv", ".parquet": "parquet", ".ndjson": "trajnet"}
 _Read: TypeAlias = "tuple[Tracks, tuple[Repair, ...], str, str]"  # Tracks, repairs, hash, format.
 SLOW_MPS = 0.2  # Slower steps than this are not walking.
 FROZEN_SHARE = 0.9
 """Of steps of no length in a nearly frozen track: an annotation whose end tells the whole walk."""
-_CLOCK_S = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -119,10 +116,10 @@ def load(
     if persistent_ids and not several:
         raise DataError("--persistent-ids is of sessions: a folder of files, or --session")
     if several:
-        found = _sessions(several, source, unit=unit, persistent_ids=persistent_ids)
+        found = _sessions(several, source, unit=unit, same_people=persistent_ids)
         strange = [one.name for one in several if one.name not in source.sha256]
         if strange and source.name in KNOWN:
-            notice = f"{source.name}: no known hash: {shown(recording.listed(strange))}"
+            notice = f"{source.name}: no known hash: {shown(listed(strange))}"
     elif is_central:
         found = _grand_central(path, source)
     else:
@@ -143,9 +140,7 @@ def load(
     )
 
 
-def _one_file(
-    path: Path, source: registry.Known, *, files: Mapping[str, Path], unit: str | None
-) -> _Read:
+def _one_file(path: Path, source: Known, *, files: Mapping[str, Path], unit: str | None) -> _Read:
     """Return the tracks of one file, what was mended, its hash and format."""
     data, where = registry.read_bytes(path, data_set=source), shown(path)
     sha256 = hashlib.sha256(data).hexdigest()
@@ -162,9 +157,7 @@ def _one_file(
     return tracks, (*found, *repairs), sha256, name
 
 
-def _sessions(
-    paths: Sequence[Path], source: registry.Known, *, unit: str | None, persistent_ids: bool
-) -> _Read:
+def _sessions(paths: list[Path], source: Known, *, unit: str | None, same_people: bool) -> _Read:
     """Return what sessions hold, as `_one_file` does; the digest is over the lines of sha256sum."""
     parts, notes, digest, formats, marked = [], list[Repair](), hashlib.sha256(), set(), {}
     for path in paths:
@@ -188,7 +181,7 @@ def _sessions(
             f"sessions {shown(one)} and {shown(other)}: a header names a markerID in the first "
             "alone, so that ids clash; leave the column out there, or add it to the other"
         )
-    tracks = as_one(parts, same_people=persistent_ids or all(marked.values()))
+    tracks = as_one(parts, same_people=same_people or all(marked.values()))
     return tracks, tuple(notes), digest.hexdigest(), " ".join(sorted(formats))
 
 
@@ -199,7 +192,7 @@ def _found(
     format: str | None,  # noqa: A002 - the name of the option
     fps: float | None,
     unit: str | None,
-) -> tuple[registry.Known, dict[str, Path], str | None]:
+) -> tuple[Known, dict[str, Path], str | None]:
     """Return what is meant by a name or path, its files, and what is to be said of the choice."""
     said = str(name or "")
     # A mistyped name is no path, if nothing in it looks like one.
@@ -208,7 +201,7 @@ def _found(
         path = Path(said)
         # Rows of another recording must never pass for those of a known one.
         title = shown(path.name if path.stem in KNOWN else path.stem)
-        return registry.Known(title, format=format or "", fps=fps), {MAIN_FILE: path}, None
+        return Known(title, format=format or "", fps=fps), {registry.MAIN_FILE: path}, None
     is_asked = name is not None or bool(registry.locate(KNOWN[DEFAULT])[0])
     usual = DEFAULT if is_asked else FALLBACK
     source = registry.known(usual if name is None else said)
@@ -223,10 +216,11 @@ def _found(
         f"{DEFAULT} is not here ({registry.searched()}): using the bundled simulated "
         f"crowd {FALLBACK}. To get it: python -m isac_track.datasets fetch {DEFAULT}"
     )
-    return source, {MAIN_FILE: crowd.bundled_path(source.session)}, None if is_asked else notice
+    files = {registry.MAIN_FILE: crowd.bundled_path(source.session)}
+    return source, files, None if is_asked else notice
 
 
-def _grand_central(path: Path, source: registry.Known) -> _Read:
+def _grand_central(path: Path, source: Known) -> _Read:
     """Return the tracks of a folder or archive of `GRAND_CENTRAL`, as `_one_file` does."""
     if source.fps is not None:
         raise DataError(f"{shown(path)}: format {GRAND_CENTRAL} has its own clock; leave --fps out")
@@ -279,16 +273,12 @@ def read(
     """
     if fps is not None:
         checked_fps(fps, where="--fps")
-        if format in _WITH_CLOCK:
-            raise DataError(
-                f"{path}: format {format} has times in seconds (column t); leave --fps out"
-            )
+    if fps is not None and format in _WITH_CLOCK:
+        raise DataError(f"{path}: format {format} has times in seconds (column t); leave --fps out")
     told: dict[str, float | bool | None] = {} if format in _WITH_CLOCK else {"fps": fps}
     told |= {"by_marker": True} if by_marker else {}
     # The rows have no name here: they are let go as soon as they are sorted.
-    return to_tracks(
-        recording.in_metres(FORMATS[format](data=data, path=path, **told), unit=unit), groups=groups
-    )
+    return to_tracks(in_metres(FORMATS[format](data=data, path=path, **told), unit=unit), groups)
 
 
 def summarise(tracks: Tracks) -> DataFrame:
@@ -335,4 +325,4 @@ def still_share(summary: DataFrame) -> float:
 def n_lasting(summary: DataFrame, duration_s: float) -> int:
     """Return how many tracks last at least this long."""
     # The clock rounds: 21.6 s at 25 frames a second is 540 frames.
-    return int((summary["duration_s"] >= duration_s - _CLOCK_S).sum())
+    return int((summary["duration_s"] >= duration_s - 1e-9).sum())

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from isac_track.datasets import recording
-from isac_track.datasets.recording import Repair, Rows
+from isac_track.datasets.recording import Repair, Rows, listed
 from isac_track.errors import DataError
 
 COLUMNS = {
@@ -119,9 +119,7 @@ def read_header(format_name: str, *, data: bytes, path: str) -> Header:
         if all(names.count(name) == 1 for name in _USED):
             named.append((number, names))
     if len(units) > 1:
-        raise DataError(
-            f"{path}: the header names two units of length: {recording.listed(list(units))}"
-        )
+        raise DataError(f"{path}: the header names two units of length: {listed(list(units))}")
     for unit, number in units.items():
         if unit not in recording.METRES:
             way_out = "convert them to m (x/m), cm (x/cm) or mm (x/mm)"

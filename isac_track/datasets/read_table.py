@@ -26,7 +26,7 @@ _LONGEST_NAME = 200  # Characters: ids stand in messages, tables and figures.
 _BLOCK_BYTES = 1 << 18
 _FREE_ROWS = 500_000  # Above it a file needs a byte a row: equal rows pack a thousandfold.
 _FREE_BYTES = 50_000_000
-_MOST_UNPACKING = 100  # A file above `_FREE_BYTES` unpacked may be this many times its size.
+_MOST_TIMES = 100  # A file above `_FREE_BYTES` unpacked may be this many times its size.
 
 
 def read_csv(*, data: bytes, path: str) -> recording.Rows:
@@ -78,17 +78,15 @@ def read_parquet(*, data: bytes, path: str) -> recording.Rows:
         schema = metadata.schema.to_arrow_schema()
         groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
         n_rows = max(metadata.num_rows, sum(group.num_rows for group in groups))
-        unpacked_bytes = sum(group.total_byte_size for group in groups)
+        size = sum(group.total_byte_size for group in groups)
     except Exception as error:  # noqa: BLE001 - a damaged file makes pyarrow raise nearly anything
         raise DataError(f"{path}: not a parquet file ({told(error)})") from None
     names = tuple(schema.names)
     _check_header(names=names, where=path)
     if n_rows > max(_FREE_ROWS, len(data)):
         raise DataError(f"{path}: claims {n_rows} rows in {len(data)} bytes; not a recording")
-    if unpacked_bytes > max(_FREE_BYTES, _MOST_UNPACKING * len(data)):
-        raise DataError(
-            f"{path}: {unpacked_bytes} bytes when unpacked, over {_MOST_UNPACKING} times its size"
-        )
+    if size > max(_FREE_BYTES, _MOST_TIMES * len(data)):
+        raise DataError(f"{path}: {size} bytes when unpacked, over {_MOST_TIMES} times its size")
     try:
         used = [name for name in names if name in _USED]
         # Each text once: a long one that stands in every row would not fit into the memory.

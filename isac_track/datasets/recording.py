@@ -134,12 +134,9 @@ def listed(names: Sequence[str] | Ints) -> str:
     return ", ".join(str(name) for name in names[:_SHOWN]) + more
 
 
-_CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")
-
-
 def printable(text: str) -> str:
     """Return `text` with a question mark for all that would steer a terminal or end a line."""
-    return _CONTROL.sub("?", text)
+    return re.sub("[\x00-\x1f\x7f-\x9f\u2028\u2029]", "?", text)
 
 
 def lines_of(data: bytes) -> Iterator[str]:
@@ -180,7 +177,6 @@ def checked_fps(fps: float | str, *, where: str) -> float:
         rate = float(fps)
     except ValueError:
         raise DataError(f"{where}: the framerate {str(fps)[:40]!r} is not a number") from None
-    low, high = FPS_LIMITS
-    if not low <= rate <= high:  # NaN fails both
+    if not FPS_LIMITS[0] <= rate <= FPS_LIMITS[1]:  # NaN fails both
         raise DataError(f"{where}: {rate:g} frames per second is not a frame rate above 0")
     return rate

@@ -21,7 +21,7 @@ FAST_STEP_MPS = 12.0  # Faster than a sprinter: a jump of the tracker, counted a
 
 
 def to_tracks(
-    rows: Rows, *, groups: Iterable[tuple[str, str]] = ()
+    rows: Rows, groups: Iterable[tuple[str, str]] = ()
 ) -> tuple[Tracks, tuple[Repair, ...]]:
     """Return the tracks of a recording and all that was mended or let pass on the way.
 

@@ -40,9 +40,7 @@ def as_one(parts: Sequence[tuple[str, Tracks, str]], *, same_people: bool) -> Tr
     for name in names:
         if names.count(name) > 1:
             raise DataError(f"two sessions are called {name}; rename one file")
-    steps_s = [
-        float(np.median(np.diff(tracks.t)[steps_within(tracks.offsets)])) for _, tracks, _ in parts
-    ]
+    steps_s = [float(np.median(np.diff(its.t)[steps_within(its.offsets)])) for _, its, _ in parts]
     for (name, _, unit), step_s in zip(parts, steps_s, strict=True):
         both = f"sessions {names[0]} and {name}"
         if unit != parts[0][2]:

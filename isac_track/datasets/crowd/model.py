@@ -9,10 +9,10 @@ Moussaid, Perozo, Garnier, Helbing and Theraulaz, PLoS ONE 5, e10047 (2010): wal
 """
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
-from isac_track.datasets.crowd.plan import CrowdSettings, Plan, Traits, person_id
-from isac_track.rng import stream
+from isac_track.datasets.crowd.plan import CrowdSettings, Plan, Traits, streams
 from isac_track.types import Bools, Floats, Ints
 
 RELAXATION_S = 0.6  # Time to reach the desired velocity.
@@ -69,7 +69,7 @@ def simulate(
     crowd = np.zeros(settings.n_people, dtype=_PERSON)
     progress = np.zeros(len(plan.parties), dtype=_PARTY)
     progress["stand_until_s"] = -np.inf
-    noise = [stream(seed, "crowd", "noise", session, person_id(row)) for row in range(crowd.size)]
+    noise = streams(settings, seed, "noise", session)
     for number, party in enumerate(plan.parties):
         crowd["party"][party.members] = number
         crowd["slot"][party.members] = party.slots_m
@@ -93,9 +93,7 @@ def simulate(
     return np.concatenate(frames), np.concatenate(people), np.concatenate(places)
 
 
-def _enter(
-    crowd: NDArray[np.void], plan: Plan, number: int, noise: list[np.random.Generator]
-) -> None:
+def _enter(crowd: NDArray[np.void], plan: Plan, number: int, noise: list[Generator]) -> None:
     """Put a party at the clearest of its entries, or part-way if it came before the start."""
     party = plan.parties[number]
     rows, entries, first = party.members, party.entry_m, party.targets_m[0]
@@ -121,7 +119,7 @@ def _advance(
     traits: Traits,
     plan: Plan,
     rows: Ints,
-    noise: list[np.random.Generator],
+    noise: list[Generator],
     frame: int,
 ) -> None:
     """Move the people in `rows` on by one frame, and let those who have arrived leave."""

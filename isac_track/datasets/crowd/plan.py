@@ -78,15 +78,16 @@ def person_id(row: int) -> str:
     return f"p{row + 1:04d}"
 
 
+def streams(settings: CrowdSettings, seed: int, *key: str | int) -> list[Generator]:
+    """Return a random stream for everybody, the same however many others there are."""
+    return [stream(seed, "crowd", *key, person_id(row)) for row in range(settings.n_people)]
+
+
 def draw_traits(settings: CrowdSettings, *, seed: int) -> Traits:
     """Draw everybody's traits, each person from a stream of their own."""
     columns = np.array(list(TRAIT_MEDIAN_AND_SPREAD.values()))
-    draws = np.array(
-        [
-            stream(seed, "crowd", "traits", person_id(row)).standard_normal(len(columns))
-            for row in range(settings.n_people)
-        ]
-    )
+    everybody = streams(settings, seed, "traits")
+    draws = np.array([rng.standard_normal(len(columns)) for rng in everybody])
     values = columns[:, 0] * np.exp(settings.trait_strength * columns[:, 1] * draws)
     return np.rec.fromarrays(values.T, dtype=[(name, float) for name in TRAIT_MEDIAN_AND_SPREAD])
 
@@ -97,10 +98,7 @@ def plan_session(settings: CrowdSettings, traits: Traits, *, seed: int, session:
     Company is drawn anew in every session: people who are recognised by the company they keep
     would be told apart even where their traits are all alike.
     """
-    draws = [
-        stream(seed, "crowd", "session", session, person_id(row))
-        for row in range(settings.n_people)
-    ]
+    draws = streams(settings, seed, "session", session)
     order = np.argsort([rng.random() for rng in draws], kind="stable")
     mood = np.array([rng.standard_normal() for rng in draws])
     parties: list[Party] = []
@@ -144,9 +142,7 @@ def _party(settings: CrowdSettings, traits: Traits, members: Ints, rng: Generato
         members=members,
         slots_m=_formation(members.size),
         arrival_s=float(arrival_s),
-        entry_m=np.array(
-            [_gate_point(settings, entry, share, beyond_m=0.0) for share in rng.random(8)]
-        ),
+        entry_m=np.array([_gate_point(settings, entry, at, beyond_m=0.0) for at in rng.random(8)]),
         targets_m=np.array(targets),
         exit_side=int(sides[leave]),
         chat_s=chat_s if stands else 0.0,  # read only where there is such a place
