@@ -31,7 +31,7 @@ def generate(settings: CrowdSettings, *, seed: int, session: int = 1) -> Tracks:
     """
     traits = draw_traits(settings, seed=seed)
     plan = plan_session(settings, traits, seed=seed, session=session)
-    frame, person, xy = simulate(settings, traits, plan, seed=seed, session=session)
+    frame, person, xy = simulate(plan, seed=seed, session=session)
     order = np.lexsort((frame, person))
     rows, first = np.unique(person[order], return_index=True)
     party = {row: number for number, one in enumerate(plan.parties, 1) for row in one.members}

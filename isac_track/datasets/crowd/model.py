@@ -8,11 +8,13 @@ exponential repulsion at contact. Karamouzas, Skinner and Guy, Phys. Rev. Lett. 
 Moussaid, Perozo, Garnier, Helbing and Theraulaz, PLoS ONE 5, e10047 (2010): walking groups.
 """
 
+from typing import TypeAlias
+
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from isac_track.datasets.crowd.plan import CrowdSettings, Plan, Traits, streams
+from isac_track.datasets.crowd.plan import Plan, streams
 from isac_track.types import Bools, Floats, Ints
 
 RELAXATION_S = 0.6  # Time to reach the desired velocity.
@@ -34,7 +36,7 @@ REACHED_M = 1.2  # Distance at which a waypoint counts as reached.
 LOST_M = 3.0  # Who strays this far off the plaza has left it.
 GRID_DIGITS = 6  # To 1 um a step: two machines' last bits are forgotten, not amplified by chaos.
 
-
+_Records: TypeAlias = NDArray[np.void]
 _PERSON = np.dtype(
     [
         ("xy", float, 2),  # m, without sway
@@ -58,14 +60,13 @@ _PARTY = np.dtype(
 )
 
 
-def simulate(
-    settings: CrowdSettings, traits: Traits, plan: Plan, *, seed: int, session: int
-) -> tuple[Ints, Ints, Floats]:
+def simulate(plan: Plan, *, seed: int, session: int) -> tuple[Ints, Ints, Floats]:
     """Walk everybody across the plaza.
 
     Three arrays are returned: the recorded frame, (M,) in order, the row of the person, (M,), and
     the recorded position, (M, 2) m: the body's, with its sway.
     """
+    settings = plan.settings
     crowd = np.zeros(settings.n_people, dtype=_PERSON)
     progress = np.zeros(len(plan.parties), dtype=_PARTY)
     progress["stand_until_s"] = -np.inf
@@ -86,14 +87,14 @@ def simulate(
         heading, v = crowd["heading"][rows], crowd["v"][rows]
         side = np.stack([-heading[:, 1], heading[:, 0]], axis=1)
         awake = STANDING + (1 - STANDING) * np.minimum(np.hypot(*v.T) / FULL_SWAY_MPS, 1.0)
-        offset = traits.sway_m[rows] * awake * crowd["sway"][rows].real
+        offset = plan.traits.sway_m[rows] * awake * crowd["sway"][rows].real
         places.append(crowd["xy"][rows] + offset[:, None] * side)
         if rows.size:
-            _advance(settings, crowd, progress, traits, plan, rows, noise, frame)
+            _advance(crowd, progress, plan, rows, noise, frame)
     return np.concatenate(frames), np.concatenate(people), np.concatenate(places)
 
 
-def _enter(crowd: NDArray[np.void], plan: Plan, number: int, noise: list[Generator]) -> None:
+def _enter(crowd: _Records, plan: Plan, number: int, noise: list[Generator]) -> None:
     """Put a party at the clearest of its entries, or part-way if it came before the start."""
     party = plan.parties[number]
     rows, entries, first = party.members, party.entry_m, party.targets_m[0]
@@ -113,16 +114,10 @@ def _enter(crowd: NDArray[np.void], plan: Plan, number: int, noise: list[Generat
 
 
 def _advance(
-    settings: CrowdSettings,
-    crowd: NDArray[np.void],
-    progress: NDArray[np.void],
-    traits: Traits,
-    plan: Plan,
-    rows: Ints,
-    noise: list[Generator],
-    frame: int,
+    crowd: _Records, progress: _Records, plan: Plan, rows: Ints, noise: list[Generator], frame: int
 ) -> None:
     """Move the people in `rows` on by one frame, and let those who have arrived leave."""
+    settings, traits = plan.settings, plan.traits
     dt = settings.frame_s / settings.substeps
     draws = np.stack([noise[row].standard_normal((settings.substeps, 4)) for row in rows], axis=1)
     parties, local = np.unique(crowd["party"][rows], return_inverse=True)
@@ -137,7 +132,7 @@ def _advance(
         now_s = frame * settings.frame_s + step * dt
         x, v, heading = crowd["xy"][rows], crowd["v"][rows], crowd["heading"][rows]
         centre = _sum_by(local, x) / head_count[:, None]
-        target = _steer(progress, plan, parties, centre, now_s=now_s)
+        target = _steer(progress, plan, parties, centre, now_s)
         standing = (progress["stand_until_s"][parties] > now_s)[local]
 
         xi = draws[step]
@@ -175,24 +170,22 @@ def _advance(
     crowd["here"][rows[gone]] = False
 
 
-def _steer(
-    progress: NDArray[np.void], plan: Plan, parties: Ints, centre: Floats, *, now_s: float
-) -> Floats:
+def _steer(progress: _Records, plan: Plan, parties: Ints, centre: Floats, now_s: float) -> Floats:
     """Return each party's current waypoint (G, 2); begin and end its stops."""
     target = np.empty((parties.size, 2))
     for place, number in enumerate(parties):
         party = plan.parties[number]
-        aim = party.targets_m[progress["target"][number]]
-        on_the_way = progress["target"][number] < len(party.targets_m) - 1
+        at = progress[number]  # a view
+        aim = party.targets_m[at["target"]]
+        on_the_way = at["target"] < len(party.targets_m) - 1
         if on_the_way and np.hypot(*(aim - centre[place])) < REACHED_M:
-            progress["target"][number] += 1
-            aim = party.targets_m[progress["target"][number]]
-            progress["stand_until_s"][number] = now_s + party.chat_s
-        stop = progress["next_stop"][number]
-        if stop < party.stop_at_m.size and progress["walked_m"][number] >= party.stop_at_m[stop]:
-            progress["next_stop"][number] += 1
-            until_s = now_s + party.stop_s[stop]
-            progress["stand_until_s"][number] = max(progress["stand_until_s"][number], until_s)
+            at["target"] += 1
+            aim = party.targets_m[at["target"]]
+            at["stand_until_s"] = now_s + party.chat_s
+        stop = at["next_stop"]
+        if stop < party.stop_at_m.size and at["walked_m"] >= party.stop_at_m[stop]:
+            at["next_stop"] += 1
+            at["stand_until_s"] = max(at["stand_until_s"], now_s + party.stop_s[stop])
         target[place] = aim
     return target
 

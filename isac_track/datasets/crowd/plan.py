@@ -69,6 +69,8 @@ class Party:
 class Plan:
     """A session: who walks with whom, from where to where, and when."""
 
+    settings: CrowdSettings
+    traits: Traits
     parties: tuple[Party, ...]
     speed_mps: Floats  # (N,) desired speed in this session
 
@@ -114,7 +116,7 @@ def plan_session(settings: CrowdSettings, traits: Traits, *, seed: int, session:
     for party in parties:
         pace = GROUP_PACE[party.members.size - 1]
         speed_mps[party.members] = speed_mps[party.members].mean() * pace
-    return Plan(parties=tuple(parties), speed_mps=speed_mps)
+    return Plan(settings, traits, tuple(parties), speed_mps)
 
 
 def _party(settings: CrowdSettings, traits: Traits, members: Ints, rng: Generator) -> Party:
