@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from isac_track.config import StageSettings
     from isac_track.plugins import Plugin
 
-LOGGED_SCENES: Final = 500
-"""Of how many scenes a robot's own estimate of every sample is held against the truth."""
+LOGGED_SCENES: Final = 500  # In which a robot's own estimates are held against the truth.
 
 
 def sharing_rows(

@@ -56,12 +56,10 @@ class Linked:
     searches: tuple[linkability.Search, ...]
     calibration: Mapping[int, linkability.Calibration]  # By fold.
     scored: linkability.Scorecard
-    cohorts: Mapping[str, Mapping[str, float]]
-    """Rank 1 without the confounders, by who is left out; none for a control."""
+    cohorts: Mapping[str, Mapping[str, float]]  # Rank 1 by who is left out; none for a control.
     is_assigned: bool  # Whether probes can be left alone at a known cost, or need not be.
     losses: Floats | None = None
-    """Where some candidates alone are scored: how many more hits all pairs have, (n,), of probes
-    that are searched in full as well."""
+    """(n,) hits that scoring some candidates alone costs each probe that is searched in full."""
 
 
 def read_off(

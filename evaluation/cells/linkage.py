@@ -379,10 +379,9 @@ def window_tables(consumer: Consumer, level: LinkedLevel) -> Tables:
         whole: Windows = getattr(sessions, side)
         assert release.sigma is not None  # `share` refuses what declares none
         truth, walked = getattr(known.sessions, side).xy, _true_walks(level, number)
-        exposed, left = (
-            descriptors(one, truth=real, settings=known.privacy)
-            for one, real in ((release, truth), (derived(release, xy=attacked), walked))
-        )
+        rebuilt = derived(release, xy=attacked)
+        exposed = descriptors(release, truth=truth, settings=known.privacy)
+        left = descriptors(rebuilt, truth=walked, settings=known.privacy)
         columns = (
             [side] * len(whole),
             names_column(whole.search, sessions.searches),

@@ -34,8 +34,7 @@ if TYPE_CHECKING:
     from isac_track.config import StageSettings
     from isac_track.plugins import Plugin
 
-TRAINING_PEOPLE = 20
-"""At most so many source tracks train an attack: more would cost time and change little."""
+TRAINING_PEOPLE = 20  # At most train an attack: more would cost time and change little.
 BENCHMARK_Q = KalmanRTS.DEFAULT_Q  # m^2/s^3, motion of the benchmark.
 _BENCHMARK = ("benchmark_mse_m2", "benchmark_plr")
 _FOLDS = (0, 1)
@@ -79,8 +78,7 @@ class AttackedLevel:
     release: Release
     victims: tuple[Victims, ...]  # Each half of its tracks.
     views: Mapping[tuple[int, frozenset[Knowledge]], tuple[Release, Frame]]
-    """Each half of the release as it shows to who is granted SIGMA, SCENE, both or neither; and in
-    which frame."""
+    """Each half of the release as it shows to who is granted so much of `SHOWS`, and its frame."""
     training: Mapping[tuple[int, frozenset[Knowledge]], TrainingSet]
     """People to learn from for each half, in a frame of theirs; none where there are none."""
     again: tuple[Release, ...]  # Further releases of the same walks, in the true frame.

@@ -81,10 +81,9 @@ def track_columns(scenes: Scenes, rows: Ints) -> Rows:
 
 def descriptors(release: Release, *, truth: Floats, settings: PrivacySettings) -> Rows:
     """Return PLR, AEL, MEL and mean squared error of every track; `truth` is (M, 2) m."""
-    t, offsets = release.t, release.offsets
-    return described_rows(
-        privacy.described(xy=release.xy, truth=truth, t=t, offsets=offsets, settings=settings)
-    )
+    xy, t, offsets = release.xy, release.t, release.offsets
+    found = privacy.described(xy=xy, truth=truth, t=t, offsets=offsets, settings=settings)
+    return described_rows(found)
 
 
 def described_rows(found: Floats) -> Rows:

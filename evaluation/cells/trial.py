@@ -22,7 +22,7 @@ from isac_track.protocols import AttackContext, LinkageTrainingSet
 from isac_track.rng import stream
 from isac_track.scenes import cut, make_scenes, track_order
 from isac_track.sensing import sense_scenes
-from isac_track.types import Knowledge, Tracks
+from isac_track.types import Tracks
 
 if TYPE_CHECKING:
     from evaluation.experiment.axes import Consumer
@@ -31,8 +31,7 @@ if TYPE_CHECKING:
 
 N_PEOPLE = 12  # At least so many: a plug-in may need some to hide among, or to learn from.
 _SEED = 0
-_MECHANISM = "fixed:0.5"
-"""Whose release a predictor or an attack is called with: it declares a sigma."""
+_MECHANISM = "fixed:0.5"  # Whose release predictors and attacks are called with: it has a sigma.
 _GRID_S = 0.1
 
 
@@ -87,16 +86,13 @@ def _call(trial: Trial, stages: StageSettings) -> None:
     plugin, granted = trial.plugin, consumer.granted & sharing.declared(trial.plugin)
     releases = (sharing.share(mechanism, sensed, "trial", n, seed=_SEED) for n in range(2))
     probe, gallery = (sharing.showing(one, granted) for one in releases)
-    train = None
-    if Knowledge.TRAIN in granted:
-        copies = sharing.copied(probe), sharing.copied(gallery)
-        train = LinkageTrainingSet(*copies, np.arange(len(probe)))
+    copies = sharing.copied(probe), sharing.copied(gallery)
     context = AttackContext(
         rng=stream(_SEED, "attacks", "trial"),
         epsilon_m=stages.privacy.epsilon_m,
         granted=granted,
         mechanism=mechanism.instance,
-        train=train,
+        train=LinkageTrainingSet(*copies, np.arange(len(probe))),
     )
     who = f"attack {consumer.label}"
     attack = sharing.guarded(who, lambda: plugin.instance.fit(context))

@@ -65,9 +65,8 @@ def attempt(
     """Yield `cells` until something fails, and then that (for workers, too).
 
     A fault of our own fails by name as a plug-in's does: what an odd plug-in brings to light in one
-    cell takes no others along.
-
-    Raises IsacTrackError for what fails all cells alike: data or settings that do not fit.
+    cell takes no others along. Raises IsacTrackError for what fails all cells alike: data or
+    settings that do not fit.
     """
     try:
         yield from cells(work, tracks=tracks, stages=stages, seed=seed)

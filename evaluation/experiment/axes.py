@@ -96,8 +96,7 @@ class Axes:
     attacks: tuple[Plugin, ...]  # Reconstruction attacks.
     links: tuple[tuple[Task, Consumer], ...] = ()  # Who links where; who it is, `readers` says.
     ceiling: Plugin | None = None  # Without any error: every linkage attack must succeed.
-    skipped: Mapping[str, str] = field(default_factory=dict)
-    """Tasks of the preset that the recording is too small for, and why."""
+    skipped: Mapping[str, str] = field(default_factory=dict)  # Tasks of too few people, and why.
     utility: frozenset[str] = frozenset()  # SPECs of predictors that are read in all scenes.
     worlds: Mapping[str, tuple[Plugin, ...]] = field(default_factory=dict)
     """Mechanisms of the scenes that are attacked in another of `WORLDS`, too."""

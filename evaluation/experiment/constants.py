@@ -11,6 +11,5 @@ MODEL: Final = "model"  # Walks of the fitted motion in place of the recorded on
 WORLDS: Final = (OTHER_LAW_WORLD, MODEL, f"{MODEL},{OTHER_LAW_WORLD}")
 """What else than the run's own: as in `dataset`, after the name."""
 BOUND = "bound"  # Consumer of what no attack can exceed.
-BLOCK_SCENES = 250
-"""Scenes of a unit of work. Part of the keys of the sharing streams: a change changes the draws."""
+BLOCK_SCENES = 250  # Of a unit of work. Part of the keys of sharing: a change changes the draws.
 MOST_SCENES = 10_000_000

@@ -14,35 +14,25 @@ class Preset:
     """Axes that a name stands for."""
 
     scenes: int  # Attacked ones.
-    utility_scenes: int
-    """All: the attacked ones, and after them those in which the robot alone is looked at."""
+    utility_scenes: int  # All: after the attacked ones those where the robot alone is looked at.
     mechanisms: tuple[str, ...]
     predictors: tuple[str, ...]
     attacks: tuple[str, ...]
     tasks: tuple[str, ...]
     summary: str
-    protections: tuple[str, ...] = ()
-    """Further mechanisms, which stand beside the panel of the verdict, not in it."""
-    other_law: tuple[str, ...] = ()
-    """Mechanisms that are shared, foreseen and reconstructed under `OTHER_LAW`, too."""
-    model: tuple[str, ...] = ()
-    """Mechanisms that are reconstructed on walks of the fitted motion, too, under both laws."""
-    model_linked: tuple[str, ...] = ()
-    """Those of `model` behind which they are linked, too, where errors are Gaussian."""
-    model_people: int = 100
-    """Of a task at most, there: the optimum takes all pairs under all lags."""
+    protections: tuple[str, ...] = ()  # Further mechanisms, beside the panel of the verdict.
+    # Mechanisms that are computed elsewhere, too:
+    other_law: tuple[str, ...] = ()  # shared, foreseen and reconstructed under `OTHER_LAW`;
+    model: tuple[str, ...] = ()  # reconstructed on walks of the fitted motion, under both laws;
+    model_linked: tuple[str, ...] = ()  # of these, linked there, where errors are Gaussian.
+    model_people: int = 100  # Of a task at most, there: the optimum takes all pairs and lags.
 
 
 SMOKE_LEVELS = ("raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1")
 """Those that the paper gives numbers for."""
-_SWEEP = (
-    "raw",
-    *(
-        f"{axis}{rule}"
-        for rule in ("", ",adding=independent")
-        for axis in ("fid:1..1000/10", "fid:1e4", "fid:1e5", "fid:1e6", "fixed:0.1..1/10")
-    ),
-)
+_BOTH_RULES = (*SMOKE_LEVELS, *(f"{one},adding=independent" for one in SMOKE_LEVELS[1:]))
+_AXES = ("fid:1..1000/10", "fid:1e4", "fid:1e5", "fid:1e6", "fixed:0.1..1/10")
+_SWEEP = ("raw", *_AXES, *(f"{axis},adding=independent" for axis in _AXES))
 # What moves the descriptors and what can be linked apart from each other. The levels were chosen by
 # PLR, AEL and MEL as shared alone, before anything was linked: those of correlated and offset lie
 # within the range from raw to fixed:1 (offset:0.4 does not). Thinned, a sample stands for longer.
@@ -74,11 +64,7 @@ _FRONTIER = (
     "raw",
     *(f"{name}:{at}{more}" for (name, more), levels in _LEVELS.items() for at in levels.split()),
 )
-_AUDITED = (
-    *SMOKE_LEVELS,
-    *(f"{one},adding=independent" for one in SMOKE_LEVELS[1:]),
-    *("ou:0.4", "laplace:1"),
-)
+_AUDITED = (*_BOTH_RULES, "ou:0.4", "laplace:1")
 BREAKER = "ou_rts"
 """Attack that uses all that `--adversary` grants: in every run that asks for one by name alone."""
 UTILITY_PREDICTORS = ("least_squares", "kalman_cv", "kalman_cv:aware=true")
@@ -118,7 +104,7 @@ PRESETS = {
         _PAPER,
         scenes=5000,
         utility_scenes=5000,
-        other_law=(*SMOKE_LEVELS, *(f"{one},adding=independent" for one in SMOKE_LEVELS[1:])),
+        other_law=_BOTH_RULES,
         summary="the axes of paper on 5,000 scenes",
     ),
     "frontier": Preset(
@@ -145,7 +131,7 @@ PRESETS = {
         ),
         tasks=("rerelease",),
         model=_AUDITED,
-        model_linked=_AUDITED[:9],
+        model_linked=_BOTH_RULES,
         model_people=300,
         summary="750 scenes, 11 levels, slow attacks too: how far they are from the optimum in "
         "worlds of walks that follow the model",

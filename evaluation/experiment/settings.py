@@ -120,18 +120,17 @@ class Settings:
     def _check_executor(self) -> None:
         if self.executor not in ("local", "dask"):
             raise SettingsError(f"the executor is local or dask, got {self.executor!r}")
-        if self.executor == "local":
-            if self.scheduler is not None:
-                raise SettingsError("--scheduler ADDRESS goes with --executor dask")
-            return
-        if not self.scheduler:
+        is_dask = self.executor == "dask"
+        if self.scheduler is not None and not is_dask:
+            raise SettingsError("--scheduler ADDRESS goes with --executor dask")
+        if is_dask and not self.scheduler:
             raise SettingsError(
                 "--executor dask needs --scheduler ADDRESS, as tcp://host:8786; "
                 "`dask scheduler` starts one and tells its address"
             )
-        if self.jobs is not None:
+        if is_dask and self.jobs is not None:
             raise SettingsError("--jobs is of --executor local: a cluster has the workers it has")
-        if self.cell_timeout_s is not None:
+        if is_dask and self.cell_timeout_s is not None:
             raise SettingsError(
                 "--cell-timeout is of --executor local: limits of a cluster are its own"
             )

@@ -151,7 +151,6 @@ def settings_of(
 
     `attacks` are the SPECs of those to run, each with its tasks; a reconstruction has the task "".
     `trust` names classes of one's own that may be imported although a file names them.
-
     Raises IsacTrackError if its recording is not at hand, or a setting is unknown.
     """
     from attacks.tasks.build import sessions_of  # noqa: PLC0415 - a list of variants needs none
