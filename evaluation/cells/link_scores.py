@@ -29,13 +29,11 @@ from isac_track.types import Floats, Ints
 
 WITHOUT_GROUPS, WITHOUT_FROZEN = "without_groups", "without_frozen"
 """Without people who walk in a group, and move alike; without nearly frozen annotations."""
-SHUFFLES, AUDIT_SHUFFLES = 999, 1999
-"""Of the permutation tests; the audit's must be able to reject at a hundredth over six of them."""
+SHUFFLES, AUDIT_SHUFFLES = 999, 1999  # The audit's can reject at a hundredth over six tests.
 ESTIMATES: Final = "estimates"
 REPLICATES: Final = "replicates"
 ABOUT: Final = "about"
-DERIVED: Final = ("chance", "residual_risk", "d_sys_corrected")
-"""Metrics whose replicates follow from those of others: they are not kept."""
+DERIVED: Final = ("chance", "residual_risk", "d_sys_corrected")  # Replicates follow from others'.
 COMPANIONS: Final = ("companions", "companions_above", "companions_tied")
 """Columns of `ProbeRanks.companions`: who walks along is no candidate of `rank1_g100`."""
 ASSIGNED: Final = ("nobody", "other", "mate", "unknown")
@@ -153,15 +151,13 @@ def _cohorts(
         scores = search.scores[mated]
         own = search.scores[mated, mate][:, None]
         # How many of each set stand above the mate and how many as high: exact in single precision.
-        above, tied = (
-            (each.astype(np.float32) @ gallery)[probe, of] for each in (scores > own, scores == own)
-        )
+        both = scores > own, scores == own
+        above, tied = ((one.astype(np.float32) @ gallery)[probe, of] for one in both)
         hits.append(expected_hit(above, tied.astype(np.float64)))
     hit = np.concatenate(hits)
     sums = cluster_sums(values=hit, cluster=place, n_clusters=trials.size).reshape(trials.shape)
-    found = ratio_estimates(
-        numerator=sums, denominator=trials, weights=known.weights, is_share=[True] * len(trials)
-    )
+    of = {"numerator": sums, "denominator": trials, "weights": known.weights}
+    found = ratio_estimates(**of, is_share=[True] * len(trials))
     cohorts = {}
     for number, (name, one) in enumerate(zip((WITHOUT_GROUPS, WITHOUT_FROZEN), found, strict=True)):
         mine = of_set == number
@@ -206,10 +202,7 @@ def _without_some(
 
 
 def calibrated(found: Sequence[tuple[Floats, Pairing]]) -> linkability.Calibration | None:
-    """Return the calibration on people who are neither attacked nor learnt from.
-
-    None without a mated or a non-mated pair of theirs.
-    """
+    """Return the calibration on who is neither attacked nor learnt from; None without pairs."""
     mated, non_mated = [np.zeros(0)], [np.zeros(0)]
     for scores, pairing in found:
         is_mate = pairing.mate[:, None] == np.arange(scores.shape[1])

@@ -48,13 +48,12 @@ if TYPE_CHECKING:
     from isac_track.linkability import Calibration
     from isac_track.plugins import Plugin
 
-WINDOW_COLUMNS = (
+WINDOW_COLUMNS = (  # Of the rows of a cell of windows.
     *("side", "search", "source", "group"),
     *("n_samples", "duration_s", "speed_mps", "sigma_m"),
     *DESCRIPTORS,
     *ON_TRIAL,
 )
-"""Of the rows of a cell of windows."""
 _LAG_STEP_S = 0.2
 _LAG_WIDTH = 3  # Steps over which a lag counts.
 _LEAST_WEIGHT = 0.1

@@ -201,7 +201,6 @@ def attacked_level(
             "leave samples out by their times, or leave out the attacks that use repeats"
         )
     known = sharing.restricted(block.sensed, left)
-    along = (beside(block, mechanism),) if Knowledge.COMPANIONS in granted else ()
     return AttackedLevel(
         mechanism=mechanism,
         block=block,
@@ -212,7 +211,7 @@ def attacked_level(
         views=views,
         training=training,
         again=tuple(again),
-        beside=along,
+        beside=(beside(block, mechanism),) if Knowledge.COMPANIONS in granted else (),
         benchmark=benchmark(release, sensed=known, mechanism=mechanism, epsilon_m=epsilon_m),
         bound=_bound(mechanism, release, known, block),
     )
@@ -308,9 +307,8 @@ def sensed_scenes(
     for at, index in enumerate(scenes.index.tolist()):
         seats = scenes.offsets[at * scenes.n_agents : (at + 1) * scenes.n_agents + 1]
         lo, hi = seats[0], seats[-1]
-        start = scenes.xy[seats[:-1]]
         rng = stream(seed, "model walks", index)
-        walk = {"t": scenes.t[lo:hi], "offsets": seats - lo, "start": start}
+        walk = {"t": scenes.t[lo:hi], "offsets": seats - lo, "start": scenes.xy[seats[:-1]]}
         parts.append(simulated(**walk, motion=motion, rng=rng))
     xy = np.concatenate(parts)
     errors = sensed.sigma_raw[:, None] * sensed.unit_error

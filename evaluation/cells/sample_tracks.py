@@ -1,7 +1,6 @@
 """A gallery of tracks: where four people walked, what was shared of it, and what was rebuilt.
 
-Cells hold no positions. So the run computes these few once and keeps them in the run folder,
-where a redraw finds them.
+Cells hold no positions: the run computes these few once, and a redraw finds them in its folder.
 """
 
 from __future__ import annotations

@@ -14,8 +14,7 @@ from isac_track.types import Floats, Ints, Release, Scenes, Tracks
 Rows: TypeAlias = dict[str, np.ndarray[Any, np.dtype[Any]]]
 Tables: TypeAlias = "dict[str, pa.Table]"
 ROWS: Final = "rows"
-DESCRIPTORS: Final = ("plr", "ael_s", "mel_s")
-"""Columns of the descriptors of a track, or of a window."""
+DESCRIPTORS: Final = ("plr", "ael_s", "mel_s")  # Columns of those of a track, or of a window.
 ON_TRIAL: Final = (
     *("plr_attacked", "ael_attacked", "mel_attacked"),
     *("alignment_error", "posterior_std"),

@@ -43,10 +43,7 @@ class Trial(NamedTuple):
 
 
 def attempted(trial: Trial, *, stages: StageSettings) -> Iterator[tuple[str, str]]:
-    """Yield what a plug-in does wrong, if a call shows it, and the traceback.
-
-    What fails in our own code, or for the settings, is left to the run, which tells it.
-    """
+    """Yield what a plug-in does wrong, if a call shows it, and the traceback."""
     note(trial.plugin.spec)
     try:
         _call(trial, stages)
@@ -54,7 +51,7 @@ def attempted(trial: Trial, *, stages: StageSettings) -> Iterator[tuple[str, str
         is_told = error.__cause__ is not None and raised_at(error.__cause__)
         why = str(error) if is_told else f"{error}{defined_at(trial.plugin.instance)}"
         yield why, "".join(traceback.format_exception(error))
-    except Exception:  # noqa: BLE001 - no fault of the plug-in's by its contract
+    except Exception:  # noqa: BLE001 - our own fault, or the settings': the run tells it
         return
 
 

@@ -159,11 +159,13 @@ class Axes:
                 replace(one, knowledge=adversary, granted=granted, task=task.name)
                 for where, one in self.links
                 if where is task
-                for adversary, granted in grants(
-                    one, everyone=task.everyone, nobody=task.nobody, asked=self.adversaries
-                ).items()
+                for adversary, granted in _granted(one, task, self.adversaries).items()
             ),
         )
+
+
+def _granted(link: Consumer, task: Task, asked: tuple[str, ...]) -> dict[str, frozenset[Knowledge]]:
+    return grants(link, everyone=task.everyone, nobody=task.nobody, asked=asked)
 
 
 @cache
@@ -278,11 +280,7 @@ def _linked(
     """
     chosen: dict[str, list[Task]] = {}
     for link in links:
-        can = [
-            task
-            for task in tasks
-            if grants(link, everyone=task.everyone, nobody=task.nobody, asked=settings.adversaries)
-        ]
+        can = [task for task in tasks if _granted(link, task, settings.adversaries)]
         linker = link.plugins[0].instance
         suited = [task for task in can if task.shows_scene == (Knowledge.SCENE in linker.requires)]
         if getattr(linker, "one_stretch", False):

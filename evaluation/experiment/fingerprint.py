@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from evaluation.experiment.axes import Axes, Consumer
     from isac_track.plugins import Plugin
 
-SHARING, RECONSTRUCTION = "sharing", "reconstruction"
-"""Stages of a block of scenes; the others are the linkage tasks, by their names."""
+SHARING, RECONSTRUCTION = "sharing", "reconstruction"  # Stages of scenes; others: linkage tasks.
 OURS: Final = ("isac_track", "predictors", "attacks", "evaluation")  # The packages of the project.
 _COMMON: Final = (
     *("isac_track.datasets", "isac_track.scenes", "isac_track.sensing"),
@@ -74,17 +73,16 @@ def consumer_key(consumer: Consumer, *, code: Iterable[str], keep_scores: bool) 
     """Return the key of a consumer: its plug-ins, what it is granted, and digests of its code."""
     # That of a linkage attack or control with its raw scores is another.
     has_scores = keep_scores and consumer.kind in {"linkage", "control"}
-    return digest(
-        [
-            consumer.spec,
-            [[one.spec, one.origin, *filter(None, [one.digest])] for one in consumer.plugins],
-            consumer.knowledge,
-            sorted(one.name for one in consumer.granted),
-            *code,
-            *(["scores"] if has_scores else []),
-            *([consumer.world] if consumer.world else []),
-        ]
-    )
+    content = [
+        consumer.spec,
+        [[one.spec, one.origin, *filter(None, [one.digest])] for one in consumer.plugins],
+        consumer.knowledge,
+        sorted(one.name for one in consumer.granted),
+        *code,
+        *(["scores"] if has_scores else []),
+        *([consumer.world] if consumer.world else []),
+    ]
+    return digest(content)
 
 
 def digest(content: object) -> str:

@@ -21,6 +21,8 @@ from isac_track.errors import DataError, PluginError, told
 from isac_track.plugins import Plugin
 from isac_track.scenes import Cut, cut
 
+_HOW_TO_READ = ("format", "fps", "unit", "sessions", "persistent_ids")  # Options of a data set.
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Unit:
@@ -81,14 +83,8 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     Raises IsacTrackError for anything that a user can mend.
     """
     crossed = axes(settings)
-    dataset = dataset or datasets.load(
-        settings.dataset,
-        format=settings.format,
-        fps=settings.fps,
-        unit=settings.unit,
-        sessions=settings.sessions,
-        persistent_ids=settings.persistent_ids,
-    )
+    how = {name: getattr(settings, name) for name in _HOW_TO_READ}
+    dataset = dataset or datasets.load(settings.dataset, **how)
     tracks = cut(dataset.tracks, settings=settings.stages, seed=settings.seed)
     # One task always uses the bundled crowd.
     bundled = b"".join(crowd.bundled_path(session).read_bytes() for session in crowd.FILES)

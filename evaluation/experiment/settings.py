@@ -88,7 +88,22 @@ class Settings:
                 raise SettingsError(wrong.format(value, most))
         if self.precision is not None and self.scenes is not None:
             raise SettingsError("--precision finds the number of scenes: leave out --scenes")
-        self._check_executor()
+        if self.executor not in ("local", "dask"):
+            raise SettingsError(f"the executor is local or dask, got {self.executor!r}")
+        is_dask = self.executor == "dask"
+        if self.scheduler is not None and not is_dask:
+            raise SettingsError("--scheduler ADDRESS goes with --executor dask")
+        if is_dask and not self.scheduler:
+            raise SettingsError(
+                "--executor dask needs --scheduler ADDRESS, as tcp://host:8786; "
+                "`dask scheduler` starts one and tells its address"
+            )
+        if is_dask and self.jobs is not None:
+            raise SettingsError("--jobs is of --executor local: a cluster has the workers it has")
+        if is_dask and self.cell_timeout_s is not None:
+            raise SettingsError(
+                "--cell-timeout is of --executor local: limits of a cluster are its own"
+            )
 
     def _check_types(self) -> None:
         """Refuse what only Python lets one write, and take lists and mappings for what they are."""
@@ -116,24 +131,6 @@ class Settings:
         """Return settings with other options; SettingsError if one is unknown."""
         _check_known("option", options, [one.name for one in fields(self)])
         return replace(self, **options)
-
-    def _check_executor(self) -> None:
-        if self.executor not in ("local", "dask"):
-            raise SettingsError(f"the executor is local or dask, got {self.executor!r}")
-        is_dask = self.executor == "dask"
-        if self.scheduler is not None and not is_dask:
-            raise SettingsError("--scheduler ADDRESS goes with --executor dask")
-        if is_dask and not self.scheduler:
-            raise SettingsError(
-                "--executor dask needs --scheduler ADDRESS, as tcp://host:8786; "
-                "`dask scheduler` starts one and tells its address"
-            )
-        if is_dask and self.jobs is not None:
-            raise SettingsError("--jobs is of --executor local: a cluster has the workers it has")
-        if is_dask and self.cell_timeout_s is not None:
-            raise SettingsError(
-                "--cell-timeout is of --executor local: limits of a cluster are its own"
-            )
 
     @property
     def n_scenes(self) -> int:

@@ -72,10 +72,7 @@ class Variant:
 
 
 def variants(manifest: Mapping[str, Any] | None = None) -> list[Variant]:
-    """Return the variants that are run where none is named, the base first.
-
-    Of a run, given by its `manifest`, what it did itself is left out.
-    """
+    """Return the variants that are run where none is named, the base first, less what a run did."""
     found = [Variant(BASE), *map(parse, _USUAL)]
     if manifest is None:
         return found
@@ -189,20 +186,18 @@ def settings_of(
     run = (asked - too_small.keys()) | {""}
     usual = PRESETS[ran["preset"]]
     is_usual = [ran["scenes"], ran["scenes_utility"]] == [usual.scenes, usual.utility_scenes]
-    return (
-        Settings(
-            preset=ran["preset"],
-            dataset=source,
-            **own,
-            scenes=scenes if scenes is not None or is_usual else ran["scenes"],
-            seed=ran["seed"],
-            mechanisms=tuple(ran["mechanisms"]),
-            predictors=(variant.predictor,) if variant.predictor else predictors,
-            attacks=tuple(spec for spec, tasks in sorted(attacks.items()) if tasks & run),
-            tasks=tuple(task for task in ran["tasks"] if task in run),
-            stages=stages,
-            jobs=jobs,
-            out=out,
-        ),
-        tuple(too_small.values()),
+    settings = Settings(
+        preset=ran["preset"],
+        dataset=source,
+        **own,
+        scenes=scenes if scenes is not None or is_usual else ran["scenes"],
+        seed=ran["seed"],
+        mechanisms=tuple(ran["mechanisms"]),
+        predictors=(variant.predictor,) if variant.predictor else predictors,
+        attacks=tuple(spec for spec, tasks in sorted(attacks.items()) if tasks & run),
+        tasks=tuple(task for task in ran["tasks"] if task in run),
+        stages=stages,
+        jobs=jobs,
+        out=out,
     )
+    return settings, tuple(too_small.values())
