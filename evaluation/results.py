@@ -166,10 +166,8 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     flagged, looked = weak_attacks.flags(found, slow=weak_attacks.slow_attacks(manifest))
     sweeps = Sweeps({**found, **at_raw_alarms, **linked}, known)
     best = strongest(sweeps.found, known)
-    asked = {
-        key: one for key, one in sweeps.found.items() if key.metric in (EXPOSURE, SUCCESS, TPR)
-    }
-    with aside(partial(_of_people, out, manifest, Sweeps(asked, known), best)) as of_people:
+    few = {key: one for key, one in sweeps.found.items() if key.metric in (EXPOSURE, SUCCESS, TPR)}
+    with aside(partial(_of_people, out, manifest, Sweeps(few, known), best)) as of_people:
         at_equal = matched(sweeps, predictors=predictors, dataset=dataset)
         crossed, halves = cross_fitted(attacked, known, best.get("", AS_SHARED), seed=seed)
         sums |= attacked

@@ -50,14 +50,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _study(options: argparse.Namespace) -> int:
-    every = product(
-        dict.fromkeys(options.dataset),
-        dict.fromkeys(options.seed or [0]),
-        dict.fromkeys(options.law or LAWS[:1]),
-    )
+    axes = options.dataset, options.seed or [0], options.law or LAWS[:1]
     same = {name: getattr(options, name) for name in ("preset", "jobs", "executor", "scheduler")}
     asked = []
-    for dataset, seed, law in every:  # all is checked before the first run begins
+    # Each once, and all is checked before the first run begins.
+    for dataset, seed, law in product(*map(dict.fromkeys, axes)):
         out = options.out / f"{Path(dataset).stem}-{options.preset}-{seed}-{law}"
         stages = StageSettings().changed({"sensing.law": law})
         asked.append((law, Settings(dataset=dataset, seed=seed, stages=stages, out=out, **same)))

@@ -69,11 +69,8 @@ def calibrate(
     stages = StageSettings().changed(changes)
     tracks = cut(recorded, settings=stages, seed=seed)
     published = {tuple(where): value for *where, value in PUBLISHED}
-    found = fit(
-        links(tracks, stages=stages, n_scenes=n_scenes, seed=seed),
-        stages=stages,
-        targets=[published[one] for one in paper.FITTED],
-    )
+    blocks = links(tracks, stages=stages, n_scenes=n_scenes, seed=seed)
+    found = fit(blocks, stages=stages, targets=[published[one] for one in paper.FITTED])
     fitted = replace(stages, sensing=found)
     return found, predictions(tracks, stages=fitted, n_scenes=n_scenes, seed=seed)
 
@@ -88,11 +85,10 @@ def links(tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int) -> tu
             tracks, order=block.order, first=block.first_scene, settings=stages, seed=seed
         )
         n_samples = np.diff(scenes.offsets)
+        per_track = n_samples.reshape(len(scenes), -1)
+        keys = [("scene", int(index)) for index in scenes.index]
         channel = sensing.draw_channel(
-            n_samples=n_samples.reshape(len(scenes), -1),
-            keys=[("scene", int(index)) for index in scenes.index],
-            settings=stages.sensing,
-            seed=seed,
+            n_samples=per_track, keys=keys, settings=stages.sensing, seed=seed
         )
         owner = np.repeat(np.arange(scenes.track.size), n_samples)
         gain = sensing.link_gain(
@@ -115,20 +111,16 @@ def descriptors(
 ) -> tuple[float, float]:
     """Return mean PLR and mean MEL in s, raw or under FID with linear adding."""
     plr, mel_s = [], []
-    for link in blocks:
-        gain = link.gain * 10.0 ** (settings.large_scale_db * link.large_scale / 10.0)
-        information = sensing.information(gain=gain, settings=settings)
-        sigma = sensing.sigma_from_information(information=information, settings=settings)
+    for one in blocks:
+        gain = one.gain * 10.0 ** (settings.large_scale_db * one.large_scale / 10.0)
+        info = sensing.information(gain=gain, settings=settings)
+        sigma = sensing.sigma_from_information(information=info, settings=settings)
         if eta is not None:
-            fid = sensing.fisher_information_density(
-                information=information, t=link.t, offsets=link.offsets
-            )
+            fid = sensing.fisher_information_density(information=info, t=one.t, offsets=one.offsets)
             sigma = sigma + sharing.fid_d_sigma(fid=fid, eta=eta, alpha_m=0.5, beta=1.5)
+        leaked = sigma * one.unit_norm < rule.epsilon_m
         exposure = privacy.exposure(
-            leaked=sigma * link.unit_norm < rule.epsilon_m,
-            t=link.t,
-            offsets=link.offsets,
-            intervals=rule.intervals,
+            leaked=leaked, t=one.t, offsets=one.offsets, intervals=rule.intervals
         )
         plr.append(exposure.plr)
         mel_s.append(exposure.mel_s)

@@ -1,8 +1,8 @@
 """What each predictor lets a robot decide: misses against false alarms, the whole curve.
 
-A robot may act on the predicted separation (a conflict below d) or, where there is a covariance, on
-the probability of a conflict (above p): two scores, two curves over a threshold. Counts per cluster
-and bin of the score are all that the bootstrap needs: its cost does not grow with the scenes.
+A robot may act on the predicted separation or, where there is a covariance, on the probability of a
+conflict: two scores, two curves. Counts per cluster and bin of the score are all that the bootstrap
+needs, so that its cost does not grow with the scenes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -100,10 +100,8 @@ def decisions(
 
     The row gives the area under the curve and the missed-conflict rate at the false-alarm rate that
     the reference, the first predictor of the run, has at its operating point under the same
-    mechanism, with the paired difference from what its own curve by separation reaches there.
-
-    The last (`EQUAL_ALARMS`) are what is missed, by separation, at the false-alarm rate that the
-    predictor has at its operating point where nothing is added: there the misses alone tell.
+    mechanism, with the paired difference from what its own curve by separation reaches there. The
+    misses (`EQUAL_ALARMS`) are by separation, at the predictor's own false-alarm rate.
     """
     reference = next(iter(manifest["settings"]["predictors"]), None)
     weights = weights_of(manifest)

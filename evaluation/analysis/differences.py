@@ -96,8 +96,7 @@ class Comparison:
 def compare(out_a: Path, out_b: Path) -> Comparison:
     """Return two runs side by side; their folders may be the same.
 
-    Raises DataError if a folder holds no run, a cell is missing or broken, or the runs share no
-    number.
+    Raises DataError for a folder without a run, a cell missing or broken, or no number in common.
     """
     first = read_manifest(out_a)
     second = first if out_a.resolve() == out_b.resolve() else read_manifest(out_b)
@@ -263,13 +262,12 @@ def pairing(first: Manifest, second: Manifest, *, consumer: str) -> str:
     """
     moved = _unequal(first["identity"], second["identity"])
     task, is_linked, _ = consumer.partition("/")
-    aside: tuple[str, ...] = ("linkage.", "crowd")
-    is_apart = "sha256" in moved
+    is_apart, aside = "sha256" in moved, ("linkage.", "crowd")
     if is_linked:
         known = [one["linkage"]["tasks"].get(task) for one in (first, second)]
         same_people = known[0] is not None and known[0] == known[1]
-        of_others = [name for name in moved if name.startswith(("sha256", "seed", *aside))]
-        is_apart = bool(of_others) or not same_people or first["groups"] != second["groups"]
+        of_others = any(name.startswith(("sha256", "seed", *aside)) for name in moved)
+        is_apart = of_others or not same_people or first["groups"] != second["groups"]
         aside = ("scenes", "conflict.")
     if is_apart:
         return NONE

@@ -18,14 +18,7 @@ from evaluation.analysis.keys import AS_SHARED, Key, Source
 from evaluation.analysis.linkability import dataset_of
 from evaluation.analysis.matching import CRITERIA, Sweeps, interpolated, places, with_ends
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, ROBOTS_OWN, SUCCESS
-from evaluation.analysis.strongest import (
-    GROUPS,
-    by_mechanism,
-    by_task,
-    cross_fitted,
-    strongest_of,
-    success_of,
-)
+from evaluation.analysis.strongest import GROUPS, against_each, by_task, cross_fitted, success_of
 from evaluation.runs.cell_files import Summed
 from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, Estimate
 from isac_track.types import Bools, Floats, Ints
@@ -33,7 +26,7 @@ from isac_track.types import Bools, Floats, Ints
 TARGETS: Final = (0.03, 0.05, 0.075, 0.1)  # Rises over raw, fixed beforehand.
 WHITE: Final = "fixed:adding=independent,law=isotropic"
 """What others are held against: white noise, equal in all directions."""
-NEAR: Final = 0.03
+NEAR: Final = 0.03 + 1e-9  # With what rounding takes.
 ENOUGH_LEVELS: Final = 4  # Of a curve within `NEAR` of a target for an interval there.
 MARGIN: Final = 0.02  # By how much a mechanism is beaten.
 LEVEL_READ: Final = ("level", "level_low", "level_high")
@@ -43,7 +36,6 @@ COLUMNS: Final = [
     *("dataset", "mechanism", "family", "adding", "robot", "criterion", "target"),
     *(*LEVEL_READ, "consumer", "knowledge", "metric", *VALUE, *GAP, "dominated", "n"),
 ]
-_ROUNDING: Final = 1e-9
 _LOG_SPAN: Final = 30.0  # Levels that span more are interpolated on a log scale, as they are swept.
 
 
@@ -85,10 +77,8 @@ def told(
         mine.setdefault((key.mechanism, key.measure.source.task), {})[key] = one
     every = ((by, by_task(sweeps.found, metric=by)) for by in (EXPOSURE, SUCCESS))
     for by, task, blocks in ((by, *one) for by, tasks in every for one in tasks.items()):
-        of = by_mechanism(blocks)
         for among in GROUPS:
-            best = {name: strongest_of(levels, among=among) for name, levels in of.items()}
-            whose = {name: source for name, source in best.items() if source}
+            whose = against_each(blocks, among=among)
             if RAW not in whose:
                 continue
             for name, source in whose.items():
@@ -109,29 +99,23 @@ def frontier(
 ) -> pd.DataFrame:
     """Return a row for each mechanism, robot, criterion, target and number: `COLUMNS`.
 
-    Level and value are interpolated on the isotonic curve from the noisiest level to raw, which is
-    one for all mechanisms, each replicate on its own; a target out of reach keeps its row without
-    numbers. There is no interval, and nothing is held against another, with fewer than
-    `ENOUGH_LEVELS` levels (raw is one) whose missed rate is within `NEAR` of the target, with less
-    than `MIN_DEFINED` of the replicates in reach, or of too few people. `vs_white` is the paired
-    difference from white noise at the same target; `dominated` is as in `_dominated`, by more than
-    `MARGIN`. `sums` are as in `told`.
+    docs/metrics.md says what they are. A target out of reach keeps its row without numbers. There
+    is no interval, and nothing is held against another, with fewer than `ENOUGH_LEVELS` levels (raw
+    is one) whose missed rate is within `NEAR` of the target, with less than `MIN_DEFINED` of the
+    replicates in reach, or of too few people. `sums` are as in `told`.
     """
     every, crossed = told(sweeps, sums or {}, seed=seed)
     sweeps = Sweeps({**sweeps.found, **crossed}, sweeps.known)
     shared = [(one, _curves(sweeps, one)) for one in every]
     rows: list[dict[str, Any]] = []
     for robot, (criterion, metric) in product(predictors, CRITERIA.items()):
-        own = [Told(name, dict.fromkeys(sweeps.known, Source(robot))) for name in ROBOTS_OWN]
-        cost = Source(robot).measure(metric)
-        rises = {
-            name: np.abs(curve - curve[:, -1:])
-            for name, curve in _curves(sweeps, Told(metric, own[0].whose)).items()
-        }
+        robots = dict.fromkeys(sweeps.known, Source(robot))
+        own = [Told(name, robots) for name in ROBOTS_OWN]
+        cost, costs = Source(robot).measure(metric), _curves(sweeps, Told(metric, robots))
+        rises = {name: np.abs(curve - curve[:, -1:]) for name, curve in costs.items()}
         reached = {name: places(np.array(TARGETS), rise) for name, rise in rises.items()}
         is_dense = {
-            name: (np.abs(rise[0, :, None] - TARGETS) <= NEAR + _ROUNDING).sum(axis=0)
-            >= ENOUGH_LEVELS
+            name: (np.abs(rise[0, :, None] - TARGETS) <= NEAR).sum(axis=0) >= ENOUGH_LEVELS
             for name, rise in rises.items()
         }
         level = {

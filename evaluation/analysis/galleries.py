@@ -6,6 +6,7 @@ companions. Rank 1 in larger ones is predicted; the TPR is of pairs and does not
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -88,8 +89,7 @@ def _predicted(first: Mapping[int, Estimate], measured: int, size: int) -> Estim
     """Return rank 1 in a larger gallery, corrected by what the same step misses within.
 
     A step is predicted from one gallery and a tenth of it. The same one is tried up to the gallery
-    that was measured; the prediction is divided by the factor that this misses, and what that
-    changes widens the interval on both sides.
+    that was measured; its miss divides the prediction, and widens the interval on both sides.
     """
 
     def step(of: int, to: int) -> Floats:
@@ -113,10 +113,8 @@ def _ratios(one: LinkedProbes, of: Sequence[Floats], weights: Floats) -> list[Es
     """Return the means of some values of each probe, (N,)."""
     if not of or not one.cluster.size:
         return [Estimate(np.nan) for _ in of]
-    n_clusters, every = len(one.clusters), (*of, np.ones(one.cluster.size))
-    *sums, count = (
-        cluster_sums(values=values, cluster=one.cluster, n_clusters=n_clusters) for values in every
-    )
+    summed = partial(cluster_sums, cluster=one.cluster, n_clusters=len(one.clusters))
+    *sums, count = (summed(values=values) for values in (*of, np.ones(one.cluster.size)))
     return ratio_estimates(
         numerator=np.stack(sums),
         denominator=np.tile(count, (len(sums), 1)),

@@ -59,11 +59,8 @@ def cards(
     `drawn` are the metrics of attacks that need replicates; without it all have them, and controls.
     Raises DataError if a cell cannot be read.
     """
-    entries = [
-        entry
-        for entry in manifest["cells"]
-        if entry["kind"] in ("linkage", "control") and entry.get("world", "") == world
-    ]
+    linked = (entry for entry in manifest["cells"] if entry["kind"] in ("linkage", "control"))
+    entries = [entry for entry in linked if entry.get("world", "") == world]
     return list(zip(entries, read_outcomes(out, entries, drawn=drawn), strict=True))
 
 

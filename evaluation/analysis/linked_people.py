@@ -1,8 +1,8 @@
 """Who is linked at every level of a task, and what their own windows give away.
 
-Both axes of a comparison of mechanisms come from the same people: the descriptors are those of the
-windows that are linked, not of the tracks in scenes. Summed by cluster everything is a ratio of
-sums, so that a bootstrap, a jackknife or one half of the people are weights of these sums.
+The descriptors are those of the windows that are linked, not of the tracks in scenes. Summed by
+cluster, everything is a ratio of sums: a bootstrap, a jackknife or one half of the people are
+weights of these.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,7 +18,7 @@ from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW
 from evaluation.analysis.keys import Source, Where
 from evaluation.analysis.matching import Sweeps
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
-from evaluation.analysis.strongest import Levels, by_mechanism, by_task, strongest_of
+from evaluation.analysis.strongest import Levels, against_each, by_task
 from evaluation.cells.link_scores import COMPANIONS
 from evaluation.cells.link_setup import SIDES
 from evaluation.cells.tables import ON_TRIAL
@@ -89,9 +89,8 @@ def read_probes(
 ) -> dict[str, list[LinkedProbes]]:
     """Return who is linked at every level, by task, in the order of the run.
 
-    `strongest` is by task its strongest linker (`analysis.strongest`). Raw, fixed noise and FID are
-    linked by it, every other mechanism by the one that is strongest there: an adversary takes what
-    works. Raises DataError if a cell cannot be read.
+    `strongest` is by task its strongest linker. Raw, fixed noise and FID are linked by it, every
+    other mechanism by who is strongest there. Raises DataError if a cell cannot be read.
     """
     cells = {
         (entry["mechanism"], entry["level"], entry["consumer"], entry["knowledge"]): entry
@@ -114,12 +113,12 @@ def read_probes(
 def _linkers(sweeps: Sweeps, levels: Levels, linker: Source) -> Iterator[tuple[Where, Source]]:
     """Yield the levels of a task and who links there."""
     swept = [sweeps.named(one, adding=rule) for rule in ADDING_RULES for one in (FIXED, FID)]
-    of = by_mechanism(levels)
+    best = against_each(levels)
     for where in levels:
         if where[0] in (RAW, *swept):
             yield where, linker
         elif sweeps.known[where[0]].is_added:
-            yield where, strongest_of(of[where[0]]) or linker
+            yield where, best.get(where[0], linker)
 
 
 def _probes(

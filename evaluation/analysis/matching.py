@@ -127,9 +127,8 @@ class Sweeps:
 def matched(sweeps: Sweeps, *, predictors: Sequence[str], dataset: str) -> pd.DataFrame:
     """Return every mechanism with levels against fixed noise: every criterion, rule and measure.
 
-    Both curves run from their noisiest level to raw, which is one and the same for both. What is
-    matched and what is compared are made monotone over the levels (`joined`) and interpolated,
-    descriptors on a logarithmic scale, never beyond what both reach. Matched is the *change from
+    Both curves end in one raw; what is matched and what is compared are made monotone over the
+    levels (`joined`) and interpolated, never beyond what both reach. Matched is the *change from
     raw*, so that each bootstrap replicate, which repeats all of it on its own drawn people, is read
     at its own raw value plus that change: the comparison is paired in both.
 
@@ -242,8 +241,7 @@ def rising(values: Floats) -> Floats:
     """Return each row made to rise from left to right by isotonic regression, (R, L).
 
     By the min-max formula (Barlow et al. 1972): the largest over all beginnings of the smallest
-    over all ends of the mean between them. It does all replicates at once, where
-    `scipy.optimize.isotonic_regression` takes them row by row.
+    over all ends of the mean between them. SciPy's takes replicates row by row.
     """
     is_broken = ~(np.diff(values, axis=1) >= 0.0).all(axis=1)
     if not is_broken.all():  # about half of the replicates rise by themselves
@@ -310,9 +308,8 @@ def nearest_places(at: Floats, scale: Floats) -> tuple[Ints, Floats]:
 def interpolated(where: tuple[Ints, Floats], values: Floats, *, log: bool) -> Floats:
     """Return the values, (R, L), of each row at its places, (R, P); NaN out of reach.
 
-    Of unequal numbers of rows the first are read. With `log` the logarithm is interpolated: a
-    descriptor falls about exponentially with the rate, so that a chord over a wide step lies close
-    to the curve.
+    Of unequal numbers of rows the first are read. With `log` the logarithm is interpolated: close
+    to a descriptor's curve over a wide step, as it falls about exponentially with the rate.
     """
     n_rows = min(len(where[0]), len(values))
     right, share = where[0][:n_rows], where[1][:n_rows]

@@ -2,9 +2,7 @@
 
 Runs of one recording and law under several seeds attack the same people: their numbers are averaged
 first, and so are the ends of their intervals, which do not shrink as if the people were others.
-Recordings are pooled only if `FEWEST` or more of them are real, by random effects: the variance
-between them after Paule and Mandel (1982), the interval after Hartung and Knapp (2001), and never
-narrower than that of a fixed effect.
+Recordings are pooled only if `FEWEST` or more of them are real.
 """
 
 import math
@@ -104,10 +102,8 @@ def _at(found: Found, where: Where, best: Mapping[str, Source]) -> dict[str, Est
     known = {name: pair for name, pair in pairs.items() if {*pair} <= found.keys()}
     told = {name: difference(found[a], found[b]) for name, (a, b) in known.items()}
     if LINKED_IN in best:
-        of_100, own, chance = (
-            found.get(best[LINKED_IN].measure(name).at(*where))
-            for name in (SUCCESS_OF_100, SUCCESS, "chance")
-        )
+        linker, names = best[LINKED_IN], (SUCCESS_OF_100, SUCCESS, "chance")
+        of_100, own, chance = (found.get(linker.measure(name).at(*where)) for name in names)
         if of_100 and math.isfinite(of_100.value):
             told["people_linked"] = _less(of_100, 0.01)
         elif own and chance and math.isfinite(own.value):
@@ -134,7 +130,9 @@ class Pooled(NamedTuple):
 def pool(values: Sequence[float], errors: Sequence[float]) -> Pooled:
     """Return the random-effects mean of some recordings with their standard errors, (K,) each.
 
-    Raises ValueError for fewer than three, or an error that is not positive.
+    The variance between them is after Paule and Mandel (1982), the interval after Hartung and Knapp
+    (2001), and never narrower than that of a fixed effect. Raises ValueError for fewer than three,
+    or an error that is not positive.
     """
     # Heavy, and few studies pool.
     from statsmodels.stats.meta_analysis import combine_effects  # noqa: PLC0415 - as said

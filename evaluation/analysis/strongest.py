@@ -1,9 +1,8 @@
 """The strongest attack: one definition, for the verdict, the tables, the page and a site's level.
 
 It is the attack with the highest mean success over some levels: PLR after a reconstruction, rank 1
-of a linker. Of all rows (attack and adversary) those count that ran at all of these levels, short
-of the oracle, who is a reference, and of the control, which takes positions as they are. Of equals
-the first of the run counts.
+of a linker; of equals the first. Those count that ran at all of these levels, short of the oracle,
+who is a reference, and of the control, which takes positions as they are.
 
 The strongest of a run is chosen over all levels of raw, fixed noise and FID, so that the choice
 favours none of them; of a run with neither of the two over all levels but the ceiling. It is the
@@ -92,9 +91,7 @@ def cross_fitted(
 
     On each half of the people (clusters, drawn once) the strongest is chosen as ever, among the
     headline's adversaries; every cluster then counts as the choice of the other half leaves it.
-    Also returns the two choices. If both are the headline, nothing is returned: its own estimates
-    are what this would give.
-
+    Also returns the two choices; nothing if both are the headline, whose estimates these would be.
     `sums` are of every attack, all with the same weights; attacks are ranked by the metric `by`.
     """
     from isac_track.intervals import ratio_estimates  # noqa: PLC0415 - who reads a run needs none
@@ -112,8 +109,7 @@ def cross_fitted(
         for key, one in sums.items():
             over, under = one.whole()[:, half].sum(axis=1) if key.metric == by else (0.0, 0.0)
             if under > 0.0:
-                value = float(over / under)
-                levels.setdefault(key.where, {})[key.measure.source] = value
+                levels.setdefault(key.where, {})[key.measure.source] = float(over / under)
         choices.append(strongest_of(_choosing(levels, known, families), among=among))
     of_first, of_second = choices
     if of_first is None or of_second is None or of_first == of_second == headline:
@@ -143,12 +139,13 @@ def by_task(found: Found, *, metric: str) -> dict[str, Levels]:
     return values
 
 
-def by_mechanism(levels: Levels) -> dict[str, list[dict[Source, float]]]:
-    """Return the success of every attack at the levels of each mechanism."""
-    of: dict[str, list[dict[Source, float]]] = {}
+def against_each(levels: Levels, *, among: Collection[str] = HEADLINE) -> dict[str, Source]:
+    """Return the strongest attack against each mechanism over its levels, where one counts."""
+    of: dict[str, list[Mapping[Source, float]]] = {}
     for (mechanism, _), block in levels.items():
         of.setdefault(mechanism, []).append(block)
-    return of
+    best = {name: strongest_of(blocks, among=among) for name, blocks in of.items()}
+    return {name: source for name, source in best.items() if source}
 
 
 def most_knowing(of: Iterable[Source]) -> list[Source]:

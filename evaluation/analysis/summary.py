@@ -60,11 +60,8 @@ def estimates(
     found: dict[Key, Estimate] = {}
     scored: list[Scored] = []
     attacked: dict[Key, Summed] = {}
-    entries = [
-        entry
-        for entry in manifest["cells"]
-        if entry["kind"] in _COLUMNS_OF and entry.get("world", "") == world
-    ]
+    able = (entry for entry in manifest["cells"] if entry["kind"] in _COLUMNS_OF)
+    entries = [entry for entry in able if entry.get("world", "") == world]
     gap = [GAP] if MODEL in world else []
     every = {name for columns in (*_COLUMNS_OF.values(), gap) for name in columns}
     for _, of in groupby(entries, key=itemgetter("files")):

@@ -12,8 +12,7 @@ reproduces them.
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from collections.abc import Set as AbstractSet
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -70,7 +69,7 @@ class _Pair(NamedTuple):
 
 
 def flags(
-    found: Found, *, slow: AbstractSet[str] = frozenset()
+    found: Found, *, slow: Collection[str] = frozenset()
 ) -> tuple[pd.DataFrame, dict[str, dict[str, int]]]:
     """Return the flags of a run, a row each (`COLUMNS`), and how much was looked at.
 
@@ -161,7 +160,7 @@ def lines(rows: pd.DataFrame) -> list[str]:
 
 
 def _beaten_pairs(
-    levels: Levels, found: Found, slow: AbstractSet[str], left_out: Counter[str]
+    levels: Levels, found: Found, slow: Collection[str], left_out: Counter[str]
 ) -> Iterator[_Pair]:
     for where, plr in levels.items():
         shared = found.get(AS_SHARED.measure(EXPOSURE).at(*where))
