@@ -6,9 +6,7 @@ memory, so that one vector instruction treats several.
 
 # ruff: noqa: C901, PLR0912, PLR0917, FURB136 - written out as they compile to the fastest code
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +14,9 @@ from numpy.typing import NDArray
 from isac_track.compiling import INT, compiled, part_of_loop, read, written
 from isac_track.types import Floats, Ints
 
-if TYPE_CHECKING:
-    Cells: TypeAlias = NDArray[np.int32]
-    Places: TypeAlias = NDArray[np.uint16]
-    Bins: TypeAlias = NDArray[np.uint8]
+Cells: TypeAlias = NDArray[np.int32]
+Places: TypeAlias = NDArray[np.uint16]
+Bins: TypeAlias = NDArray[np.uint8]
 
 _MOST = 2**16 - 1  # of a sum in 16 bits
 _ROWS = 4  # Merged side by side.
@@ -129,8 +126,7 @@ def shuffle(
                     drawn += np.uint64(1)
                     now[here], now[other] = now[other], now[here]
             base += size * n_clusters
-        for k in range(now.size):
-            columns[k, first + row] = now[k]
+        columns[:, first + row] = now
 
 
 @compiled(
@@ -219,22 +215,6 @@ def _add_share(sums: Floats, totals: Floats, inner: float, out: Floats) -> None:
         out[0, r] += share
         out[1, r] += inner * share
     sums[:] = 0.0
-
-
-@compiled(read(2, "uint16"), read(1, "int64"), written(1))
-def mean_shares(mated: Places, counts: Ints, out: Floats) -> None:
-    """Write `d_sys`, (n,), of histograms of mated scores, (bins, n), of all `counts`, (bins,)."""
-    n_bins, n = mated.shape
-    sums, totals, shares = np.empty((2, n)), np.zeros((2, n)), np.zeros((2, n))
-    for k in range(n_bins):
-        for r in range(n):
-            totals[0, r] += mated[k, r]
-            totals[1, r] += counts[k] - mated[k, r]
-    for k in range(n_bins):
-        for r in range(n):
-            sums[0, r], sums[1, r] = mated[k, r], counts[k] - mated[k, r]
-        _add_share(sums, totals, 1.0, shares)
-    out[:] = shares[0]
 
 
 @part_of_loop

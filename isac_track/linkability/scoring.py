@@ -1,11 +1,4 @@
-"""The scorecard of one linkage attack: every metric with its interval.
-
-Numba is imported, and its loops compiled, at the first scorecard, not before.
-
-References
-----------
-Intervals: Davison and Hinkley, Bootstrap Methods, 1997.
-"""
+"""The scorecard of one linkage attack: every metric with its interval."""
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -122,7 +115,7 @@ class ProbeRanks:
         }
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Scorecard:
     """How well one attack links, over all of its searches."""
 
@@ -136,11 +129,11 @@ class Scorecard:
     n_mated: int  # Probes with a mate.
     gallery_sizes: tuple[int, int, float]  # Smallest, largest, and mean over searches.
     n_clusters: int  # Clusters with a mated probe.
-    realised_fpr_1pct: float
-    realised_fpr_01pct: float
+    realised_fpr_1pct: float = math.nan
+    realised_fpr_01pct: float = math.nan
     """FPR at the operating points of the TPR, the mean over scales; NaN where that is refused."""
-    d_sys_bins: int  # The fewest over scales.
-    is_inverted: bool
+    d_sys_bins: int = 0  # The fewest over scales.
+    is_inverted: bool = False
     """AUC < 0.5: mates score low. D_sys, which ignores direction, may say linkable all the same."""
     minimum_detectable_rank1: float
     """What the test of rank 1 would find in 8 of 10 studies of this size."""
@@ -229,8 +222,7 @@ def draw(people: Sequence[People], rng: np.random.Generator, n_shuffles: int) ->
     """Return what `scorecard` draws for searches of these people."""
     return tuple(
         Drawn(
-            one,
-            rng.permutation(n_candidates(one)),
+            *(one, rng.permutation(n_candidates(one))),
             shuffled_mates(mated_probes(one), rng, n_shuffles),
         )
         for one in people
@@ -259,13 +251,12 @@ def scorecard_of(
     no_match: Sequence[float | None] = no_match_score or [None] * len(searches)
     for search, least, drawn in zip(searches, no_match, draws, strict=True):
         cut = cells[search.scale]
-        ranked = rank_rows(search, cut.breaks, cut.counts)
+        log_rank, cell, standing = rank_rows(search, cut.breaks, cut.counts)
         columns = assign_in(drawn.order, search.scores, least)
-        shuffled = mated_probes(drawn.people), drawn.columns
-        score_bin = cut.bins.take(ranked.cell)
-        observed += add_shuffles(*shuffled, ranked.log_rank, score_bin, null, cut.null_bins)
-        places[search.scale].append(ranked.cell)
-        standings.append(ranked.standing)
+        shuffled, score_bin = (mated_probes(drawn.people), drawn.columns), cut.bins.take(cell)
+        observed += add_shuffles(*shuffled, log_rank, score_bin, null, cut.null_bins)
+        places[search.scale].append(cell)
+        standings.append(standing)
         assignments.append(np.where(columns < 0, -1, columns == search.mate))
     of_ranks = _of_ranks(searches, standings, assignments, observed, null)
     probes = of_ranks["probes"]
@@ -315,14 +306,7 @@ def rank_scorecard(
     for name in estimates.keys() & {"rank1_assigned", "false_link_rate"}:
         nothing = np.full_like(estimates[name].replicates, np.nan)
         estimates[name] = Estimate(math.nan, n=estimates[name].n, replicates=nothing)
-    return Scorecard(
-        estimates=estimates,
-        **of_ranks,
-        realised_fpr_1pct=math.nan,
-        realised_fpr_01pct=math.nan,
-        d_sys_bins=0,
-        is_inverted=False,
-    )
+    return Scorecard(estimates=estimates, **of_ranks)
 
 
 def _of_ranks(
@@ -382,26 +366,20 @@ def _rank_estimates(probes: ProbeRanks, weights: Floats) -> dict[str, Estimate]:
     known = estimates["chance"]
     if known.n > 1 and known.effective < FEW_CLUSTERS:  # however few they are
         estimates["chance"] = estimate_of(np.append(known.value, known.replicates), n=known.n)
-    estimates["residual_risk"] = _residual_risk_estimate(
-        *(estimates[name] for name in ("rank1", "chance")),
-        is_few=estimates["rank1"].effective < FEW_CLUSTERS,
-    )
+    estimates["residual_risk"] = _residual_risk(estimates["rank1"], estimates["chance"])
     return estimates
 
 
-def _residual_risk_estimate(success: Estimate, control: Estimate, *, is_few: bool) -> Estimate:
-    value = residual_risk(success=success.value, control=control.value)
+def _residual_risk(success: Estimate, control: Estimate) -> Estimate:
+    value, low, high = (
+        residual_risk(success=one, control=control.value)
+        for one in (success.value, success.ci_low, success.ci_high)
+    )
     with np.errstate(divide="ignore", invalid="ignore"):
         replicates = (success.replicates - control.replicates) / (1.0 - control.replicates)
     replicates[control.replicates == 1.0] = np.nan
-    low, high = math.nan, math.nan
-    if is_few or success.value in {0.0, 1.0}:
-        # The share's own ends; guessing's chance is known.
-        low, high = (
-            residual_risk(success=end, control=control.value)
-            for end in (success.ci_low, success.ci_high)
-        )
-    elif not math.isnan(value):
+    # The share's own ends, where it has no percentiles; guessing's chance is known.
+    if not (success.effective < FEW_CLUSTERS or success.value in {0.0, 1.0}):
         low, high = percentile_interval(replicates)
     return Estimate(value, low, high, success.n, replicates)
 
@@ -420,8 +398,7 @@ def _score_estimates(
     for place, (name, replicates) in enumerate(zip(METRICS, drawn, strict=True)):
         value, low, high = float(every[place, 0]), math.nan, math.nan
         if n_without:
-            left = np.append(value, without_each[place])
-            is_share = name != "cllr"
+            left, is_share = np.append(value, without_each[place]), name != "cllr"
             ends[place] = jackknife_interval(left, effective=effective, is_share=is_share)
         if effective >= LEAST_CLUSTERS and not math.isnan(value):
             low, high = _interval(name, value, replicates, ends[place], n, is_few=n_without > 0)
@@ -431,23 +408,15 @@ def _score_estimates(
     defined = [r for r in results if r.n_mated and r.n_non_mated]
     n_mated = sum(r.n_mated for r in defined)
     bias = sum(r.n_mated * r.bias for r in defined) / n_mated if defined else math.nan
-    estimates["d_sys_corrected"] = Estimate(
-        value=linked.value - bias,
-        ci_low=linked.ci_low - bias,
-        ci_high=linked.ci_high - bias,
-        n=linked.n,
-        replicates=linked.replicates - bias,
-    )
+    value, low, high = (one - bias for one in (linked.value, linked.ci_low, linked.ci_high))
+    estimates["d_sys_corrected"] = Estimate(value, low, high, linked.n, linked.replicates - bias)
     return estimates
 
 
 def _interval(
     name: str, value: float, replicates: Floats, ends: Sequence[float], n: int, *, is_few: bool
 ) -> tuple[float, float]:
-    """Return the ends of a score metric's interval.
-
-    Given those of its percentile interval or, of few clusters, of the jackknife's.
-    """
+    """Return a score metric's interval, given percentiles or, of few clusters, the jackknife's."""
     is_constant = not (np.abs(replicates - value) > _NO_SPREAD).any()
     is_extreme = name in LEVELS and value in {0.0, 1.0}
     most = _FITTED.get(name, 1.0)

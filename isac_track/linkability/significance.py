@@ -1,7 +1,4 @@
-"""Is there a link at all? Tests against guessing and against shuffled mates.
-
-Numba is imported, and its loops compiled, at the first shuffle, not before.
-"""
+"""Is there a link at all? Tests against guessing and against shuffled mates."""
 
 import math
 from collections.abc import Sequence
@@ -34,16 +31,6 @@ class Mated:
     mate: Ints  # (N,) their columns
     sizes: Ints  # (A,) of clusters, ascending
     n_alike: Ints  # (A,) clusters of each size
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Ranked:
-    """Where the scores of a search stand."""
-
-    log_rank: Floats  # (P, G) `log_rank` of every column were it the mate
-    cell: NDArray[np.int32]  # (P, G)
-    standing: Ints
-    """(P, 2) how many stand above the probe's mate and how many as high; -1 and 0 without one"""
 
 
 def permutation_p(
@@ -86,11 +73,10 @@ def shuffled_log_ranks(
     observed, standings = 0.0, []
     for search in searches:
         mated = mated_probes(people_of(search))
-        ranked = rank_rows(search, np.empty(0), np.zeros((1, 2), dtype=np.int64))
-        one_bin = np.zeros(ranked.cell.shape, dtype=np.uint8)
+        ranks, cell, standing = rank_rows(search, np.empty(0), np.zeros((1, 2), dtype=np.int64))
         columns = shuffled_mates(mated, rng, n_shuffles)
-        observed += add_shuffles(mated, columns, ranked.log_rank, one_bin, null, nowhere)
-        standings.append(ranked.standing)
+        observed += add_shuffles(mated, columns, ranks, cell.astype(np.uint8), null, nowhere)
+        standings.append(standing)
     return observed, null, standings
 
 
@@ -217,11 +203,14 @@ def companions_of(people: People) -> tuple[Ints, Ints]:
     return probe[others], column[others]
 
 
-def rank_rows(search: Search, breaks: Floats, counts: Ints) -> Ranked:
-    """Return where every score stands.
+def rank_rows(
+    search: Search, breaks: Floats, counts: Ints
+) -> tuple[Floats, NDArray[np.int32], Ints]:
+    """Return `log_rank` of every column were it the mate, (P, G), its cell, and `standing`, (P, 2).
 
     Cell 2 k + 1 is the k-th of the ascending `breaks`, cell 2 k the gap below it. To `counts`,
-    (cells, 2), are added the non-mated and the mated scores in each.
+    (cells, 2), are added the non-mated and the mated scores in each. Without a mate -1 stand above
+    it and 0 as high.
     """
     scores = np.ascontiguousarray(search.scores, dtype=np.float64)
     log_rank, cell = np.empty(scores.shape), np.empty(scores.shape, dtype=np.int32)
@@ -231,7 +220,7 @@ def rank_rows(search: Search, breaks: Floats, counts: Ints) -> Ranked:
         *(scores, _ascending(scores), breaks, log_factorials(scores.shape[1])),
         *(np.ascontiguousarray(search.mate, dtype=np.int64), log_rank, cell, standing, counts),
     )
-    return Ranked(log_rank, cell, standing)
+    return log_rank, cell, standing
 
 
 def _ascending(scores: Floats) -> Ints:
