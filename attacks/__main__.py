@@ -149,10 +149,8 @@ def _new(name: str, *, kind: str, into: Path) -> int:
             (folder / target).write_text(text, encoding="utf-8")
     except OSError as error:
         raise SettingsError(f"cannot write {error.filename}: {error.strerror}") from error
-    works = f"a{'n' * (noun == 'attack')} {noun} that works"
-    print(
-        f"wrote {folder}: {works}; edit {folder / name}.py, then:", *commands.values(), sep="\n  "
-    )
+    works = f"a{'n' * (noun == 'attack')} {noun} that works; edit {folder / name}.py, then:"
+    print(f"wrote {folder}: {works}", *commands.values(), sep="\n  ")
     return DONE
 
 

@@ -152,9 +152,11 @@ def least_costs(
             if rotated:
                 # The modulus of a b*: the rotation that fits best, which no reflection can enter.
                 for j in range(n_gallery):
-                    dot[j] = np.sqrt(dot[j] * dot[j] + cross[j] * cross[j])
-            for j in range(n_gallery):
-                gap[j] = max(own + g_square[j] - 2.0 * dot[j], 0.0) * scale
+                    modulus = np.sqrt(dot[j] * dot[j] + cross[j] * cross[j])
+                    gap[j] = max(own + g_square[j] - 2.0 * modulus, 0.0) * scale
+            else:
+                for j in range(n_gallery):
+                    gap[j] = max(own + g_square[j] - 2.0 * dot[j], 0.0) * scale
             for e in range(floors.size):
                 best, more = out[e, i], floors[e] * weight[m - 1]
                 for j in range(n_gallery):

@@ -108,12 +108,8 @@ class Profile:
 
 
 def _profiles(
-    probe: Release,
-    gallery: Release,
-    attack: Profile,
-    factor: float,
-    floors: float | Sequence[float],
+    probe: Release, gallery: Release, attack: Profile, factor: float, floor: float | Sequence[float]
 ) -> Floats:
     p, g = (motion_of(one, factor, attack.turn_m) for one in (probe, gallery))
-    score: Floats = -np.log(aligned_costs(p, g, floors=floors, rank=_RANK, reach_s=attack.reach_s))
-    return score
+    costs = aligned_costs(p, g, floors=floor, rank=_RANK, reach_s=attack.reach_s)
+    return np.asarray(-np.log(costs))

@@ -46,8 +46,7 @@ class GaussianProcess:
 
     def fit(self, context: AttackContext) -> Reconstructor:
         """Return the regression of releases like those in the training set."""
-        length_s, scale_m = self.length_s, self.scale_m
-        given = None if length_s is None or scale_m is None else (length_s, scale_m)
+        given = (self.length_s, self.scale_m) if self.length_s and self.scale_m else None
         others = [(self.DEFAULT[0], one) for one in around(self.DEFAULT[1], factor=2.0)]
         return smoother(context, smooth, candidates=tried(given, others))
 

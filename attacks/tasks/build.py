@@ -200,7 +200,7 @@ def _closed(draft: Draft, length_s: float, starts_s: _Starts, *, needed_s: float
     tracks, later = draft.tracks, replace(draft, tracks=draft.later)
     needed_s = needed_s or length_s
     what = f"of {len(tracks)} tracks last {needed_s:g} s"
-    if draft.task.simulated or draft.task.comes_back:
+    if not draft.task.is_one_walk:
         what = f"people walk for {needed_s:g} s in both sessions"
     # Who stays at home on the second day is left out.
     there = {later.tracks.source[row] for row in later.lasting(needed_s)}

@@ -35,8 +35,7 @@ class Control:
     in_scene: Score | None = None  # The same in the true frame, if it must look another way there.
     is_audit: bool = True
     hides_in_scene: bool = False  # Whether it sees what a task in the true frame shows on purpose.
-    sees_times_only: bool = False
-    """Whether it scores alike at every level of a mechanism that shares every sample."""
+    sees_times_only: bool = False  # Whether all levels that share every sample are alike to it.
     circumstance: tuple[int, ...] = ()  # Columns of `circumstances`, which it sees instead.
 
     def applies(self, task: Task) -> bool:
