@@ -162,8 +162,7 @@ def _learn_fid(train: TrainingSet, rule: Fid) -> Callable[[Release], Floats]:
     ones = np.ones_like(square_m2)
     errors = np.array([np.bincount(cell, x, shape[0] * shape[1]) for x in (ones, square_m2)])
     errors = errors.reshape(2, *shape)
-    best = [fits(errors, _FINE_SIGMAS_M, gap).max(axis=1).sum() for gap in _GAPS]
-    gap = float(_GAPS[int(np.argmax(best))])
+    gap = max(_GAPS.tolist(), key=lambda one: fits(errors, _FINE_SIGMAS_M, one).max(axis=1).sum())
 
     @remembered
     def inferred(release: Release) -> Floats:

@@ -8,7 +8,8 @@ averaged with it.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
+from itertools import product
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -210,25 +211,21 @@ def fitted(release: Release, q: float) -> tuple[float, float]:
     rows = np.unique(np.linspace(0, len(release) - 1, min(_N_FITTED, len(release))).astype(int))
     some = derived(release.tracks(rows), sigma=None)
 
-    def likelihood(std_m: float, tau_s: float) -> float:
-        error = SlowError(std_m, tau_s)
+    @cache
+    def likelihood(std_and_tau: tuple[float, float]) -> float:
+        error = SlowError(*std_and_tau)
         batch = Batch(some.t, some.xy, _rest(some, error), some.offsets, PRIOR_STD)
         return float(filter_tracks(batch, error, q=q)[0].log_likelihood.sum())
 
-    tried = {(std, tau): likelihood(std, tau) for std in _STD_M for tau in _TAU_S}
-    best = max(tried, key=tried.__getitem__)
+    best = max(product(_STD_M, _TAU_S), key=likelihood)
     for factor in _STEPS:
         for _ in range(_MOST_STEPS):
             std, tau = best
             # Along the ridge, s^2 / tau, of what a short time shows, and across it.
-            beside = [
-                (std * by, tau * (by * by if along else 1.0))
-                for by in (factor, 1.0 / factor)
-                for along in (True, False)
-            ]
-            tried |= {one: likelihood(*one) for one in beside if one not in tried}
-            best, before = max(tried, key=tried.__getitem__), best
-            if best == before:
+            ways = product((factor, 1.0 / factor), (True, False))
+            beside = [(std * by, tau * (by * by if along else 1.0)) for by, along in ways]
+            best = max(best, *beside, key=likelihood)
+            if best == (std, tau):
                 break
-    gain = tried[best] - likelihood(0.0, 0.0)
+    gain = likelihood(best) - likelihood((0.0, 0.0))
     return best if gain > _LEAST_GAIN * len(some) else (0.0, 0.0)
