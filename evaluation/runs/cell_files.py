@@ -103,8 +103,7 @@ class LinkageOutcome:
     numbers: Mapping[str, Any]  # The rest of the `isac_track.linkability.Scorecard`, by its names.
     cohorts: Mapping[str, Mapping[str, Any]]
     """Without confounders: rank1, ci_low, ci_high, chance, p_rank1, n_mated, n_clusters."""
-    sums: Mapping[str, Summed] = field(default_factory=dict)
-    """Of an attack's rank metrics that were asked for."""
+    sums: Mapping[str, Summed] = field(default_factory=dict)  # Of an attack's rank metrics.
 
 
 def packed(
@@ -117,15 +116,15 @@ def packed(
 
     `unit` is the key of the whole, `code` its digest by module.
     """
-    consumers, stacked, start = {}, [], 0
+    consumers, start = {}, 0
     for label, key, own, tables in found:
         places = {}
         for name, table in tables.items():
             places[name] = (start, table.num_rows)
             start += table.num_rows
-            stacked.append(table)
         consumers[label] = {"key": key, "code": dict(own), "tables": places}
-    whole = pa.concat_tables(stacked, promote_options="default").combine_chunks()
+    every = [table for *_, tables in found for table in tables.values()]
+    whole = pa.concat_tables(every, promote_options="default").combine_chunks()
     whole = _of_precision(whole, pa.float32())
     index = {"unit": unit, "code": dict(code), "consumers": consumers}
     # The leading bytes of like numbers are alike: apart from the others they compress.
@@ -232,22 +231,17 @@ def read_outcomes(
         mine = list(of)
         ((path, whole, index),) = _opened(out, mine[0], columns)
         with _readable(path):
-            asked = [
-                (
-                    one["consumer"].partition("/")[0],
-                    _held(path, index, one),
-                    drawn is None or bool(drawn and (one["knowledge"] or one.get("world"))),
-                )
-                for one in mine
-            ]
+            asked = [(one, _held(path, index, one).tables) for one in mine]
             found += _outcomes(whole, asked, drawn)
     return found
 
 
 def _outcomes(
-    whole: pa.Table, entries: Sequence[tuple[str, Held, bool]], drawn: Collection[str] | None
+    whole: pa.Table,
+    entries: Sequence[tuple[Mapping[str, Any], Mapping[str, tuple[int, int]]]],
+    drawn: Collection[str] | None,
 ) -> Iterator[LinkageOutcome]:
-    """Yield what consumers of a file achieve: of each its task, its tables, whether it draws."""
+    """Yield what consumers of a file, each with its tables, achieve."""
     (codes, metrics), groups, assigned = map(_coded, map(whole.column, _NAMED))
     above, tied, chance, *along = (whole[name].to_numpy() for name in _COUNTED)
     fields = [whole[name].to_numpy() for name in ("value", "ci_low", "ci_high", "n")]
@@ -258,14 +252,13 @@ def _outcomes(
     found: list[tuple[Any, slice, dict[str, Any], dict[str, Summed]]] = []
     probed: list[Ints] = []
     alike: defaultdict[tuple[Any, ...], list[int]] = defaultdict(list)
-    for task, held, draws in entries:
-        at = {name: slice(first, first + n) for name, (first, n) in held.tables.items()}
+    for entry, tables in entries:
+        at = {name: slice(first, first + n) for name, (first, n) in tables.items()}
         about = json.loads(texts[at[ABOUT].start].as_py())
-        of = {
-            name: whole[name].slice(*held.tables[REPLICATES]) for name in stored if REPLICATES in at
-        }
+        of = {name: whole[name].slice(*tables[REPLICATES]) for name in stored if REPLICATES in at}
         replicates = {name: one.to_numpy() for name, one in of.items() if one.null_count == 0}
-        if draws:
+        if drawn is None or (drawn and (entry["knowledge"] or entry.get("world"))):
+            task = entry["consumer"].partition("/")[0]
             drawn_as = tuple(about["drawn_as"]), about["n_groups"], task, about["seed"]
             alike[tuple(about["clusters"]), drawn_as].append(len(found))
         found.append((about, at[ESTIMATES], replicates, {}))

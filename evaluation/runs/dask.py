@@ -32,13 +32,11 @@ Task: TypeAlias = Any  # A future. Neither has types, and both are an extra.
 _CONNECT_S: Final = 5.0
 _FIRST_WORKER_S: Final = 10.0
 _NO_WORKER_S: Final = 60.0  # Longest time without any worker: those that died may be started again.
-_ANSWER_S: Final = 8.0
-"""Longest time that a scheduler may take to say how many threads its workers have."""
+_ANSWER_S: Final = 8.0  # Longest time that a scheduler may take to say how many threads there are.
 _ASK_S: Final = 2.0
 _LOOK_S: Final = 0.02
 _FETCH_S: Final = 10.0
-_AHEAD: Final = 3
-"""Works handed out per thread: no worker waits, and neither driver nor scheduler holds many."""
+_AHEAD: Final = 3  # Works handed out per thread: no worker waits, and nobody holds many.
 _LARGE: Final = {"distributed.admin.large-graph-warning-threshold": "1GiB"}
 """Dask warns of large graphs; ours holds the tracks, once."""
 _LIBRARIES: Final = ("numpy", "scipy", "numba")
@@ -48,19 +46,12 @@ _FIRST_SEEN: Final[dict[str, str]] = {}
 
 
 def spread_on_cluster(
-    function: Callable[[W], Iterable[R]],
-    works: deque[W],
-    *,
-    scheduler: str,
-    modules: Iterable[str] = (),
+    function: Callable[[W], Iterable[R]], works: deque[W], *, scheduler: str, modules: Iterable[str]
 ) -> Generator[tuple[W, list[R | Failed]]]:
     """Yield each work with what the function makes of it, as it is finished: `spread` on a cluster.
 
-    The function is sent to each worker once, the works with every task. A work whose workers died
-    again and again yields a `Failed` of unknown place.
-
-    `scheduler` is its address, such as ``tcp://host:8786``. Those of the `modules` that are not of
-    the project are the user's own: the workers must have the same.
+    A work whose workers died again and again yields a `Failed` of unknown place. `scheduler` is an
+    address, such as ``tcp://host:8786``; workers must have the same of all `modules`.
 
     Raises SettingsError if the scheduler cannot be reached or is gone, no worker is there, or a
     worker would not compute the same.
@@ -152,8 +143,7 @@ class _Cluster(Generic[W, R]):
                 raise self._gone(f"has had no worker for {_NO_WORKER_S:g} s", start)
         time.sleep(_LOOK_S)
         for task in [one for one in self.under_way if one.status not in ("pending", "lost")]:
-            items = self._items(task)
-            if items is not None:
+            if (items := self._items(task)) is not None:
                 work = self.under_way.pop(task)
                 task.release()
                 yield work, items
@@ -163,24 +153,22 @@ class _Cluster(Generic[W, R]):
         from distributed import CancelledError  # noqa: PLC0415 - an extra
         from distributed.scheduler import KilledWorker  # noqa: PLC0415 - an extra
 
+        found: list[R | Failed] | None = None  # whoever had it is gone, or it takes long
         try:
-            found: list[R | Failed] = task.result(timeout=_FETCH_S)
+            found = task.result(timeout=_FETCH_S)
         except KilledWorker:
             why = "its worker died (killed, crashed or out of memory), and others before it"
-            return [Failed((), why, died=True)]
+            found = [Failed((), why, died=True)]
         except CancelledError:
             raise self._gone() from None
         except (OSError, TimeoutError):
             if task.status == "error":  # its own
                 raise
-            return None  # whoever had it is gone, or it takes long
         except RuntimeError as error:
-            if "deserialization of the task graph" in str(error):
-                raise SettingsError(
-                    f"the scheduler at {self._scheduler} lacks this isac-track; install it there, "
-                    "too"
-                ) from None
-            raise
+            if "deserialization of the task graph" not in str(error):
+                raise
+            what = f"the scheduler at {self._scheduler} lacks this isac-track"
+            raise SettingsError(f"{what}; install it there, too") from None
         return found
 
     def _ask_threads(self) -> int:
@@ -258,13 +246,8 @@ def _computed(
     return list(function(work))
 
 
-def _about(modules: tuple[str, ...], *, seen: dict[str, str] | None = None) -> dict[str, str]:
-    """Return all that the bits of a result depend on in a process.
-
-    `seen` has digests of the source, filled at first sight; by default those of this process.
-    Raises SettingsError if one of the user's modules cannot be imported here.
-    """
-    seen = _FIRST_SEEN if seen is None else seen
+def _about(modules: tuple[str, ...], *, seen: dict[str, str] = _FIRST_SEEN) -> dict[str, str]:
+    """Return all that the bits of a result depend on in a process; `seen` is filled at sight."""
     with _LOADING:
         if "code" not in seen:
             seen["code"] = code_hash()

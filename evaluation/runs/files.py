@@ -39,7 +39,7 @@ CHECKSUMS: Final = "SHA256SUMS"
 GALLERY: Final = "gallery.parquet"
 PAGE: Final = "report.html"
 LOCK: Final = ".lock"
-FRAMES: Final = {
+FRAMES: Final = {  # By the names of `Results`.
     "summary": "summary.csv",
     "paper_table": "paper_table.csv",
     "claims": "paper_claims.csv",
@@ -51,20 +51,16 @@ FRAMES: Final = {
     "galleries": "gallery.csv",
     "failed": "failed.csv",
 }
-"""By the names of `Results`."""
-PLUGIN_ERROR: Final = "plugin-error.txt"
-"""Why a plug-in failed before a run, with its traceback; there is no run yet then."""
-WRITTEN: Final = (
+PLUGIN_ERROR: Final = "plugin-error.txt"  # Why a plug-in failed before there is a run.
+WRITTEN: Final = (  # All that a run leaves beside its manifest, its cells, and its figures.
     *(*FRAMES.values(), "flags.json", "verdict.json", "tables.txt", PAGE, GALLERY, CHECKSUMS),
     *(f"tables/{name}.tex" for name in ("sweep", "attacks", "paper", "linkability", "verdict")),
 )
-"""All that a run leaves beside its manifest, its cells, and its figures."""
-_TEXTS: Final = {
+_TEXTS: Final = {  # Columns of text; all others are numbers or truth values.
     *("dataset", "mechanism", "family", "adding", "consumer", "knowledge", "metric", "unit"),
     *("claim", "answer", "evidence", "criterion", "predictor", "robot", "score", "reference"),
     *("cohort", "outcome", "invalid", "spec", "kind", "why"),
 }
-"""Columns of text; all others are numbers or truth values."""
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{16}\.tmp")
 _NOT_FOLLOWED = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 """A link is an error, and a pipe nothing to wait for."""

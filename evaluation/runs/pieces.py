@@ -29,12 +29,10 @@ if TYPE_CHECKING:
     from isac_track.plugins import Plugin
 
 Work: TypeAlias = "Block | LinkWork"
-Cell: TypeAlias = "tuple[int, Plugin, Consumer]"
-"""Block (0 for what is linked), mechanism and consumer."""
+Cell: TypeAlias = "tuple[int, Plugin, Consumer]"  # Block (0: what is linked), mechanism, consumer.
 Place: TypeAlias = "tuple[int, str, str]"
 """Of a cell: its block, the SPEC of its mechanism, and the label of its consumer."""
-Found: TypeAlias = "WholeFile | Item | Failed"
-"""What comes of work."""
+Found: TypeAlias = "WholeFile | Item | Failed"  # What comes of work.
 _TASKS_PER_WORKER = 2
 _LEVELS_PER_TASK = 12  # Of what is linked.
 _BLOCKS_WITHIN = 0.75  # The share of the work with which the last block begins, for it takes long.

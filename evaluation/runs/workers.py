@@ -55,8 +55,7 @@ except EOFError:  # the parent was killed meanwhile
 from evaluation.runs.workers import serve
 serve(pipe, parent=int(sys.argv[2]))
 """
-_waiting: Final[list[_Worker]] = []
-"""Workers with nothing to do, yet or any more: who spreads work takes them first."""
+_waiting: Final[list[_Worker]] = []  # With nothing to do: who spreads work takes them first.
 _IMPORTED: Final = ("evaluation.runs.pieces", "evaluation.cells.sample_tracks", "numba")
 _heard: Final[dict[int, int]] = {}  # Output and errors of this process, as it began.
 _M_ARENA_MAX: Final = -8  # Of glibc's malloc.h.
@@ -76,15 +75,12 @@ def spread(
 
     The function notes with `note` where it is. Works may be added while this runs. With one job and
     no limit, all is computed in this process and while what is yielded is read, unless it is to be
-    kept `apart`; else by workers, and one that takes longer than `limit_s` between two notes is
-    killed: what it has sent stays. One piece of work that is left of many still gets a worker: it
-    may be what kills its process.
+    kept `apart`; else by workers, of which one that takes longer than `limit_s` between two notes
+    is killed: what it has sent stays. What is left of many still gets one: it may kill its process.
 
     Modules of compiled `loops` are imported by one worker before the others begin: each would
     compile them for itself. Workers that are done wait for other work until `ahead` ends; if this
-    goes on `alone`, before other work, those do that nobody took.
-
-    Raises what the function raises.
+    goes on `alone`, before other work, those do that nobody took. Raises what the function raises.
     """
     if limit_s is None and jobs == 1 and not apart:
         with threadpool_limits(limits=1):
@@ -114,10 +110,7 @@ def spread(
 
 @contextlib.contextmanager
 def ahead(n_workers: int = 0) -> Iterator[None]:
-    """Start workers that import what cells need while this process does something else.
-
-    At the end those are dismissed that nobody has work for, kept ones too.
-    """
+    """Start workers that import what cells need meanwhile; at the end dismiss all that wait."""
     try:
         for _ in range(n_workers):
             _waiting.append(_started())
@@ -131,13 +124,13 @@ def ahead(n_workers: int = 0) -> Iterator[None]:
 def aside(call: Callable[[], R]) -> Iterator[Callable[[], R]]:
     """Let a worker that waits call something meanwhile; entered is what waits for the result.
 
-    Without a worker, or if it dies over it, the call is made here, once the result is asked for.
-    That raises what the call does.
+    Without a worker, or if it dies over it, the call is made here, once the result is asked for:
+    that raises what the call does.
     """
     if not _waiting:
         yield call
         return
-    lane = _Lane[Callable[[], R], R](_result_of, None)
+    lane = _Lane[Callable[[], R], R](lambda of: [of()], None)
     lane.start(call)
 
     def result() -> R:
@@ -152,10 +145,6 @@ def aside(call: Callable[[], R]) -> Iterator[Callable[[], R]]:
         yield result
     finally:
         lane.stop(keeps=True)
-
-
-def _result_of(call: Callable[[], R]) -> Iterator[R]:
-    yield call()
 
 
 def dismiss(but: int = 0) -> None:

@@ -35,17 +35,15 @@ from isac_track.intervals import LEAST_CLUSTERS, Estimate
 from isac_track.linkability import GALLERY
 
 TARGETS: Final = ("missed", "false_alarm")  # What chooses a level.
-METRIC_OF: Final = {
+METRIC_OF: Final = {  # By name in question and answer; rank 1 is asked for by task.
     "missed": MISSED_RATE,
     "false_alarm": "false_alarm_rate",
     **dict(zip(DESCRIPTORS, DESCRIPTORS, strict=True)),
 }
-"""By what it is called in the question and in the answer; rank 1 is asked for by task."""
 ASKED: Final = METRIC_OF | {SUCCESS: SUCCESS}  # What may be limited.
 UNKNOWN: Final = Estimate(math.nan)
 WEAK: Final = "attack too weak"
-MOST_TIMES: Final = 10.0
-"""So many times the scenes of a run still bring people who were in none."""
+MOST_TIMES: Final = 10.0  # So many times the scenes of a run still bring people who were in none.
 _SWEEPS: Final = {FID: "fid:1..1000/10", FIXED: "fixed:0.1..1/10"}
 _ENDS = ("ci_low", "ci_high")
 
@@ -96,8 +94,7 @@ class Level:
     after_attack: Attacked | None
     tasks: tuple[Linked, ...]
     costs: Mapping[str, Estimate]  # Missed conflicts of every robot of the run.
-    beyond: tuple[Attacked, ...]
-    """After the strongest reconstruction of who knows more than the limits are about."""
+    beyond: tuple[Attacked, ...]  # After the strongest of who knows more than limits are about.
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,8 +107,7 @@ class Limits:
     given: Mapping[str, float]
     """By name of `ASKED`, a fraction or s; `rank1` is of the strongest attack of every task of the
     recording. `missed` is always given; with `false_alarm` it chooses the level."""
-    as_shared: bool = False
-    """Whether descriptors are limited as shared, not after the best reconstruction."""
+    as_shared: bool = False  # Descriptors are limited as shared, not as reconstructed.
 
     def __post_init__(self) -> None:
         for name, limit in self.given.items():
@@ -179,11 +175,9 @@ class Scheme:
     family: Family
     falls: bool  # Whether smaller levels are stricter, as with FID.
     chosen: Level | None  # The strictest level that meets the targets as all less strict ones do.
-    stricter: Level | None
-    """The next stricter level, which misses a target; without `chosen` the least strict one."""
+    stricter: Level | None  # The next level, which misses a target; else the least strict.
     also_meets: tuple[float, ...]  # Levels beyond that one that meet the targets all the same.
-    is_saturated: bool
-    """Whether the strictest levels share the same, so that stricter ones would as well."""
+    is_saturated: bool  # The strictest levels share the same: stricter ones would, too.
     checks: tuple[Check, ...]  # At the chosen level.
     missed: tuple[Check, ...]  # Targets at the stricter level.
 

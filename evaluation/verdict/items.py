@@ -34,8 +34,7 @@ class Draft:
     above: str
     below: str  # Answers to an effect that is surely larger, and surely smaller.
     unit: str
-    sentences: Mapping[str, str]
-    """By decision; under "" of all others. ``{}`` is where effect and interval stand."""
+    sentences: Mapping[str, str]  # By decision, "" all others; ``{}`` is the effect.
     subject: str = ""  # The attack that it is about, if it is about one.
     untestable: str = ""  # Why nothing can be decided, where more than people is lacking.
     descriptor: str = ""

@@ -17,29 +17,23 @@ HOLDS, REVERSED = "holds", "reversed"
 INFLATED, DEFLATED = "inflated", "deflated"
 BETWEEN, NOT_TESTABLE = "between", "not testable"
 DIFFERS, EQUAL = "differs", "equal"  # Readings of a contrast by itself.
-SIGN: Final = {
+SIGN: Final = {  # Of a decision.
     **dict.fromkeys((TRACKS, HOLDS, INFLATED), 1),
     **dict.fromkeys((BETWEEN, NOT_TESTABLE), 0),
     **dict.fromkeys((DOES_NOT, REVERSED, DEFLATED), -1),
 }
-"""Of a decision."""
 
 VALIDITY, WITHIN, CLAIM, INFLATION = "validity", "within", "claim", "inflation"
 SECTIONS: Final = (VALIDITY, WITHIN, CLAIM, INFLATION)
-BAND_COVERAGE: Final = 0.992
-"""Share of studies in which the bands of a section (within, claim, inflation) hold all truths."""
+BAND_COVERAGE: Final = 0.992  # Share of studies in which the bands of a section hold all truths.
 SUCCESS_MARGIN: Final = 0.05  # Difference in rank 1 that counts as none: five people in a hundred.
-LEAST_SPAN: Final = 1.25
-"""Ratio of a descriptor at raw to that at the strongest fixed error below which it says nothing."""
-LEAST_CORRELATION: Final = 0.10
-"""Partial rank correlation below which a descriptor tells nothing of a single track."""
-LEAST_FALL: Final = 0.20
-"""Of linkage, from raw to the strongest fixed error: where it falls less, anything would track."""
+LEAST_SPAN: Final = 1.25  # Of a descriptor, raw over the strongest fixed error: less says nothing.
+LEAST_CORRELATION: Final = 0.10  # Partial, of ranks: less tells nothing of a track.
+LEAST_FALL: Final = 0.20  # Of linkage, raw to the strongest fixed error: else anything would track.
 FEWEST_DISCORDANT: Final = 10
 """People linked under one of two mechanisms only: with fewer the interval is that of counts."""
 NO_SPREAD: Final = 1e-9  # Standard error below which replicates say nothing.
-REACH: Final = 0.02
-"""Share of a descriptor's span by which a point may lie beyond the end of the fixed sweep."""
+REACH: Final = 0.02  # Share of its span by which a point may lie beyond the fixed sweep.
 
 
 def numbers(one: Estimate) -> dict[str, Any]:

@@ -23,8 +23,7 @@ COLUMNS: Final = (
     *("decision_base", "decision", "effect_base", "effect", "ci_low", "ci_high", "unit", "n"),
     *("sign_base", "sign", "changed"),
 )
-_SAME: Final = ("seed", "scenes", "scenes_utility")
-"""Of the identity of a run; what is not there is the same."""
+_SAME: Final = ("seed", "scenes", "scenes_utility")  # Of identity; what is not there is the same.
 _THEIRS: Final = ("decision", "effect", "ci_low", "ci_high", "n", "sign")
 """Columns of the variant's own item; unknown without one."""
 

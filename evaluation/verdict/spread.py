@@ -19,8 +19,7 @@ from evaluation.verdict import rules
 from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE
 from isac_track.types import Bools, Floats, Ints
 
-QUARTILES: Final = (0.25, 0.5, 0.75)
-"""Of the common range of the logarithm of the descriptor: where FID is read."""
+QUARTILES: Final = (0.25, 0.5, 0.75)  # Of the common range of the logarithm: where FID is read.
 BOTH, ONLY_MORE, ONLY_FEWER, NEITHER = 0, 1, -1, 2  # What can be tested of a contrast.
 ANSWERS: Final = (rules.NOT_TESTABLE, rules.DOES_NOT, rules.TRACKS, rules.BETWEEN)
 """By the codes of `decided`."""
@@ -41,13 +40,11 @@ class Contrasts:
     """(3, K) shares of people linked more and less often than under fixed noise; how many in all"""
     decides: Bools  # (K,) not where a difference is there by construction
     fall: Floats  # (1 + B,) of linkage, from raw to the strongest fixed error
-    span: Floats
-    """(1 + B,) logarithm of the descriptor at raw over that at the strongest fixed error"""
+    span: Floats  # (1 + B,) logarithm of the descriptor, raw over strongest fixed error
     fall_error: float
     span_error: float
     fall_degrees: float
-    is_whole: bool
-    """Whether the panel is complete, with a dissociation control among its contrasts."""
+    is_whole: bool  # The panel is complete, a dissociation control among its contrasts.
 
     @property
     def is_exact(self) -> Bools:

@@ -28,8 +28,7 @@ from isac_track.types import Floats
 CONSTRUCTION, SHOWN, ATTACKS = "construction", "shown", "attacks"
 """Kinds of evidence: the task hides what the mechanism changes; more people are linked; fewer are,
 as far as these attacks go."""
-FALLING: Final = ("alignment_error", "posterior_std")
-"""Descriptors that are the larger, the less is left of a track."""
+FALLING: Final = ("alignment_error", "posterior_std")  # Larger, the less is left of a track.
 _N_FOR_ERRORS: Final = 200  # Replicates that a prediction error is described with.
 OTHER_HALF: Final = "rank 1 of the other half of the people"
 """The positive control: if anything tells how linkable people are, this does."""
