@@ -14,7 +14,7 @@ from evaluation.analysis.bounds import Gap, gaps
 from evaluation.analysis.families import CLEAN, SWEPT, Family, families_in
 from evaluation.analysis.keys import AS_SHARED, Key, Measure, Source, Where, worlds_of
 from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE, SUCCESS, SUCCESS_OF_100
-from evaluation.analysis.strongest import by_mechanism, by_task, strongest, strongest_of
+from evaluation.analysis.strongest import against_each, by_task, strongest
 from evaluation.experiment.constants import OTHER_LAW_WORLD
 from evaluation.reporting import table as make
 from evaluation.reporting.rows import HEADLINE, estimates, short_name, spoken
@@ -140,14 +140,15 @@ def _own_strongest(
     mine: dict[Key, Estimate] = {}
     for by, metrics in ((EXPOSURE, (EXPOSURE,)), (SUCCESS, (SUCCESS, SUCCESS_OF_100))):
         for task, blocks in by_task(found, metric=by).items():
-            for name, of in by_mechanism(blocks).items():
+            best = against_each(blocks)
+            for name in dict.fromkeys(name for name, _ in blocks):
                 if task in attacks and known[name].family not in (*SWEPT, CLEAN):
                     headline = _headline(task, attacks)
-                    best = strongest_of(of) or headline
+                    source = best.get(name, headline)
                     mine |= {
                         headline.measure(metric).at(*where): found[key]
                         for where, metric in product(blocks, metrics)
-                        if where[0] == name and (key := best.measure(metric).at(*where)) in found
+                        if where[0] == name and (key := source.measure(metric).at(*where)) in found
                     }
     return mine
 
