@@ -106,10 +106,8 @@ def _write(state: _State, x: Floats, p: Floats) -> None:
 @part_of_loop
 def _collapse(weight: Floats, x: Floats, p: Floats, mean: Floats, cov: Floats) -> None:
     """Write mean and covariance of a Gaussian mixture: the weighted ones and the spread."""
-    for i in range(_STATES):
-        mean[i] = 0.0
-        for j in range(_STATES):
-            cov[i, j] = 0.0
+    mean[:] = 0.0
+    cov[:] = 0.0
     for n in range(weight.size):
         for i in range(_STATES):
             mean[i] += weight[n] * x[n, i]
@@ -178,8 +176,7 @@ def _filter(
                 det, d2 = det_one, d2_one
                 mu_other *= exp(min((d2 - d2_other) / 2, 0.0)) * sqrt(det / det_other)
             total = mu_one + mu_other
-            mu_one /= total
-            mu_other /= total
+            mu_one, mu_other = mu_one / total, mu_other / total
             log_likelihood -= d2 / 2 + _LOG_2PI
             scale *= total * total / det
             if scale > _BIG or scale < 1 / _BIG:
@@ -247,11 +244,8 @@ def _orthogonal(dt: float, q: float, work: Floats) -> None:
         rows[2, j] = lower[2, j] + dt * lower[3, j]
         rows[3, j] = lower[3, j]
     for m in (0, 2):
-        rows[m, m + 4] = dt
-        rows[m + 1, m + 4] = 1.5
-        rows[m + 1, m + 5] = 1.0
-        weight[m + 4] = q * dt / 3
-        weight[m + 5] = q * dt / 4
+        rows[m, m + 4], rows[m + 1, m + 4], rows[m + 1, m + 5] = dt, 1.5, 1.0
+        weight[m + 4], weight[m + 5] = q * dt / 3, q * dt / 4
     for m in range(_STATES):
         norm = 0.0
         for j in range(8):
@@ -368,18 +362,12 @@ def imm_smoother(batch: _Batch, moods: _Moods, position: Floats, spread: Floats)
                     for m in range(modes):
                         share[m, n] *= mu[k + 1, n] / total if total > 0 else 0.0
                 for m in range(modes):
-                    mu[k, m] = 0.0
-                    for n in range(modes):
-                        mu[k, m] += share[m, n]
+                    mu[k, m] = share[m, 0] + share[m, 1]
                     for n in range(modes):
                         # An impossible mode keeps an estimate, weighted as if it were possible.
                         share[m, n] = share[m, n] / mu[k, m] if mu[k, m] > 0 else jump[m, n]
                     _collapse(share[m], pair_x[m], pair_p[m], x[k, m], p[k, m])
-                total = 0.0
-                for m in range(modes):
-                    total += mu[k, m]
-                for m in range(modes):
-                    mu[k, m] /= total
+                mu[k] /= mu[k, 0] + mu[k, 1]
             _collapse(mu[k], x[k], p[k], mean, cov)
             position[first + k, 0], position[first + k, 1] = mean[0], mean[2]
             spread[first + k] = (cov[0, 0] + cov[2, 2]) / 2

@@ -54,9 +54,8 @@ def cv_last(batch: _Batch, q: float, gate: float, patience: int, out: _Last) -> 
         vx = vy = b = 0.0
         a, c = prior[0], prior[1]
         det = a * c
-        scale = 1.0  # product of innovation variances: one logarithm for many samples
-        total = 0.0
-        misses = 0
+        # The scale is a product of innovation variances: one logarithm for many samples.
+        scale, total, misses = 1.0, 0.0, 0
         before = t[offsets[i]]
         for k in range(offsets[i], offsets[i + 1]):
             dt = t[k] - before  # 0 at the first sample, where the prediction changes nothing
@@ -66,30 +65,22 @@ def cv_last(batch: _Batch, q: float, gate: float, patience: int, out: _Last) -> 
             a += dt * (2 * b + dt * (c + grown / 3))
             b += dt * (c + grown / 2)
             c += grown
-            px += dt * vx
-            py += dt * vy
+            px, py = px + dt * vx, py + dt * vy
 
             r = variance[k]
             s = a + r
             inverse = 1 / s
-            ex = xy[k, 0] - px
-            ey = xy[k, 1] - py
+            ex, ey = xy[k, 0] - px, xy[k, 1] - py
             d2 = (ex * ex + ey * ey) * inverse
             if misses < patience and not d2 <= gate:
                 misses += 1
                 continue
             misses = 0
-            gain_p = a * inverse
-            gain_v = b * inverse
-            px += gain_p * ex
-            vx += gain_v * ex
-            py += gain_p * ey
-            vy += gain_v * ey
-            shrink = r * inverse
+            gain_p, gain_v, shrink = a * inverse, b * inverse, r * inverse
+            px, vx = px + gain_p * ex, vx + gain_v * ex
+            py, vy = py + gain_p * ey, vy + gain_v * ey
             c = (det + c * r) * inverse
-            a *= shrink
-            b *= shrink
-            det *= shrink
+            a, b, det = a * shrink, b * shrink, det * shrink
             total += d2 / 2 + _LOG_2PI
             scale *= s
             if scale > _BIG or scale < 1 / _BIG:
@@ -97,8 +88,8 @@ def cv_last(batch: _Batch, q: float, gate: float, patience: int, out: _Last) -> 
                 scale = 1.0
         mean[i, 0, 0], mean[i, 0, 1] = px, vx
         mean[i, 1, 0], mean[i, 1, 1] = py, vy
-        cov[i, 0, 0], cov[i, 0, 1] = a, b
-        cov[i, 1, 0], cov[i, 1, 1] = b, c
+        cov[i, 0, 0], cov[i, 1, 1] = a, c
+        cov[i, 0, 1] = cov[i, 1, 0] = b
         log_likelihood[i] = -total - log(scale)
 
 
@@ -181,17 +172,13 @@ def ca_last(batch: _Batch, q: float, gate: float, patience: int, out: _Last) -> 
         px, py = xy[offsets[i], 0], xy[offsets[i], 1]
         vx = vy = ax = ay = 0.0
         factors = prior[0], prior[1], prior[2], 0.0, 0.0, 0.0
-        scale = 1.0
-        total = 0.0
-        misses = 0
+        scale, total, misses = 1.0, 0.0, 0
         for k in range(offsets[i], offsets[i + 1]):
             if k > offsets[i]:
                 dt = t[k] - t[k - 1]
                 factors = _orthogonal(dt, q, factors)
-                px += dt * (vx + dt / 2 * ax)
-                py += dt * (vy + dt / 2 * ay)
-                vx += dt * ax
-                vy += dt * ay
+                px, vx = px + dt * (vx + dt / 2 * ax), vx + dt * ax
+                py, vy = py + dt * (vy + dt / 2 * ay), vy + dt * ay
 
             a, d1, d2, l10, l20, l21 = factors
             r = variance[k]
@@ -328,7 +315,7 @@ def smooth_positions(
     t, xy, variance, offsets, prior = batch
     longest = offsets[order[-1] + 1] - offsets[order[-1]] if order.size > 0 else 0
     buffer = np.zeros((longest + 1) * _ROW)
-    first, size = np.empty(LANES, dtype=np.int64), np.empty(LANES, dtype=np.int64)
+    first, size = np.empty((2, LANES), dtype=np.int64)
     for group in range(-(-order.size % LANES), order.size, LANES):  # the first may be incomplete
         for lane in range(LANES):
             i = order[max(group + lane, 0)]  # the shortest track fills empty lanes
