@@ -21,10 +21,7 @@ _OPTIONS: dict[str, Any] = {"nogil": True, "fastmath": {"contract"}, "error_mode
 
 
 def read(n_dims: int, kind: str = "float64") -> object:
-    """Return the type of an array that a loop reads.
-
-    Declared read-only, it may be writable too, and numba compiles once for both.
-    """
+    """Return the type of an array that a loop reads, writable or not: compiled once for both."""
     return numba.types.Array(getattr(numba, kind), n_dims, "C", readonly=True)
 
 
@@ -41,17 +38,13 @@ def together(*arguments: object) -> object:
 class _Notice(event.Listener):
     """Speak up once, when numba is about to compile: a load from the cache is silent."""
 
-    def __init__(self) -> None:
-        self.said = False
-        self.cached = True
+    said, cached = False, True
 
     def on_start(self, event: object) -> None:  # noqa: ARG002 - numba's signature
         once = "once, a few seconds"
         if not self.cached:
-            once = (
-                "a few seconds, on every start: no cache can be written "
-                "(NUMBA_CACHE_DIR may name a folder for it)"
-            )
+            once = "a few seconds, on every start: no cache can be written "
+            once += "(NUMBA_CACHE_DIR may name a folder for it)"
         # A line, not a warning: users who turn warnings into errors must not lose their run.
         if not self.said:
             print(f"isac-track: compiling filters, {once}", file=sys.stderr, flush=True)  # noqa: T201 - so that users know why they wait

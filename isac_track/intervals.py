@@ -59,8 +59,7 @@ def estimate_of(values: Floats, *, n: int, effective: float = np.nan) -> Estimat
     Replicates that are not finite are left out of the interval; of fewer than `LEAST_CLUSTERS`
     effective clusters, where they are known, there is none.
     """
-    drawn = values[1:]
-    ends = np.nan, np.nan
+    drawn, ends = values[1:], (np.nan, np.nan)
     if not effective < LEAST_CLUSTERS:
         ends = percentile_interval(drawn[np.isfinite(drawn)])
     return Estimate(float(values[0]), *ends, n, drawn, effective=effective)

@@ -9,7 +9,6 @@ from isac_track.types import Floats, Ints, check_offsets, check_times
 MIN_VARIANCE_M2 = 1e-6  # (1 mm)^2: below it a filter would trust rounding.
 UNKNOWN_VARIANCE_M2 = 0.25
 """For a track of fewer than three samples, which says nothing of its noise."""
-_LEAST_SAMPLES = 3
 
 
 def innovation_variance_m2(
@@ -45,10 +44,10 @@ def innovation_variance_m2(
         square = np.square(move[1:] - ratio[:, None] * move[:-1]).sum(axis=1)
         scaled = 0.5 * square / (1.0 + np.square(1.0 + ratio) + np.square(ratio))
         variance = running_means(scaled, offsets, start=UNKNOWN_VARIANCE_M2)
-        return np.asarray(np.maximum(variance, MIN_VARIANCE_M2))
-    variance = np.empty(offsets.size - 1)
-    import_module("isac_track.kalman._linear_loops").innovation_level(t, xy, offsets, variance)
-    variance[np.diff(offsets) < _LEAST_SAMPLES] = UNKNOWN_VARIANCE_M2
+    else:
+        variance = np.empty(offsets.size - 1)
+        import_module("isac_track.kalman._linear_loops").innovation_level(t, xy, offsets, variance)
+        variance[np.diff(offsets) < 3] = UNKNOWN_VARIANCE_M2  # noqa: PLR2004 - as many make one
     return np.asarray(np.maximum(variance, MIN_VARIANCE_M2))
 
 

@@ -20,8 +20,6 @@ from isac_track.linkability.ranks import (
 )
 from isac_track.linkability.scales import SCORE_REPLICATES
 from isac_track.linkability.scores import (
-    MIN_EXPECTED,
-    SLOPE_PENALTY,
     Calibration,
     auc,
     cllr,
@@ -43,9 +41,8 @@ from isac_track.linkability.significance import (
 )
 
 __all__ = ["Calibration", "Outcome", "ProbeRanks", "Scorecard", "Search"]
-__all__ += ["GALLERY", "LEVEL", "MIN_EXPECTED", "SCORE_REPLICATES", "SLOPE_PENALTY"]
-__all__ += ["assign", "chance", "log_rank", "mean_log_rank"]
-__all__ += ["rank1", "rank1_among", "reciprocal_rank"]
+__all__ += ["GALLERY", "LEVEL", "SCORE_REPLICATES", "assign", "chance", "log_rank"]
+__all__ += ["mean_log_rank", "rank1", "rank1_among", "reciprocal_rank", "residual_risk"]
 __all__ += ["auc", "cllr", "cllr_min", "d_sys", "d_sys_published", "eer", "fit_calibration"]
 __all__ += ["minimum_detectable_rank1", "outcome", "permutation_p", "rank1_p", "rank_scorecard"]
-__all__ += ["residual_risk", "scorecard", "tpr_at_fpr"]
+__all__ += ["scorecard", "tpr_at_fpr"]

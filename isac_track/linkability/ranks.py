@@ -48,11 +48,8 @@ class Search:
 
     def __post_init__(self) -> None:
         _check_scores(self.scores, self.mate)
-        n_probes, n_gallery = self.scores.shape
-        for name, cluster, n in (
-            ("probe_cluster", self.probe_cluster, n_probes),
-            ("gallery_cluster", self.gallery_cluster, n_gallery),
-        ):
+        for name, n in zip(("probe_cluster", "gallery_cluster"), self.scores.shape, strict=True):
+            cluster = getattr(self, name)
             if cluster.shape != (n,) or cluster.dtype.kind not in "iu":
                 raise ValueError(f"{name} must be integers of shape ({n},), got {cluster.shape}")
             if cluster.min() < 0:
@@ -84,9 +81,7 @@ def rank1(*, scores: Floats, mate: Ints) -> Floats:
     NaN for a probe without a mate.
     """
     _check_scores(scores, mate)
-    hit = expected_hit(*standing(scores, mate))
-    hit[mate < 0] = np.nan
-    return hit
+    return np.where(mate < 0, np.nan, expected_hit(*standing(scores, mate)))
 
 
 def rank1_among(*, above: Ints, tied: Ints, candidates: Ints, gallery: int = GALLERY) -> Floats:
@@ -117,8 +112,7 @@ def reciprocal_rank(*, scores: Floats, mate: Ints) -> Floats:
     """Return the expected 1 / rank of each probe's mate, (P,); NaN for one without."""
     _check_scores(scores, mate)
     expected = expected_reciprocal(*standing(scores, mate), scores.shape[1])
-    expected[mate < 0] = np.nan
-    return expected
+    return np.where(mate < 0, np.nan, expected)
 
 
 def log_rank(*, scores: Floats, mate: Ints) -> Floats:
@@ -132,9 +126,7 @@ def log_rank(*, scores: Floats, mate: Ints) -> Floats:
     (above, tied), n_gallery = standing(scores, mate), scores.shape[1]
     log_factorial = log_factorials(n_gallery)
     spread = log_factorial[above + tied] - log_factorial[above]
-    expected: Floats = math.log(n_gallery) - spread / tied
-    expected[mate < 0] = np.nan
-    return expected
+    return np.where(mate < 0, np.nan, math.log(n_gallery) - spread / tied)
 
 
 def mean_log_rank(searches: Sequence[Search]) -> float:
@@ -224,13 +216,13 @@ def expected_reciprocal(above: Ints, tied: Ints, n_gallery: int) -> Floats:
 
 @lru_cache(maxsize=256)
 def _harmonic(n: int) -> Floats:
-    return np.concatenate([[0.0], np.cumsum(1.0 / np.arange(1, n + 1))])
+    return np.append(0.0, np.cumsum(1.0 / np.arange(1, n + 1)))
 
 
 @lru_cache(maxsize=256)
 def log_factorials(n: int) -> Floats:
     """Return log k! for 0..n, (n + 1,)."""
-    return np.concatenate([[0.0], np.cumsum(np.log(np.arange(1, n + 1)))])
+    return np.append(0.0, np.cumsum(np.log(np.arange(1, n + 1))))
 
 
 def standing(scores: Floats, mate: Ints) -> tuple[Ints, Ints]:
@@ -250,11 +242,9 @@ def predicted_rank1(
     With p_i the share of impostors ahead of a probe's mate, r(G) = mean of (1 - p_i)^(G - 1) probes
     find their mate first among G candidates. Beyond the gallery that was measured, a probe with
     nobody ahead is not one whom nobody would ever be ahead of: here the p_i have a gamma
-    distribution, so that r(G) = (1 + (G - 1) / b)^-a, through the two rates.
-
-    1 where the larger has no failure, 0 where it has no hit.
-
-    Raises ValueError unless 2 <= sizes[0] < sizes[1] <= gallery.
+    distribution, so that r(G) = (1 + (G - 1) / b)^-a, through the two rates. It is 1 where the
+    larger has no failure, 0 where it has no hit. ValueError unless sizes[0] is at least 2 and
+    below sizes[1], and this no more than `gallery`.
     """
     if not 2 <= sizes[0] < sizes[1] <= gallery:  # noqa: PLR2004 - a mate and an impostor
         raise ValueError(f"galleries must grow from 2, got {sizes} and {gallery}")

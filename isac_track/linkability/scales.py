@@ -47,12 +47,11 @@ _LANES = 16  # Numbers that a vector instruction treats at most: replicates are 
 class Cells:
     """The scores of one scale, cut where a metric can tell two apart.
 
-    Break points are the distinct mated scores and the inner edges of the D_sys bins; cell 2 k + 1
-    is the k-th break point, cell 2 k the gap below it. A replicate needs the weight of mated and
-    of non-mated scores in each cell and nothing else.
+    A replicate needs the weight of mated and of non-mated scores in each cell and nothing else.
     """
 
     breaks: Floats
+    """Distinct mated scores and inner edges of the `d_sys` bins: cells are as in `rank_rows`."""
     bins: NDArray[np.uint8]  # `d_sys` bin of every cell.
     counts: Ints  # (cells, 2) non-mated and mated scores in each.
     null_bins: NDArray[np.uint16]  # (bins, n_shuffles) scores of shuffled mates.
@@ -60,10 +59,7 @@ class Cells:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Weighed:
-    """The people of the searches of one scale, whose clusters are 0..C - 1, and their weights.
-
-    They are those of every attack on the same searches.
-    """
+    """The people of one scale, clusters 0..C - 1, and their weights: the same for every attack."""
 
     shapes: Ints  # (S, 2) probes and candidates of each search.
     first: Ints  # Cluster of each probe, search by search.
@@ -109,11 +105,9 @@ def cut_scores(trials: Sequence[tuple[Search, People]], n_shuffles: int) -> Cell
     mated = [(search.scores, mated_probes(people)) for search, people in trials]
     own = np.concatenate([scores[of.probes, of.mate] for scores, of in mated])
     n_bins = default_bins(own.size)
-    edges = inner_edges(
-        min(float(scores.min()) for scores, _ in mated),
-        max(float(scores.max()) for scores, _ in mated),
-        n_bins,
-    )
+    low = min(float(scores.min()) for scores, _ in mated)
+    high = max(float(scores.max()) for scores, _ in mated)
+    edges = inner_edges(low, high, n_bins)
     breaks = np.unique(np.concatenate([own, edges]))
     bins = np.zeros(2 * breaks.size + 1, dtype=np.uint8)
     bins[1::2] = np.searchsorted(edges, breaks, side="right")

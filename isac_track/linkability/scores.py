@@ -100,8 +100,7 @@ def fit_calibration(*, mated: Floats, non_mated: Floats) -> Calibration:
         gradient, bend = gradient_at(parameters - step)
         # The loss is convex: where it rises more steeply than it fell, the step was too long.
         while -float(gradient @ step) > fall:
-            step /= 2
-            fall /= 2
+            step, fall = step / 2, fall / 2
             gradient, bend = gradient_at(parameters - step)
         parameters -= step
     if parameters[0] <= 0:
@@ -124,8 +123,7 @@ def softplus(nats: Floats) -> Floats:
     """Return log(1 + e^x) without overflow, in steps that numpy takes for several x at once."""
     cost = np.abs(nats)
     np.log1p(np.exp(np.negative(cost, out=cost), out=cost), out=cost)
-    cost += np.maximum(nats, 0.0)
-    return np.asarray(cost)
+    return np.add(cost, np.maximum(nats, 0.0), out=cost)
 
 
 def cllr_min(*, mated: Floats, non_mated: Floats) -> float:

@@ -90,9 +90,8 @@ def rank1_p(*, hits: Floats, chance: Floats) -> float:
     ValueError if shapes differ, or a hit or a chance lies outside of 0..1.
     """
     if hits.shape != chance.shape or hits.ndim != 1:
-        raise ValueError(
-            f"hits and chance must have one shape (N,), got {hits.shape}, {chance.shape}"
-        )
+        shapes = f"{hits.shape}, {chance.shape}"
+        raise ValueError(f"hits and chance must have one shape (N,), got {shapes}")
     both = np.concatenate([hits, chance])
     if not ((both >= 0) & (both <= 1)).all():
         raise ValueError("hits and chance must lie in 0..1")
@@ -181,24 +180,17 @@ def mated_probes(people: People) -> Mated:
     probes = np.flatnonzero(mate >= 0)
     _, place, counts = np.unique(cluster[probes], return_inverse=True, return_counts=True)
     probes = probes[np.lexsort((place, counts[place]))]
-    n_of_size = np.bincount(counts)
-    sizes = np.flatnonzero(n_of_size)
-    return Mated(probes, mate[probes], sizes, n_of_size[sizes])
+    return Mated(probes, mate[probes], *np.unique(counts, return_counts=True))
 
 
 @lru_cache(maxsize=64)
 def companions_of(people: People) -> tuple[Ints, Ints]:
-    """Return who walks along with whom: probe and candidate, (n,) each, no mates of each other.
-
-    They are of one cluster; of probes with a mate alone.
-    """
+    """Return probes with a mate and the other candidates of their cluster, (n,) each, in pairs."""
     mate, probes, gallery = (np.frombuffer(each, dtype=np.int64) for each in people)
     order = np.argsort(gallery, kind="stable")
     first, last = (np.searchsorted(gallery[order], probes, side=end) for end in ("left", "right"))
-    probe, column = (
-        np.repeat(np.arange(mate.size), last - first),
-        order[stretches(first, last - first)[0]],
-    )
+    probe = np.repeat(np.arange(mate.size), last - first)
+    column = order[stretches(first, last - first)[0]]
     others = (mate[probe] >= 0) & (mate[probe] != column)
     return probe[others], column[others]
 
@@ -214,8 +206,7 @@ def rank_rows(
     """
     scores = np.ascontiguousarray(search.scores, dtype=np.float64)
     log_rank, cell = np.empty(scores.shape), np.empty(scores.shape, dtype=np.int32)
-    standing = np.empty((len(scores), 2), dtype=np.int64)
-    standing[:] = -1, 0
+    standing = np.tile([-1, 0], (len(scores), 1))
     import_loops().rank_rows(
         *(scores, _ascending(scores), breaks, log_factorials(scores.shape[1])),
         *(np.ascontiguousarray(search.mate, dtype=np.int64), log_rank, cell, standing, counts),
