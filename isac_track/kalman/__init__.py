@@ -136,7 +136,7 @@ def smooth_positions(
     position, spread = np.empty((batch.t.size, 2)), np.empty(batch.t.size)
     order = np.argsort(np.diff(batch.offsets), kind="stable")
     import_module("isac_track.kalman._linear_loops").smooth_positions(
-        *(batch.arrays(2), order, positive("q", q), passes, float(anneal), position, spread)
+        *(batch.arrays(2), order, positive("q", q), passes, float(anneal)), (position, spread)
     )
     return position, spread
 

@@ -70,18 +70,13 @@ def _measured(cov: _Six, s: float, r: float, inverse: float) -> _Six:
     )
 
 
-@compiled(_BATCH, FLOAT, FLOAT, FLOAT, INT, written(2), together(*map(written, (3, 3, 1))))
+@compiled(_BATCH, FLOAT, FLOAT, FLOAT, INT, together(*map(written, (3, 3, 1, 2))))
 def filter_tracks(
-    batch: _Batch,
-    tau_s: float,
-    q: float,
-    gate: float,
-    patience: int,
-    causal: Floats,
-    out: tuple[Floats, Floats, Floats],
+    batch: _Batch, tau_s: float, q: float, gate: float, patience: int, out: tuple[Floats, ...]
 ) -> None:
     """Filter to the last state (p, v, e) of every track; `causal` are positions by the way."""
-    (t, xy, variance, offsets, prior, amplitude), (mean, covariance, log_likelihood) = batch, out
+    t, xy, variance, offsets, prior, amplitude = batch
+    mean, covariance, log_likelihood, causal = out
     for i in range(offsets.size - 1):
         first = offsets[i]
         px, py = xy[first, 0], xy[first, 1]
@@ -208,18 +203,12 @@ def _form(a: float, b: float, c: float, m: _Six) -> float:
     return ahead + c * c * muu
 
 
-@compiled(_BATCH, FLOAT, FLOAT, INT, FLOAT, written(2), written(1))
+@compiled(_BATCH, FLOAT, FLOAT, INT, FLOAT, together(written(2), written(1)))
 def smooth_tracks(
-    batch: _Batch,
-    tau_s: float,
-    q: float,
-    passes: int,
-    anneal: float,
-    position: Floats,
-    spread: Floats,
+    batch: _Batch, tau_s: float, q: float, passes: int, anneal: float, out: tuple[Floats, Floats]
 ) -> None:
     """Smooth every track, `passes` times, as `smooth_positions` re-weighs what is not the error."""
-    t, xy, variance, offsets, prior, amplitude = batch
+    (t, xy, variance, offsets, prior, amplitude), (position, spread) = batch, out
     longest = 0
     for i in range(offsets.size - 1):
         longest = max(longest, offsets[i + 1] - offsets[i])

@@ -124,14 +124,7 @@ def _collapse(weight: Floats, x: Floats, p: Floats, mean: Floats, cov: Floats) -
 
 @part_of_loop
 def _filter(
-    i: int,
-    batch: _Batch,
-    moods: _Moods,
-    gate: float,
-    patience: int,
-    x: Floats,
-    p: Floats,
-    mu: Floats,
+    i: int, batch: _Batch, moods: _Moods, gate: float, patience: int, out: tuple[Floats, ...]
 ) -> float:
     """Filter one track and return its log-likelihood.
 
@@ -139,7 +132,7 @@ def _filter(
     last one to the only row.
     """
     t, xy, variance, offsets, prior = batch
-    q, probability, chances = moods
+    (q, probability, chances), (x, p, mu) = moods, out
     first = offsets[i]
     a, c = prior[0], prior[1]
     x0, y0 = xy[first, 0], xy[first, 1]
@@ -192,19 +185,13 @@ def _filter(
 
 @compiled(_BATCH, _MOODS, FLOAT, INT, _LAST)
 def imm_last(
-    batch: _Batch,
-    moods: _Moods,
-    gate: float,
-    patience: int,
-    out: tuple[Floats, Floats, Floats, Floats],
+    batch: _Batch, moods: _Moods, gate: float, patience: int, out: tuple[Floats, ...]
 ) -> None:
     """Filter; row i of the outputs is the state after the last sample of track i."""
     mean, cov, probability, log_likelihood = out
     for i in range(batch[3].size - 1):
-        only = slice(i, i + 1)
-        log_likelihood[i] = _filter(
-            *(i, batch, moods, gate, patience), mean[only], cov[only], probability[only]
-        )
+        only = mean[i : i + 1], cov[i : i + 1], probability[i : i + 1]
+        log_likelihood[i] = _filter(i, batch, moods, gate, patience, only)
 
 
 @part_of_loop
@@ -334,7 +321,7 @@ def imm_smoother(batch: _Batch, moods: _Moods, position: Floats, spread: Floats)
     mean, cov = np.empty(_STATES), np.empty((_STATES, _STATES))
     for i in range(offsets.size - 1):
         first = offsets[i]
-        _filter(i, batch, moods, inf, 0, x, p, mu)
+        _filter(i, batch, moods, inf, 0, (x, p, mu))
         # The smoothed states of the next sample take the place of the filtered ones.
         for k in range(offsets[i + 1] - first - 1, -1, -1):
             if first + k + 1 < offsets[i + 1]:

@@ -301,18 +301,12 @@ def _backward(buffer: Floats, n: int, q: float) -> None:
             rows[lane + _C] = c11 + h10 * g10 + h11 * g11
 
 
-@compiled(_BATCH, read(1, "int64"), FLOAT, INT, FLOAT, written(2), written(1))
+@compiled(_BATCH, read(1, "int64"), FLOAT, INT, FLOAT, together(written(2), written(1)))
 def smooth_positions(
-    batch: _Batch,
-    order: Ints,
-    q: float,
-    passes: int,
-    anneal: float,
-    position: Floats,
-    spread: Floats,
+    batch: _Batch, order: Ints, q: float, passes: int, anneal: float, out: tuple[Floats, Floats]
 ) -> None:
     """Smooth the tracks in `order`, `passes` times; the longest comes last."""
-    t, xy, variance, offsets, prior = batch
+    (t, xy, variance, offsets, prior), (position, spread) = batch, out
     longest = offsets[order[-1] + 1] - offsets[order[-1]] if order.size > 0 else 0
     buffer = np.zeros((longest + 1) * _ROW)
     first, size = np.empty((2, LANES), dtype=np.int64)

@@ -96,8 +96,8 @@ def filter_tracks(
     out = LastState(np.empty((n, 2, 3)), np.empty((n, 3, 3)), np.empty(n))
     import_module("isac_track.kalman._error_loops").filter_tracks(
         *(error.arrays(batch), error.tau_s, positive("q", q)),
-        *(positive("gate", gate, finite=False), MAX_REJECTIONS, causal),
-        (out.mean, out.cov, out.log_likelihood),
+        *(positive("gate", gate, finite=False), MAX_REJECTIONS),
+        (out.mean, out.cov, out.log_likelihood, causal),
     )
     return out, causal
 
@@ -115,6 +115,6 @@ def smooth_tracks(
     position, spread = np.empty((batch.t.size, 2)), np.empty(batch.t.size)
     import_module("isac_track.kalman._error_loops").smooth_tracks(
         *(error.arrays(batch), error.tau_s, positive("q", q), passes, float(anneal)),
-        *(position, spread),
+        (position, spread),
     )
     return position, spread

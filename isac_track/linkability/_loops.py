@@ -4,19 +4,23 @@ A pair's weight is a product of two clusters' weights; all bootstrap replicates 
 memory, so that one vector instruction treats several.
 """
 
-# ruff: noqa: C901, PLR0912, PLR0917, FURB136 - written out as they compile to the fastest code
+# ruff: noqa: C901, PLR0912, FURB136 - written out as they compile to the fastest code
 
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from isac_track.compiling import INT, compiled, part_of_loop, read, written
+from isac_track.compiling import INT, compiled, part_of_loop, read, together, written
 from isac_track.types import Floats, Ints
 
 Cells: TypeAlias = NDArray[np.int32]
 Places: TypeAlias = NDArray[np.uint16]
 Bins: TypeAlias = NDArray[np.uint8]
+_Ranked: TypeAlias = tuple[Floats, Cells, Ints, Ints]
+_Pairs: TypeAlias = tuple[Ints, Ints, Ints, Ints, Cells, Ints]
+"""The searches, (P, G) each, one after the other: their shapes, the clusters of probes and those of
+candidates, the probes' mates, and the cell of every score; and `rank_rows`'s counts."""
 
 _MOST = 2**16 - 1  # of a sum in 16 bits
 _ROWS = 4  # Merged side by side.
@@ -25,18 +29,10 @@ _ASIDE = 8  # Minima kept side by side.
 
 @compiled(
     *(read(2), read(2, "int64"), read(1), read(1), read(1, "int64")),
-    *(written(2), written(2, "int32"), written(2, "int64"), written(2, "int64")),
+    together(written(2), written(2, "int32"), written(2, "int64"), written(2, "int64")),
 )
 def rank_rows(
-    scores: Floats,
-    order: Ints,
-    breaks: Floats,
-    log_factorial: Floats,
-    mate: Ints,
-    log_rank: Floats,
-    cell: Cells,
-    standing: Ints,
-    counts: Ints,
+    scores: Floats, order: Ints, breaks: Floats, log_factorial: Floats, mate: Ints, out: _Ranked
 ) -> None:
     """Write -log(rank / G), expected under ties, and the cell of every score.
 
@@ -44,7 +40,7 @@ def rank_rows(
     2 k the gap below it. `standing`, (P, 2), gets how many stand above the probe's mate and how
     many as high. To `counts`, (cells, 2), are added the non-mated and the mated scores in each.
     """
-    n_probes, n_gallery = scores.shape
+    (log_rank, cell, standing, counts), (n_probes, n_gallery) = out, scores.shape
     log_gallery, n_breaks = np.log(n_gallery), breaks.size
     # Infinity ends every list: whatever is in it comes first.
     limits = np.full(n_breaks + 1, np.inf)
@@ -149,11 +145,9 @@ def add_shuffles(
 
 
 @part_of_loop
-def _sorted_pairs(
-    ones: int, shapes: Ints, first: Ints, second: Ints, mate: Ints, cell: Cells, counts: Ints
-) -> tuple[Ints, Places, Places]:
+def _sorted_pairs(ones: int, pairs: _Pairs) -> tuple[Ints, Places, Places]:
     """Return where the pairs of each cell and class begin, and the rows that weigh each pair."""
-    one = np.uint16(ones)
+    (shapes, first, second, mate, cell, counts), one = pairs, np.uint16(ones)
     starts = np.zeros(counts.size + 1, dtype=np.int64)
     for key in range(counts.size):
         starts[key + 1] = starts[key] + counts[key // 2, key % 2]
@@ -247,33 +241,22 @@ def _read_threshold(true: Floats, false: Floats, limit: float) -> tuple[float, f
 
 
 @compiled(
-    *(read(2, "uint8"), read(2, "int64"), read(1, "int64"), read(1, "int64"), read(1, "int64")),
-    *(read(1, "int32"), read(2, "int64"), read(1, "uint8"), read(2), read(1), written(2)),
+    read(2, "uint8"),
+    together(read(2, "int64"), *[read(1, "int64")] * 3, read(1, "int32"), read(2, "int64")),
+    *(read(1, "uint8"), read(2), read(1), written(2)),
 )
 def read_scores(
-    table: Bins,
-    shapes: Ints,
-    first: Ints,
-    second: Ints,
-    mate: Ints,
-    cell: Cells,
-    counts: Ints,
-    bins: Bins,
-    totals: Floats,
-    levels: Floats,
-    out: Floats,
+    table: Bins, pairs: _Pairs, bins: Bins, totals: Floats, levels: Floats, out: Floats
 ) -> None:
     """Write `d_sys`, `d_sys_published`, AUC, EER, Cllr_min, then TPR and FPR at each level.
 
     `out` is (5 + 2 levels, R). `table`, (C + 1, R), holds the weights of the clusters in every
-    replicate, then a row of ones. The searches, (P, G) each, come one after the other: the clusters
-    of their probes (`first`) and candidates (`second`), the probes' mates, and the cell of every
-    score; `counts` are `rank_rows`'s. The `bins` of the cells ascend; `totals`, (2, R), are the
-    weights of all mated and of all non-mated scores. A TPR is that of the lowest threshold with FPR
-    <= level. The hull is that of pooled adjacent violators.
+    replicate, then a row of ones. The `bins` of the cells ascend; `totals`, (2, R), are the weights
+    of all mated and of all non-mated scores. A TPR is that of the lowest threshold with FPR <=
+    level. The hull is that of pooled adjacent violators.
     """
-    n_replicates, ones = table.shape[1], table.shape[0] - 1
-    starts, a_of, b_of = _sorted_pairs(ones, shapes, first, second, mate, cell, counts)
+    n_replicates, counts = table.shape[1], pairs[5]
+    starts, a_of, b_of = _sorted_pairs(table.shape[0] - 1, pairs)
     # As narrow as they come, sixteen to thirty-two in a vector instruction; so few cannot overflow.
     most = _MOST // int(table.max()) ** 2
     some, own, other = np.empty(n_replicates, dtype=np.uint16), totals[0].copy(), totals[0].copy()

@@ -55,16 +55,16 @@ class Cells:
     bins: NDArray[np.uint8]  # `d_sys` bin of every cell.
     counts: Ints  # (cells, 2) non-mated and mated scores in each.
     null_bins: NDArray[np.uint16]  # (bins, n_shuffles) scores of shuffled mates.
+    trials: Sequence[tuple[Search, People]]
+    places: list[NDArray[np.int32]]  # The cell of every score, (P, G) each.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Weighed:
     """The people of one scale, clusters 0..C - 1, and their weights: the same for every attack."""
 
-    shapes: Ints  # (S, 2) probes and candidates of each search.
-    first: Ints  # Cluster of each probe, search by search.
-    second: Ints  # Of each candidate.
-    mate: Ints
+    who: tuple[Ints, ...]
+    """(S, 2) probes and candidates of each search; clusters of the former, of the latter; mates."""
     table: NDArray[np.uint8]
     """(C + 1, R or a few more) weights; replicate 0 weighs every cluster once: the data."""
     totals: Floats
@@ -101,7 +101,7 @@ class Scale:
 
 
 def cut_scores(trials: Sequence[tuple[Search, People]], n_shuffles: int) -> Cells:
-    """Return the cells of the scores of one scale, as yet without a count."""
+    """Return the cells of the scores of one scale, as yet without a count or a place."""
     mated = [(search.scores, mated_probes(people)) for search, people in trials]
     own = np.concatenate([scores[of.probes, of.mate] for scores, of in mated])
     n_bins = default_bins(own.size)
@@ -113,32 +113,27 @@ def cut_scores(trials: Sequence[tuple[Search, People]], n_shuffles: int) -> Cell
     bins[1::2] = np.searchsorted(edges, breaks, side="right")
     bins[2::2] = bins[1::2]
     counts = np.zeros((bins.size, 2), dtype=np.int64)
-    return Cells(breaks, bins, counts, np.zeros((n_bins, n_shuffles), dtype=np.uint16))
+    null_bins = np.zeros((n_bins, n_shuffles), dtype=np.uint16)
+    return Cells(breaks, bins, counts, null_bins, trials, [])
 
 
 def score_scale(
-    trials: Sequence[tuple[Search, People]],
-    places: Sequence[NDArray[np.int32]],
-    cut: Cells,
-    weights: Floats,
-    calibration: Calibration | None,
-    *,
-    without: tuple[int, ...] = (),
+    cut: Cells, weights: Floats, calibration: Calibration | None, without: tuple[int, ...]
 ) -> Scale:
-    """Return the score metrics of one scale: of searches, with the cell of every score, (P, G).
+    """Return the score metrics of one scale.
 
     After the data and the replicates come those of the data without each of some clusters.
     """
-    searches = tuple(people for _, people in trials)
+    searches = tuple(people for _, people in cut.trials)
     # The next attack on the same people has the same weights.
     kept = _weighed.__wrapped__ if weights.flags.writeable else _weighed
     people = kept(searches, _Same(weights), without)
     counts = cut.counts
     columns = np.empty((len(_COLUMNS), people.table.shape[1]))
     import_loops().read_scores(
-        *(people.table, people.shapes, people.first, people.second, people.mate),
-        *(np.concatenate([cell.ravel() for cell in places]), counts, cut.bins, people.totals),
-        *(np.array([*LEVELS.values()]), columns),
+        people.table,
+        (*people.who, np.concatenate([cell.ravel() for cell in cut.places]), counts),
+        *(cut.bins, people.totals, np.array([*LEVELS.values()]), columns),
     )
 
     n_non_mated, n_mated = counts.sum(axis=0).tolist()
@@ -156,7 +151,7 @@ def score_scale(
     defined = np.where(is_defined, columns[:, :n_replicates], np.nan)
     values = {**dict(zip(_COLUMNS, defined, strict=True)), "cllr": np.full(n_replicates, np.nan)}
     if calibration is not None:
-        mated_cost, non_mated_cost = _costs(people, trials, calibration)
+        mated_cost, non_mated_cost = _costs(people, cut.trials, calibration)
         with np.errstate(divide="ignore", invalid="ignore"):
             both = mated_cost / total_mated + non_mated_cost / total_non_mated
         values["cllr"] = np.where(is_defined, both / (2.0 * math.log(2.0)), np.nan)
@@ -187,7 +182,7 @@ def _weighed(searches: tuple[People, ...], same: _Same, without: tuple[int, ...]
         pairs[mated.probes, mated.mate] = 0.0
         totals[0, : rows.shape[1]] += weights[0][mated.probes].sum(axis=0)
         totals[1, : rows.shape[1]] += _summed(pairs, *weights, alike)
-    return _Weighed(shapes, own, other, mate, table, totals, weighed, within)
+    return _Weighed((shapes, own, other, mate), table, totals, weighed, within)
 
 
 def _costs(

@@ -189,7 +189,8 @@ def _read(mated: Floats, non_mated: Floats, *levels: float) -> Floats:
     shapes[0, 1], mate[0] = non_mated.size, -1
     totals, out = np.array([[mated.size], [non_mated.size]]), np.empty((5 + 2 * len(levels), 1))
     import_loops().read_scores(
-        *(np.ones((2, 1), np.uint8), shapes, np.zeros_like(mate), np.zeros_like(place), mate),
-        *(place.astype(np.int32), counts, bins, totals.astype(float), np.array(levels, float), out),
+        np.ones((2, 1), np.uint8),
+        (shapes, np.zeros_like(mate), np.zeros_like(place), mate, place.astype(np.int32), counts),
+        *(bins, totals.astype(float), np.array(levels, float), out),
     )
     return np.asarray(out[:, 0])

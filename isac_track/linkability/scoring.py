@@ -240,13 +240,11 @@ def scorecard_of(
     """Return `scorecard` of what is drawn already; nothing is checked."""
     n_shuffles = draws[0].columns.shape[1]
     trials = [(search, drawn.people) for search, drawn in zip(searches, draws, strict=True)]
-    by_scale = {
-        scale: [one for one in trials if one[0].scale == scale]
+    cells = {
+        scale: cut_scores([one for one in trials if one[0].scale == scale], n_shuffles)
         for scale in sorted({search.scale for search in searches})
     }
-    cells = {scale: cut_scores(some, n_shuffles) for scale, some in by_scale.items()}
     null, observed = np.zeros(n_shuffles), 0.0
-    places: dict[int, list[NDArray[np.int32]]] = {scale: [] for scale in cells}
     standings, assignments = [], []
     no_match: Sequence[float | None] = no_match_score or [None] * len(searches)
     for search, least, drawn in zip(searches, no_match, draws, strict=True):
@@ -255,7 +253,7 @@ def scorecard_of(
         columns = assign_in(drawn.order, search.scores, least)
         shuffled, score_bin = (mated_probes(drawn.people), drawn.columns), cut.bins.take(cell)
         observed += add_shuffles(*shuffled, log_rank, score_bin, null, cut.null_bins)
-        places[search.scale].append(cell)
+        cut.places.append(cell)
         standings.append(standing)
         assignments.append(np.where(columns < 0, -1, columns == search.mate))
     of_ranks = _of_ranks(searches, standings, assignments, observed, null)
@@ -264,11 +262,7 @@ def scorecard_of(
     is_few = LEAST_CLUSTERS <= effective_clusters(sizes) < FEW_CLUSTERS
     without = tuple(np.flatnonzero(sizes).tolist()) if is_few else ()
     results = [
-        score_scale(
-            *(by_scale[scale], places[scale], cut, weights),
-            calibration[scale] if calibration is not None else None,
-            without=without,
-        )
+        score_scale(cut, weights, calibration[scale] if calibration is not None else None, without)
         for scale, cut in cells.items()
     ]
     values = over_scales(results, n_searches=len(searches))

@@ -209,7 +209,8 @@ def rank_rows(
     standing = np.tile([-1, 0], (len(scores), 1))
     import_loops().rank_rows(
         *(scores, _ascending(scores), breaks, log_factorials(scores.shape[1])),
-        *(np.ascontiguousarray(search.mate, dtype=np.int64), log_rank, cell, standing, counts),
+        np.ascontiguousarray(search.mate, dtype=np.int64),
+        (log_rank, cell, standing, counts),
     )
     return log_rank, cell, standing
 
