@@ -14,14 +14,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from isac_track.linkability import scores
 from isac_track.linkability.ranks import Search
-from isac_track.linkability.scores import (
-    Calibration,
-    default_bins,
-    inner_edges,
-    is_refused,
-    softplus,
-)
+from isac_track.linkability.scores import Calibration
 from isac_track.linkability.significance import People, import_loops, mated_probes
 from isac_track.types import Floats, Ints
 
@@ -103,11 +98,11 @@ class Scale:
 def cut_scores(trials: Sequence[tuple[Search, People]], n_shuffles: int) -> Cells:
     """Return the cells of the scores of one scale, as yet without a count or a place."""
     mated = [(search.scores, mated_probes(people)) for search, people in trials]
-    own = np.concatenate([scores[of.probes, of.mate] for scores, of in mated])
-    n_bins = default_bins(own.size)
-    low = min(float(scores.min()) for scores, _ in mated)
-    high = max(float(scores.max()) for scores, _ in mated)
-    edges = inner_edges(low, high, n_bins)
+    own = np.concatenate([table[of.probes, of.mate] for table, of in mated])
+    n_bins = scores.default_bins(own.size)
+    low = min(float(table.min()) for table, _ in mated)
+    high = max(float(table.max()) for table, _ in mated)
+    edges = scores.inner_edges(low, high, n_bins)
     breaks = np.unique(np.concatenate([own, edges]))
     bins = np.zeros(2 * breaks.size + 1, dtype=np.uint8)
     bins[1::2] = np.searchsorted(edges, breaks, side="right")
@@ -194,8 +189,8 @@ def _costs(
         mated = mated_probes(who)
         mates = mated.probes, mated.mate
         llr = calibration.slope * search.scores + calibration.intercept
-        own += softplus(-llr[mates]) @ rows[0][mated.probes]
-        costs = softplus(llr)
+        own += scores.softplus(-llr[mates]) @ rows[0][mated.probes]
+        costs = scores.softplus(llr)
         costs[mates] = 0.0
         between += _summed(costs, *rows, within)
     return own, between
@@ -222,6 +217,6 @@ def over_scales(results: Sequence[Scale], *, n_searches: int) -> dict[str, Float
         mean = dict(zip(results[0].values, weighted.sum(axis=0) / mass.sum(axis=0), strict=True))
     n_non_mated = sum(result.n_non_mated for result in results) / n_searches
     for name, alpha in LEVELS.items():
-        if is_refused(n_non_mated, alpha):
+        if scores.is_refused(n_non_mated, alpha):
             mean[name][:] = mean[name.replace("tpr_at", "realised")][:] = np.nan
     return mean

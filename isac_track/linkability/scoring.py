@@ -8,53 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from isac_track.intervals import (
-    FEW_CLUSTERS,
-    LEAST_CLUSTERS,
-    Estimate,
-    cluster_sums,
-    effective_clusters,
-    estimate_of,
-    jackknife_interval,
-    percentile_interval,
-    percentile_intervals,
-    ratio_estimates,
-    wilson,
-)
-from isac_track.linkability.ranks import (
-    Search,
-    among_strangers,
-    assign_in,
-    expected_hit,
-    expected_reciprocal,
-    first_among,
-    residual_risk,
-)
-from isac_track.linkability.scales import (
-    LEVELS,
-    METRICS,
-    SCORE_REPLICATES,
-    Scale,
-    cut_scores,
-    over_scales,
-    score_scale,
-)
+from isac_track import intervals
+from isac_track.intervals import FEW_CLUSTERS, LEAST_CLUSTERS, Estimate
+from isac_track.linkability import ranks, scales, significance
+from isac_track.linkability.ranks import Search
+from isac_track.linkability.scales import LEVELS, METRICS, SCORE_REPLICATES, Scale
 from isac_track.linkability.scores import Calibration
-from isac_track.linkability.significance import (
-    People,
-    add_shuffles,
-    check_searches,
-    companions_of,
-    mated_probes,
-    minimum_detectable_rank1,
-    n_candidates,
-    p_value_among,
-    people_of,
-    rank1_p,
-    rank_rows,
-    shuffled_log_ranks,
-    shuffled_mates,
-)
+from isac_track.linkability.significance import People
 from isac_track.types import Floats, Ints
 
 RANK_METRICS = ("rank1", "rank1_assigned", "mrr", "chance", "rank1_g100", "false_link_rate")
@@ -89,12 +49,14 @@ class ProbeRanks:
         above, tied, cluster = self.above[mated], self.tied[mated], self.cluster[mated]
         chance, companions = self.chance[mated], self.companions[mated]
         of_mated: dict[str, Callable[[], Floats]] = {
-            "rank1": lambda: expected_hit(above, tied),
+            "rank1": lambda: ranks.expected_hit(above, tied),
             "rank1_assigned": lambda: (self.assigned[mated] == 1).astype(np.float64),
-            "mrr": lambda: expected_reciprocal(above, tied, self.n_gallery),
+            "mrr": lambda: ranks.expected_reciprocal(above, tied, self.n_gallery),
             "chance": lambda: chance,
             # NaN for one is NaN for all: refused.
-            "rank1_g100": lambda: first_among(among_strangers(above, tied, chance, companions)),
+            "rank1_g100": lambda: ranks.first_among(
+                ranks.among_strangers(above, tied, chance, companions)
+            ),
         }
         found = {name: (value(), cluster) for name, value in of_mated.items() if name in names}
         if "false_link_rate" in names and not mated.all():
@@ -108,7 +70,7 @@ class ProbeRanks:
         """Return the sum and the number of some metrics' values in each cluster, (C,) each."""
         return {
             name: (
-                cluster_sums(values=values, cluster=cluster, n_clusters=n_clusters),
+                intervals.cluster_sums(values=values, cluster=cluster, n_clusters=n_clusters),
                 np.bincount(cluster, minlength=n_clusters).astype(np.float64),
             )
             for name, (values, cluster) in self.values(names).items()
@@ -189,10 +151,10 @@ def scorecard(
     no counts up to 255, if `calibration` lacks a scale, or if `no_match_score` is not as long as
     `searches`.
     """
-    check_searches(searches, n_shuffles)
-    scales = {search.scale for search in searches}
-    if calibration is not None and not calibration.keys() >= scales:
-        raise ValueError(f"calibration lacks the scales {sorted(scales - set(calibration))}")
+    significance.check_searches(searches, n_shuffles)
+    fitted = {search.scale for search in searches}
+    if calibration is not None and not calibration.keys() >= fitted:
+        raise ValueError(f"calibration lacks the scales {sorted(fitted - set(calibration))}")
     if no_match_score is not None and len(no_match_score) != len(searches):
         raise ValueError(
             f"no_match_score must be one a search, {len(searches)}, got {len(no_match_score)}"
@@ -205,7 +167,7 @@ def scorecard(
         weights=weights,
         calibration=calibration,
         no_match_score=no_match_score,
-        draws=draw([people_of(search) for search in searches], rng, n_shuffles),
+        draws=draw([significance.people_of(search) for search in searches], rng, n_shuffles),
     )
 
 
@@ -222,8 +184,8 @@ def draw(people: Sequence[People], rng: np.random.Generator, n_shuffles: int) ->
     """Return what `scorecard` draws for searches of these people."""
     return tuple(
         Drawn(
-            *(one, rng.permutation(n_candidates(one))),
-            shuffled_mates(mated_probes(one), rng, n_shuffles),
+            *(one, rng.permutation(significance.n_candidates(one))),
+            significance.shuffled_mates(significance.mated_probes(one), rng, n_shuffles),
         )
         for one in people
     )
@@ -241,7 +203,7 @@ def scorecard_of(
     n_shuffles = draws[0].columns.shape[1]
     trials = [(search, drawn.people) for search, drawn in zip(searches, draws, strict=True)]
     cells = {
-        scale: cut_scores([one for one in trials if one[0].scale == scale], n_shuffles)
+        scale: scales.cut_scores([one for one in trials if one[0].scale == scale], n_shuffles)
         for scale in sorted({search.scale for search in searches})
     }
     null, observed = np.zeros(n_shuffles), 0.0
@@ -249,23 +211,26 @@ def scorecard_of(
     no_match: Sequence[float | None] = no_match_score or [None] * len(searches)
     for search, least, drawn in zip(searches, no_match, draws, strict=True):
         cut = cells[search.scale]
-        log_rank, cell, standing = rank_rows(search, cut.breaks, cut.counts)
-        columns = assign_in(drawn.order, search.scores, least)
-        shuffled, score_bin = (mated_probes(drawn.people), drawn.columns), cut.bins.take(cell)
-        observed += add_shuffles(*shuffled, log_rank, score_bin, null, cut.null_bins)
+        log_rank, cell, standing = significance.rank_rows(search, cut.breaks, cut.counts)
+        columns = ranks.assign_in(drawn.order, search.scores, least)
+        shuffled = significance.mated_probes(drawn.people), drawn.columns
+        of_score = cut.bins.take(cell)
+        observed += significance.add_shuffles(*shuffled, log_rank, of_score, null, cut.null_bins)
         cut.places.append(cell)
         standings.append(standing)
         assignments.append(np.where(columns < 0, -1, columns == search.mate))
     of_ranks = _of_ranks(searches, standings, assignments, observed, null)
     probes = of_ranks["probes"]
     sizes = np.bincount(probes.cluster[probes.above >= 0]).astype(np.float64)
-    is_few = LEAST_CLUSTERS <= effective_clusters(sizes) < FEW_CLUSTERS
+    is_few = LEAST_CLUSTERS <= intervals.effective_clusters(sizes) < FEW_CLUSTERS
     without = tuple(np.flatnonzero(sizes).tolist()) if is_few else ()
     results = [
-        score_scale(cut, weights, calibration[scale] if calibration is not None else None, without)
+        scales.score_scale(
+            cut, weights, calibration[scale] if calibration is not None else None, without
+        )
         for scale, cut in cells.items()
     ]
-    values = over_scales(results, n_searches=len(searches))
+    values = scales.over_scales(results, n_searches=len(searches))
     estimates = _rank_estimates(probes, weights)
     estimates |= _score_estimates(results, values, sizes, n_without=len(without))
     return Scorecard(
@@ -289,8 +254,8 @@ def rank_scorecard(
 
     Parameters and errors are those of `scorecard`; the generator draws what `permutation_p` does.
     """
-    check_searches(searches, n_shuffles)
-    observed, null, standings = shuffled_log_ranks(searches, rng, n_shuffles)
+    significance.check_searches(searches, n_shuffles)
+    observed, null, standings = significance.shuffled_log_ranks(searches, rng, n_shuffles)
     nobody = [np.full(search.mate.size, -1) for search in searches]
     of_ranks = _of_ranks(searches, standings, nobody, observed, null)
     unknown = np.full(min(len(weights), SCORE_REPLICATES), np.nan)
@@ -325,14 +290,14 @@ def _of_ranks(
     (hits, clusters), (chances, _) = probes.values(("rank1", "chance")).values()
     return {
         "probes": probes,
-        "p_value": p_value_among(observed, null),
-        "p_value_low": p_value_among(-observed, -null),
-        "p_rank1": rank1_p(hits=hits, chance=chances),
+        "p_value": significance.p_value_among(observed, null),
+        "p_value_low": significance.p_value_among(-observed, -null),
+        "p_rank1": significance.rank1_p(hits=hits, chance=chances),
         "n_probes": above.size,
         "n_mated": hits.size,
         "gallery_sizes": (min(sizes), max(sizes), sum(sizes) / len(sizes)),
         "n_clusters": np.count_nonzero(np.bincount(clusters)),
-        "minimum_detectable_rank1": minimum_detectable_rank1(
+        "minimum_detectable_rank1": significance.minimum_detectable_rank1(
             n=hits.size, chance=float(chances.mean()) if hits.size else 1.0
         ),
     }
@@ -340,7 +305,7 @@ def _of_ranks(
 
 def _companions(search: Search) -> Ints:
     """Return `ProbeRanks.companions` of a search."""
-    probe, column = companions_of(people_of(search))
+    probe, column = significance.companions_of(significance.people_of(search))
     own, theirs = search.scores[probe, search.mate[probe]], search.scores[probe, column]
     which = 3 * probe + (theirs > own) + 2 * (theirs == own)
     found = np.bincount(which, minlength=3 * search.mate.size).reshape(-1, 3)
@@ -353,20 +318,20 @@ def _rank_estimates(probes: ProbeRanks, weights: Floats) -> dict[str, Estimate]:
     sums = probes.sums(weights.shape[1])
     numerator, denominator = np.stack([*sums.values()], axis=1)
     is_share = [name != "chance" for name in sums]
-    found = ratio_estimates(
+    found = intervals.ratio_estimates(
         numerator=numerator, denominator=denominator, weights=weights, is_share=is_share
     )
     estimates = dict(zip(sums, found, strict=True))
     known = estimates["chance"]
     if known.n > 1 and known.effective < FEW_CLUSTERS:  # however few they are
-        estimates["chance"] = estimate_of(np.append(known.value, known.replicates), n=known.n)
+        estimates["chance"] = intervals.estimate_of(known.drawn, n=known.n)
     estimates["residual_risk"] = _residual_risk(estimates["rank1"], estimates["chance"])
     return estimates
 
 
 def _residual_risk(success: Estimate, control: Estimate) -> Estimate:
     value, low, high = (
-        residual_risk(success=one, control=control.value)
+        ranks.residual_risk(success=one, control=control.value)
         for one in (success.value, success.ci_low, success.ci_high)
     )
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -374,7 +339,7 @@ def _residual_risk(success: Estimate, control: Estimate) -> Estimate:
     replicates[control.replicates == 1.0] = np.nan
     # The share's own ends, where it has no percentiles; guessing's chance is known.
     if not (success.effective < FEW_CLUSTERS or success.value in {0.0, 1.0}):
-        low, high = percentile_interval(replicates)
+        low, high = intervals.percentile_interval(replicates)
     return Estimate(value, low, high, success.n, replicates)
 
 
@@ -385,15 +350,15 @@ def _score_estimates(
 
     `sizes`, (C,), are of the clusters; the last `n_without` values are those without each of them.
     """
-    n, effective = int((sizes > 0).sum()), effective_clusters(sizes)
+    n, effective = int((sizes > 0).sum()), intervals.effective_clusters(sizes)
     every = np.stack([values[name] for name in METRICS])
     drawn, without_each = np.split(every[:, 1:], [every.shape[1] - 1 - n_without], axis=1)
-    ends, estimates = percentile_intervals(drawn).T.tolist(), {}
+    ends, estimates = intervals.percentile_intervals(drawn).T.tolist(), {}
     for place, (name, replicates) in enumerate(zip(METRICS, drawn, strict=True)):
         value, low, high = float(every[place, 0]), math.nan, math.nan
         if n_without:
             left, is_share = np.append(value, without_each[place]), name != "cllr"
-            ends[place] = jackknife_interval(left, effective=effective, is_share=is_share)
+            ends[place] = intervals.jackknife_interval(left, effective=effective, is_share=is_share)
         if effective >= LEAST_CLUSTERS and not math.isnan(value):
             low, high = _interval(name, value, replicates, ends[place], n, is_few=n_without > 0)
         estimates[name] = Estimate(value, low, high, n, replicates)
@@ -416,7 +381,7 @@ def _interval(
     most = _FITTED.get(name, 1.0)
     low, high = ends
     if name != "cllr" and (is_constant or is_extreme):
-        low, high = wilson(hits=min(max(value, 0.0), 1.0) * n, n=n)
+        low, high = intervals.wilson(hits=min(max(value, 0.0), 1.0) * n, n=n)
         high = min(high, most)
     elif name in _FITTED and not is_few:
         low, high = max(0.0, 2 * value - high), min(most, 2 * value - low)
