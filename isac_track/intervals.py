@@ -224,5 +224,4 @@ def percentile_intervals(replicates: Floats) -> Floats:
     a, b = ordered[np.arange(len(replicates)), both]
     part, step = place - below, b - a
     # From the nearer of the two, as numpy does it.
-    ends: Floats = np.where(part < 0.5, a + step * part, b - step * (1.0 - part))  # noqa: PLR2004 - half way
-    return ends
+    return np.asarray(np.where(part < 0.5, a + step * part, b - step * (1.0 - part)))  # noqa: PLR2004 - half way

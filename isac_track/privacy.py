@@ -30,10 +30,8 @@ def leakage_indicator(*, shared_xy: Floats, true_xy: Floats, epsilon_m: float) -
     differ or epsilon is not positive.
     """
     if shared_xy.shape != true_xy.shape or shared_xy.ndim != 2 or shared_xy.shape[1] != 2:  # noqa: PLR2004 - of the plane
-        raise ValueError(
-            f"shared_xy and true_xy must have one shape (M, 2), got {shared_xy.shape} "
-            f"and {true_xy.shape}"
-        )
+        shapes = f"{shared_xy.shape} and {true_xy.shape}"
+        raise ValueError(f"shared_xy and true_xy must have one shape (M, 2), got {shapes}")
     if not epsilon_m > 0:
         raise ValueError(f"epsilon_m must be positive, got {epsilon_m}")
     return distance_m(shared_xy=shared_xy, true_xy=true_xy) < epsilon_m
@@ -118,15 +116,12 @@ def alignment_error(*, xy: Floats, truth: Floats, offsets: Ints) -> Floats:
     squares = np.add.reduceat(np.abs(first) ** 2 + np.abs(second) ** 2, starts)
     # The sum of products is as long as it is for the best rotation, which makes it real.
     squares -= 2.0 * np.abs(np.add.reduceat(first.conj() * second, starts))
-    left: Floats = np.sqrt(np.maximum(squares, 0.0) / sizes)
-    left[sizes == 1] = np.nan
-    return left
+    return np.where(sizes == 1, np.nan, np.sqrt(np.maximum(squares, 0.0) / sizes))
 
 
 def mean_interval_s(*, t: Floats, offsets: Ints) -> Floats:
     """Return the mean sampling interval of each trajectory, (N,) s; NaN for a single sample."""
     intervals = np.diff(offsets) - 1
     span_s = t[offsets[1:] - 1] - t[offsets[:-1]]
-    mean: Floats = np.full(span_s.shape, np.nan)
-    np.divide(span_s, intervals, out=mean, where=intervals > 0)
-    return mean
+    unknown = np.full(span_s.shape, np.nan)
+    return np.asarray(np.divide(span_s, intervals, out=unknown, where=intervals > 0))

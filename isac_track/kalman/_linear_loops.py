@@ -229,8 +229,7 @@ def _forward(buffer: Floats, n: int, q: float, blur: float) -> None:
             b += dt * (c + grown / 2)
             c += grown
             vx, vy = rows[lane + _VX], rows[lane + _VY]
-            px = rows[lane + _PX] + dt * vx
-            py = rows[lane + _PY] + dt * vy
+            px, py = rows[lane + _PX] + dt * vx, rows[lane + _PY] + dt * vy
             x, y, square = rows[at + _X], rows[at + _Y], rows[at + _SQUARE]
             rx, ry = x - rows[at + _PX], y - rows[at + _PY]
             # Added, not chosen: a choice would be a branch around the division, lane by lane.
@@ -240,14 +239,10 @@ def _forward(buffer: Floats, n: int, q: float, blur: float) -> None:
             inverse = 1 / (a + r)
             ex, ey = x - px, y - py
             gain_p, gain_v, shrink = a * inverse, b * inverse, r * inverse
-            rows[at + _PX] = px + gain_p * ex
-            rows[at + _VX] = vx + gain_v * ex
-            rows[at + _PY] = py + gain_p * ey
-            rows[at + _VY] = vy + gain_v * ey
-            rows[at + _C] = (det + c * r) * inverse
-            rows[at + _A] = a * shrink
-            rows[at + _B] = b * shrink
-            rows[at + _DET] = det * shrink
+            rows[at + _PX], rows[at + _VX] = px + gain_p * ex, vx + gain_v * ex
+            rows[at + _PY], rows[at + _VY] = py + gain_p * ey, vy + gain_v * ey
+            rows[at + _C], rows[at + _DET] = (det + c * r) * inverse, det * shrink
+            rows[at + _A], rows[at + _B] = a * shrink, b * shrink
 
 
 @part_of_loop
@@ -290,9 +285,11 @@ def _backward(buffer: Floats, n: int, q: float) -> None:
             fy, fvy = rows[lane + _PY], rows[lane + _VY]
             ex, evx = rows[after + _PX] - (fx + dt * fvx), rows[after + _VX] - fvx
             ey, evy = rows[after + _PY] - (fy + dt * fvy), rows[after + _VY] - fvy
-            rows[lane + _PX] = fx + g00 * ex + g01 * evx
+            rows[lane + _PX], rows[lane + _PY] = (
+                fx + g00 * ex + g01 * evx,
+                fy + g00 * ey + g01 * evy,
+            )
             rows[lane + _VX] = fvx + g10 * ex + g11 * evx
-            rows[lane + _PY] = fy + g00 * ey + g01 * evy
             rows[lane + _VY] = fvy + g10 * ey + g11 * evy
             h00, h01 = g00 * a + g01 * b, g00 * b + g01 * c
             h10, h11 = g10 * a + g11 * b, g10 * b + g11 * c

@@ -14,7 +14,7 @@ _WALKS = together(read(1), read(2), read(1), read(1, "int64"))
 
 
 @compiled(_WALKS, INT, _WALKS, read(1), read(1), FLOAT, written(3))
-def one_walk(  # noqa: PLR0915 - the steps of a filter, written out
+def one_walk(
     probe: _Walks, row: int, gallery: _Walks, lags_s: Floats, prior: Floats, q: float, out: Floats
 ) -> None:
     """Fill `out` (G, L, 2) for one walk of `probe` and all of `gallery`, at every lag.
@@ -48,11 +48,11 @@ def one_walk(  # noqa: PLR0915 - the steps of a filter, written out
                         mean[0, c] += dt * mean[1, c]
                 now, started = then, True
                 if mine:
-                    h_p, h_v, h_b, r = pp, pv, pb, r1[i]
-                    s = pp + r
+                    h_p, h_v, h_b = pp, pv, pb
+                    s = pp + r1[i]
                 else:
-                    h_p, h_v, h_b, r = pp + pb, pv + vb, pb + bb, r2[j]
-                    s = h_p + h_b + r
+                    h_p, h_v, h_b = pp + pb, pv + vb, pb + bb
+                    s = h_p + h_b + r2[j]
                 inverse = 1.0 / s
                 k_p, k_v, k_b = h_p * inverse, h_v * inverse, h_b * inverse
                 scale *= 2.0 * pi * s  # one logarithm for many samples
@@ -71,15 +71,8 @@ def one_walk(  # noqa: PLR0915 - the steps of a filter, written out
                     mean[0, c] += k_p * off
                     mean[1, c] += k_v * off
                     mean[2, c] += k_b * off
-                pp -= k_p * h_p
-                pv -= k_p * h_v
-                pb -= k_p * h_b
-                vv -= k_v * h_v
-                vb -= k_v * h_b
-                bb -= k_b * h_b
-                if mine:
-                    i += 1
-                else:
-                    j += 1
+                pp, pv, pb = pp - k_p * h_p, pv - k_p * h_v, pb - k_p * h_b
+                vv, vb, bb = vv - k_v * h_v, vb - k_v * h_b, bb - k_b * h_b
+                i, j = (i + 1, j) if mine else (i, j + 1)
             out[other, at, 0] = -volume - log(scale) - 0.5 * square
             out[other, at, 1] = sqrt(along * along + across * across)

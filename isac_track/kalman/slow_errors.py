@@ -48,9 +48,8 @@ class SlowError:
         step, ratio = np.diff(t), np.ones(max(t.size - 2, 0))
         first, second = step[:-1], step[1:]
         np.divide(second, first, out=ratio, where=first > 0.0)
-        near, far, both = (
-            np.exp(-np.abs(gap) / self.tau_s) for gap in (second, first, first + second)
-        )
+        gaps = second, first, first + second
+        near, far, both = (np.exp(-np.abs(gap) / self.tau_s) for gap in gaps)
         a, b = 1.0 + ratio, ratio  # e_k - a e_(k-1) + b e_(k-2)
         scale = 1.0 + a * a + b * b
         share = (scale - 2.0 * (a * near + a * b * far - b * both)) / scale

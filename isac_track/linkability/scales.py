@@ -25,11 +25,8 @@ SCORE_REPLICATES = 200
 probe. The ends of a 95 % interval from 200 replicates have a standard error of 0.19 standard
 deviations of the estimate (0.08 from 1,000)."""
 
-METRICS = (
-    *("auc", "eer", "cllr_min", "tpr_at_fpr_1pct", "tpr_at_fpr_01pct"),
-    *("d_sys", "d_sys_published", "cllr"),
-)
 LEVELS = {"tpr_at_fpr_1pct": 0.01, "tpr_at_fpr_01pct": 0.001}
+METRICS = ("auc", "eer", "cllr_min", *LEVELS, "d_sys", "d_sys_published", "cllr")
 _COLUMNS = (
     *("d_sys", "d_sys_published", "auc", "eer", "cllr_min"),
     *("tpr_at_fpr_1pct", "realised_fpr_1pct", "tpr_at_fpr_01pct", "realised_fpr_01pct"),

@@ -156,9 +156,8 @@ def scorecard(
     if calibration is not None and not calibration.keys() >= fitted:
         raise ValueError(f"calibration lacks the scales {sorted(fitted - set(calibration))}")
     if no_match_score is not None and len(no_match_score) != len(searches):
-        raise ValueError(
-            f"no_match_score must be one a search, {len(searches)}, got {len(no_match_score)}"
-        )
+        numbers = f"{len(searches)}, got {len(no_match_score)}"
+        raise ValueError(f"no_match_score must be one a search, {numbers}")
     last = max(int(max(s.probe_cluster.max(), s.gallery_cluster.max())) for s in searches)
     if weights.ndim != 2 or last >= weights.shape[1]:  # noqa: PLR2004 - a matrix
         raise ValueError(f"weights must be (B, C), C > {last}, got {weights.shape}")
@@ -224,11 +223,9 @@ def scorecard_of(
     sizes = np.bincount(probes.cluster[probes.above >= 0]).astype(np.float64)
     is_few = LEAST_CLUSTERS <= intervals.effective_clusters(sizes) < FEW_CLUSTERS
     without = tuple(np.flatnonzero(sizes).tolist()) if is_few else ()
+    fitted = dict.fromkeys(cells) if calibration is None else calibration
     results = [
-        scales.score_scale(
-            cut, weights, calibration[scale] if calibration is not None else None, without
-        )
-        for scale, cut in cells.items()
+        scales.score_scale(cut, weights, fitted[scale], without) for scale, cut in cells.items()
     ]
     values = scales.over_scales(results, n_searches=len(searches))
     estimates = _rank_estimates(probes, weights)
