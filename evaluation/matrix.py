@@ -5,7 +5,7 @@ import gc
 import sys
 import tomllib
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -138,8 +138,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _command(arguments: Sequence[str] | None) -> int:
     options = parser().parse_args(arguments)
     if options.list:
-        _say(announcements.listing())
-        _say(announcements.broken(), stream=sys.stderr)
+        print(*announcements.listing(), sep="\n")
+        sys.stderr.writelines(f"{line}\n" for line in announcements.broken())
         return DONE
     settings = settings_from(options)
     from evaluation.reporting.progress import progress_bar  # noqa: PLC0415 - as said below
@@ -163,7 +163,7 @@ def _command(arguments: Sequence[str] | None) -> int:
         said += announcements.wrapped(first) + announcements.condensed(
             others, most=None if whole else 3, where="--dry-run"
         )
-        _say(said, stream=sys.stderr)
+        print(*said, sep="\n", file=sys.stderr)
         if options.dry_run:
             return DONE
         # What draws and shows is heavier still: until here, the user knows what is under way.
@@ -177,7 +177,7 @@ def _command(arguments: Sequence[str] | None) -> int:
             results = run(ready=ready, progress=update)
     told = [f"notice: {one}" for one in announcements.notices(results.manifest)]
     told = announcements.condensed(told, most=None if whole else 2, where="tables.txt")
-    _say(told, stream=sys.stderr)
+    sys.stderr.writelines(f"{line}\n" for line in told)
     # One more: loops may have been compiled.
     show(results, before=len(said) + len(told) + 1, verbose=options.verbose)
     return FAILED_CELLS if len(results.failed) else DONE
@@ -215,11 +215,6 @@ def _read_config(path: Path, stage_values: dict[str, Any]) -> argparse.Namespace
         raise SettingsError(f"--config {path}: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, SettingsError) as error:
         raise SettingsError(f"--config {path}: {error}") from None
-
-
-def _say(lines: Iterable[str], *, stream: Any = None) -> None:  # noqa: ANN401 - a text stream
-    for line in lines:
-        print(line, file=stream or sys.stdout)
 
 
 if __name__ == "__main__":

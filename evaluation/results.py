@@ -78,8 +78,7 @@ def run(
     elif settings is not None or options:
         raise SettingsError("a plan that is ready has its settings: leave out all others")
     if progress is True:
-        for line in plan_lines(ready):
-            sys.stderr.write(f"{line}\n")
+        sys.stderr.writelines(f"{line}\n" for line in plan_lines(ready))
     folder.check_folder(ready.out)
     shown = progress_bar([]) if progress is True else contextlib.nullcontext(told)
     with given_back(), locked(ready.out), _one_thread(), shown as update, ahead():
@@ -92,10 +91,9 @@ def run(
 def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> Settings:
     """Return settings with as many scenes as the precision that they ask for takes; see docs.
 
-    A pilot of 250 scenes, in a folder of its own beside the run's, shows the half-width h of the
-    widest interval of a missed-conflict rate, over mechanisms and predictors: 250 (h / precision)^2
-    scenes, rounded up to whole blocks. A finished pilot is read, not computed again. Raises
-    SettingsError if that is more than a run takes, or nobody foresees conflicts.
+    A pilot of 250 scenes, in a folder beside the run's, shows the half-width h of the widest
+    interval of a missed-conflict rate: 250 (h / precision)^2 scenes, rounded up to whole blocks.
+    Raises SettingsError if that is more than a run takes, or nobody foresees conflicts.
     """
     if settings.precision is None or settings.utility_scenes is not None:
         return settings

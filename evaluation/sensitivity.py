@@ -79,21 +79,16 @@ def _run(options: Namespace, variants: Sequence[Variant], manifest: Mapping[str,
     attacks = held.attacks_of(held.read_verdict(options.out)["items"])
     if manifest.get("state") != "finished":
         raise DataError(f"the run in {options.out} is not finished; run the matrix again")
+    same = {name: getattr(options, name) for name in ("scenes", "jobs", "trust")}
+    same |= {"manifest": manifest, "attacks": attacks}
     outcomes: list[dict[str, Any]] = []
     for place, variant in enumerate(variants, start=1):
         print(f"{place} of {len(variants)}: {variant.name}", file=sys.stderr)
         started, why = time.monotonic(), ""
         left_out: Sequence[str] = ()
         try:
-            settings, left_out = settings_of(
-                variant,
-                manifest=manifest,
-                attacks=attacks,
-                out=held.folder_of(options.out, variant.name),
-                scenes=options.scenes,
-                jobs=options.jobs,
-                trust=options.trust,
-            )
+            out = held.folder_of(options.out, variant.name)
+            settings, left_out = settings_of(variant, out=out, **same)
             ready = plan(settings)
             sources = options.out, held.folder_of(options.out, BASE)
             borrow(ready, sources=sources, fresh=options.fresh)

@@ -136,10 +136,9 @@ def difference(a: Estimate, b: Estimate, *, paired: bool, metric: str) -> Differ
     `paired` says whether row k of both replicates is the same draw of people. Then the interval is
     that of their differences; where one of them has no spread (a share of exactly 0 or 1), or
     nothing is paired, both intervals are combined as of independent estimates (Newcombe 1998; Zou
-    and Donner 2008), which errs on the wide side for what is paired. The p-value is of Student's t
-    with a degree of freedom less than the smaller number of clusters: a thousand replicates alone
-    tell none below 0.002, and Holm needs smaller ones. Of less than two clusters, or without
-    replicates, there is neither.
+    and Donner 2008). The p-value is of Student's t with a degree of freedom less than the smaller
+    number of clusters: replicates alone tell none below 0.002, and Holm needs smaller ones. Of less
+    than two clusters, or without replicates, there is neither.
     """
     value, n_clusters = b.value - a.value, min(a.n, b.n)
     n_rows = min(a.replicates.size, b.replicates.size)

@@ -115,9 +115,6 @@ def _ratios(one: LinkedProbes, of: Sequence[Floats], weights: Floats) -> list[Es
         return [Estimate(np.nan) for _ in of]
     summed = partial(cluster_sums, cluster=one.cluster, n_clusters=len(one.clusters))
     *sums, count = (summed(values=values) for values in (*of, np.ones(one.cluster.size)))
-    return ratio_estimates(
-        numerator=np.stack(sums),
-        denominator=np.tile(count, (len(sums), 1)),
-        weights=weights,
-        is_share=[True] * len(sums),
-    )
+    over, under = np.stack(sums), np.tile(count, (len(of), 1))
+    is_share = [True] * len(of)
+    return ratio_estimates(numerator=over, denominator=under, weights=weights, is_share=is_share)

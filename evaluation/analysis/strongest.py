@@ -120,12 +120,9 @@ def cross_fitted(
         if key.measure.source == of_first and first is not None:
             keys.append(headline.measure(key.metric).at(*key.where))
             mixed.append(np.where(is_first, first.whole(), second.whole()))
-    found = ratio_estimates(
-        numerator=np.array([over for over, _ in mixed]),
-        denominator=np.array([under for _, under in mixed]),
-        weights=weights,
-        is_share=[METRICS[key.metric].is_share for key in keys],
-    )
+    over, under = np.stack(mixed, axis=1)
+    is_share = [METRICS[key.metric].is_share for key in keys]
+    found = ratio_estimates(numerator=over, denominator=under, weights=weights, is_share=is_share)
     return dict(zip(keys, found, strict=True)), [of_first, of_second]
 
 

@@ -81,12 +81,9 @@ def estimates(
         of_clusters = np.array(sums)
         used = np.flatnonzero(of_clusters.any(axis=(0, 1)))  # of thousands, hundreds are in scenes
         of_clusters = of_clusters[:, :, used]
-        told_of = ratio_estimates(
-            numerator=of_clusters[:, 0],
-            denominator=of_clusters[:, 1],
-            weights=weights[:, used],
-            is_share=[METRICS[key.metric].is_share for key in keys],
-        )
+        over, under, drawn = of_clusters[:, 0], of_clusters[:, 1], weights[:, used]
+        shares = [METRICS[key.metric].is_share for key in keys]
+        told_of = ratio_estimates(numerator=over, denominator=under, weights=drawn, is_share=shares)
         for key, one in zip(keys, told_of, strict=True):
             found[key] = _root(one) if METRICS[key.metric].is_root else one
         attacked |= {

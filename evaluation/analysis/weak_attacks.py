@@ -3,11 +3,8 @@
 A weak attack makes a mechanism look private: `_ABOUT` tells the three signs of one. Simpler is what
 comes earlier in `SIMPLER`; an attack that is not in that list is held against all of it, and
 `averaging` over re-releases, which does not smooth, against the control alone. Noise is the RMSE as
-shared. On recorded walks, a distance from the optimum could be the motion as well.
-
-What no attack could help is left out, and fewer than 20 clusters decide nothing. The control is
-never flagged. That an attack beats the shared positions is not asked separately, since the control
-reproduces them.
+shared. What no attack could help is left out, and fewer than 20 clusters decide nothing. The
+control is never flagged; it reproduces what is shared, which is not held against attacks itself.
 """
 
 import json
@@ -191,7 +188,7 @@ def _falling_pairs(levels: Levels, found: Found, left_out: Counter[str]) -> Iter
             continue
         least, most = in_order[0], in_order[-1]
         both = (attack for attack in levels[most] if attack in levels[least])
-        attacks = [attack for attack in both if _base(attack.consumer) != IDENTITY]
+        attacks = [attack for attack in both if attack.consumer.partition(":")[0] != IDENTITY]
         quiet, noisy = (found.get(exposed.at(*where)) for where in (least, most))
         if noise[most] < _LEAST_RISE * noise[least]:
             left_out["the noise hardly rises"] += len(attacks)
@@ -207,17 +204,13 @@ def _falling_pairs(levels: Levels, found: Found, left_out: Counter[str]) -> Iter
 
 def _should_win(attack: Source, by: Source) -> bool:
     """Whether the first attack has no excuse to do worse than the second."""
-    base, by_base = _base(attack.consumer), _base(by.consumer)
+    base, by_base = (one.consumer.partition(":")[0] for one in (attack, by))
     if base == IDENTITY:
         return False
     if attack.consumer == by.consumer:
         return _RANK[by.knowledge] < _RANK[attack.knowledge]
     order = SIMPLER[: SIMPLER.index(base)] if base in SIMPLER else _ALONE.get(base, SIMPLER)
     return by_base in order and _RANK[by.knowledge] <= _RANK[attack.knowledge]
-
-
-def _base(spec: str) -> str:
-    return spec.partition(":")[0]
 
 
 def _points(value: float, low: float, high: float, *, sign: str = "-") -> str:
