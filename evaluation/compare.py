@@ -1,7 +1,6 @@
 """Two runs side by side: `python -m evaluation.compare OUT_A OUT_B`.
 
-What changed between them, and every number that both have: A, B, and B - A with an interval.
-Nothing is written into either folder. docs/compare.md says how to read it.
+Nothing is written into either folder. docs/compare.md says how to read what is told.
 """
 
 import argparse

@@ -1,7 +1,4 @@
-"""Redraw everything from a run folder: `python -m evaluation.report OUT`.
-
-Nothing is computed anew; summary, tables and figures follow from the finished cells.
-"""
+"""Redraw everything from the finished cells of a run: `python -m evaluation.report OUT`."""
 
 import sys
 from argparse import Namespace

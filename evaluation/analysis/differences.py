@@ -31,8 +31,7 @@ from isac_track.types import Floats
 Manifest = Mapping[str, Any]
 Apart = dict[str, tuple[Any, Any]]
 
-IDENTICAL, DIFFERS, BETWEEN, UNTESTED = "identical", "differs", "between", "untested"
-"""Findings of a row."""
+IDENTICAL, DIFFERS, BETWEEN, UNTESTED = "identical", "differs", "between", "untested"  # Findings.
 SIGNIFICANCE: Final = 0.05  # Of a family, after Holm.
 DRAWS, PEOPLE, NONE = "people and draws", "people", "none"  # Pairing of a row.
 _VERDICT = "verdict.json"  # Compares over galleries of any size.
@@ -63,8 +62,7 @@ class Difference(NamedTuple):
 class Comparison:
     """Two runs side by side."""
 
-    a: dict[str, Any]
-    """About run A: `out`, `dataset`, `scenes`, `seed`, `preset`."""
+    a: dict[str, Any]  # About run A: `out`, `dataset`, `scenes`, `seed`, `preset`.
     b: dict[str, Any]
     changed: dict[str, Apart]
     """Under data, settings and code: what to its value in A and in B; None where it is unknown."""

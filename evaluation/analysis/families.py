@@ -1,8 +1,7 @@
 """THE table of mechanism families: of which family a mechanism is, and under which rule it adds.
 
 A mechanism of the results is a family with the parameters that are not the default, and has a value
-for each of its levels. Whoever wants to know more of one than its name asks here: nobody else
-takes names apart.
+for each of its levels. Nobody else takes names apart.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,8 +16,7 @@ RAW, CLEAN, FIXED, FID = "raw", "clean", "fixed", "fid"
 """Families: nothing added, no error at all, the baseline, and the paper's."""
 ADDING_RULES: Final[tuple[str, ...]] = get_args(Adding)
 SWEPT: Final = (RAW, FIXED, FID)  # Families that the paper compares.
-LEVEL_UNITS: Final = {FID: "eta in 1/(m^2 s)", FIXED: "d_sigma in m"}
-"""What a level is, by family, as far as it is known."""
+LEVEL_UNITS: Final = {FID: "eta in 1/(m^2 s)", FIXED: "d_sigma in m"}  # What a level is.
 
 
 @dataclass(frozen=True, slots=True)

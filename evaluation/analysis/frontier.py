@@ -24,8 +24,7 @@ from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, Estimate
 from isac_track.types import Bools, Floats, Ints
 
 TARGETS: Final = (0.03, 0.05, 0.075, 0.1)  # Rises over raw, fixed beforehand.
-WHITE: Final = "fixed:adding=independent,law=isotropic"
-"""What others are held against: white noise, equal in all directions."""
+WHITE: Final = "fixed:adding=independent,law=isotropic"  # White noise: others are held against it.
 NEAR: Final = 0.03 + 1e-9  # With what rounding takes.
 ENOUGH_LEVELS: Final = 4  # Of a curve within `NEAR` of a target for an interval there.
 MARGIN: Final = 0.02  # By how much a mechanism is beaten.

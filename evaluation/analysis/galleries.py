@@ -15,14 +15,8 @@ import pandas as pd
 from evaluation.analysis.keys import Found
 from evaluation.analysis.linkability import dataset_of
 from evaluation.analysis.linked_people import LinkedProbes
-from isac_track.intervals import (
-    LEAST_CLUSTERS,
-    Estimate,
-    cluster_sums,
-    cluster_weights,
-    percentile_interval,
-    ratio_estimates,
-)
+from isac_track import intervals
+from isac_track.intervals import Estimate
 from isac_track.linkability.ranks import REACH, first_among, predicted_rank1, reach
 from isac_track.types import Floats
 
@@ -47,7 +41,9 @@ def galleries(
         if not levels:
             continue
         n, name = len(levels[0].clusters), ("gallery", task)
-        weights = cluster_weights(n_clusters=n, n_replicates=_REPLICATES, seed=seed, of=name)
+        weights = intervals.cluster_weights(
+            n_clusters=n, n_replicates=_REPLICATES, seed=seed, of=name
+        )
         for one in levels:
             own = dataset_of(one.linker.consumer, dataset=dataset)
             about = own, one.mechanism, np.nan if one.level is None else one.level, *one.linker
@@ -103,8 +99,8 @@ def _predicted(first: Mapping[int, Estimate], measured: int, size: int) -> Estim
     corrected = np.minimum(found * factor, known)  # no larger gallery is easier
     changed = abs(float(found[0] - corrected[0]))
     low, high = np.nan, np.nan
-    if first[measured].n_effective >= LEAST_CLUSTERS:
-        low, high = percentile_interval(corrected[1:])
+    if first[measured].n_effective >= intervals.LEAST_CLUSTERS:
+        low, high = intervals.percentile_interval(corrected[1:])
         low, high = max(0.0, low - changed), min(high + changed, first[measured].ci_high)
     return Estimate(float(corrected[0]), low, high)
 
@@ -113,8 +109,9 @@ def _ratios(one: LinkedProbes, of: Sequence[Floats], weights: Floats) -> list[Es
     """Return the means of some values of each probe, (N,)."""
     if not of or not one.cluster.size:
         return [Estimate(np.nan) for _ in of]
-    summed = partial(cluster_sums, cluster=one.cluster, n_clusters=len(one.clusters))
+    summed = partial(intervals.cluster_sums, cluster=one.cluster, n_clusters=len(one.clusters))
     *sums, count = (summed(values=values) for values in (*of, np.ones(one.cluster.size)))
     over, under = np.stack(sums), np.tile(count, (len(of), 1))
-    is_share = [True] * len(of)
-    return ratio_estimates(numerator=over, denominator=under, weights=weights, is_share=is_share)
+    return intervals.ratio_estimates(
+        numerator=over, denominator=under, weights=weights, is_share=[True] * len(of)
+    )

@@ -24,8 +24,7 @@ from evaluation.analysis.strongest import most_knowing
 from evaluation.runs.cell_files import LinkageOutcome, read_outcomes
 from isac_track.linkability.significance import LEVEL, holm, outcome
 
-AUDIT_LEVEL: Final = 0.01
-"""Of the shortcut audit, two-sided, over all audits of a cell (Holm): set before any was run."""
+AUDIT_LEVEL: Final = 0.01  # Two-sided, over all audits of a cell (Holm); set before any was run.
 _RANK1, _SIZES = ("rank1", "ci_low", "ci_high"), ("gallery_min", "gallery_max", "gallery_mean")
 COLUMNS = [
     *("dataset", "mechanism", "level", "consumer", "knowledge", "cohort"),
@@ -124,8 +123,7 @@ class LinkedTask:
 
     name: str
     about: str
-    attacks: tuple[Source, ...]
-    """Of each attack the adversary that knows most, short of the oracle if there is one."""
+    attacks: tuple[Source, ...]  # Of each the adversary that knows most, short of the oracle.
     cohorts: dict[str, dict[Where, dict[Source, Mapping[str, Any]]]]
     """Rows of `linkability.csv` by cohort, mechanism and level, and attack."""
     controls: tuple[Mapping[Any, Any], ...]  # Rows of the controls, at all levels.

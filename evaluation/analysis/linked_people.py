@@ -5,8 +5,9 @@ cluster, everything is a ratio of sums: a bootstrap, a jackknife or one half of 
 weights of these.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,10 +16,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW
-from evaluation.analysis.keys import Source, Where
+from evaluation.analysis.keys import Source
 from evaluation.analysis.matching import Sweeps
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
-from evaluation.analysis.strongest import Levels, against_each, by_task
+from evaluation.analysis.strongest import against_each, by_task
 from evaluation.cells.link_scores import COMPANIONS
 from evaluation.cells.link_setup import SIDES
 from evaluation.cells.tables import ON_TRIAL
@@ -46,8 +47,7 @@ class LinkedProbes:
     level: float | None
     linker: Source
     hit: Floats  # (N,) expected share of cases in which the mate comes first
-    hit_among: Floats
-    """(N,) the same in a gallery of `GALLERY` without companions; NaN with fewer candidates"""
+    hit_among: Floats  # (N,) the same among `GALLERY` without companions; NaN with fewer
     chance: Floats  # (N,) of `hit`
     cluster: Ints  # (N,) numbered alike at all levels of a task
     clusters: tuple[str, ...]  # Their names.
@@ -65,8 +65,7 @@ class LinkedLevel:
     mechanism: str
     level: float | None
     linker: Source  # Whose success it is: of all linkers the strongest against this mechanism.
-    success: Floats
-    """(C,) sum over the cluster's mated probes of rank-1 at a gallery of 100, or of their own"""
+    success: Floats  # (C,) sum over mated probes of rank-1 at a gallery of 100, or of their own
     chance: Floats  # (C,) the same of a guess
     probes: Floats  # (C,) mated probes
     descriptors: Mapping[str, Floats]
@@ -78,8 +77,7 @@ class LinkedTask:
     """All levels of a task, raw among them."""
 
     task: str
-    gallery: int | None
-    """At which rank-1 is read: 100, or None where galleries are smaller and everybody's own is."""
+    gallery: int | None  # At which rank-1 is read: 100, or None where it is everybody's own.
     clusters: tuple[str, ...]  # (C,) names, sorted
     levels: tuple[LinkedLevel, ...]
 
@@ -92,38 +90,24 @@ def read_probes(
     `strongest` is by task its strongest linker. Raw, fixed noise and FID are linked by it, every
     other mechanism by who is strongest there. Raises DataError if a cell cannot be read.
     """
-    cells = {
-        (entry["mechanism"], entry["level"], entry["consumer"], entry["knowledge"]): entry
-        for entry in manifest["cells"]
-        if not entry.get("world")
-    }
+    place = itemgetter("mechanism", "level", "consumer", "knowledge")
+    cells = {place(entry): entry for entry in manifest["cells"] if not entry.get("world")}
     levels = by_task(sweeps.found, metric=SUCCESS)
-    return {
-        task: [
-            _probes(out, linked, windows, one)
-            for where, one in _linkers(sweeps, levels[task], linker)
-            if (linked := cells.get((*where, *one)))
-            and (windows := cells.get((*where, f"{task}/{WINDOWS}", "")))
-        ]
-        for task, linker in strongest.items()
-        if task
-    }
+    swept = [RAW, *(sweeps.named(one, adding=of) for of in ADDING_RULES for one in (FIXED, FID))]
+    found: dict[str, list[LinkedProbes]] = {task: [] for task in strongest if task}
+    for task, probes in found.items():
+        usual = strongest[task]
+        who = against_each(levels[task]) | dict.fromkeys(swept, usual)
+        for where in levels[task]:
+            if where[0] in swept or sweeps.known[where[0]].is_added:
+                linked = cells.get((*where, *who.get(where[0], usual)))
+                windows = cells.get((*where, f"{task}/{WINDOWS}", ""))
+                if linked and windows:
+                    probes.append(_probes(out, linked, windows))
+    return found
 
 
-def _linkers(sweeps: Sweeps, levels: Levels, linker: Source) -> Iterator[tuple[Where, Source]]:
-    """Yield the levels of a task and who links there."""
-    swept = [sweeps.named(one, adding=rule) for rule in ADDING_RULES for one in (FIXED, FID)]
-    best = against_each(levels)
-    for where in levels:
-        if where[0] in (RAW, *swept):
-            yield where, linker
-        elif sweeps.known[where[0]].is_added:
-            yield where, best.get(where[0], linker)
-
-
-def _probes(
-    out: Path, linked: Mapping[str, Any], windows: Mapping[str, Any], linker: Source
-) -> LinkedProbes:
+def _probes(out: Path, linked: Mapping[str, Any], windows: Mapping[str, Any]) -> LinkedProbes:
     probes = read_rows(out, linked, columns=_OF_PROBES, beside=_OF_WINDOWS)
     probes = probes.filter(pc.greater_equal(probes["above"], 0))
     tracks = read_rows(out, windows, columns=_OF_WINDOWS, beside=_OF_PROBES)
@@ -144,7 +128,7 @@ def _probes(
     return LinkedProbes(
         mechanism=linked["mechanism"],
         level=linked["level"],
-        linker=linker,
+        linker=Source(linked["consumer"], linked["knowledge"]),
         hit=expected_hit(above, tied),
         hit_among=first_among(strangers),
         strangers=strangers,

@@ -44,8 +44,6 @@ COLUMNS = [
     *("dataset", "criterion", "adding", "predictor", "consumer", "knowledge", "metric"),
     *(*_POINTS, "n", "mechanism", "family"),
 ]
-
-
 Curves: TypeAlias = "dict[Measure, tuple[Floats, Floats]]"
 """Two mechanisms over their levels, (1 + B, L) each, by what they are measured by."""
 
@@ -136,10 +134,10 @@ def matched(sweeps: Sweeps, *, predictors: Sequence[str], dataset: str) -> pd.Da
     each linker achieves, for the first one. A mechanism is compared under its own adding rule, one
     that declares none under both; FID comes first. `sweeps` are of every metric of the run.
 
-    The columns are `COLUMNS`. `mechanism` is what stands in the columns `fid`. `at` is the rise of
-    the missed rate over raw, or the PLR as shared; `missed_conflict_rate` is that of raw plus the
-    rise. `defined` is the share of replicates that reach the point; where it is below `MIN_DEFINED`
-    there is no interval (NaN), since the replicates that are left would all lie on one side.
+    The columns are `COLUMNS`. `at` is the rise of the missed rate over raw, or the PLR as shared;
+    `missed_conflict_rate` is that of raw plus the rise. `defined` is the share of replicates that
+    reach the point; below `MIN_DEFINED` there is no interval (NaN), since those that are left would
+    all lie on one side.
     """
     known = dict.fromkeys(key.measure for key in sweeps.found)
     shared = [one for one in known if one.source == AS_SHARED and one.metric in DESCRIPTORS]

@@ -103,8 +103,7 @@ _ROWS: Final = (
     Metric("residual_risk", "residual risk", "linkage"),
     Metric("chance", "chance", "linkage"),
 )
-METRICS: Final = {metric.name: metric for metric in _ROWS}
-"""By name, in the order in which they are shown."""
+METRICS: Final = {metric.name: metric for metric in _ROWS}  # In the order in which they are shown.
 
 
 def measured(*where: Measured) -> tuple[str, ...]:
@@ -114,8 +113,7 @@ def measured(*where: Measured) -> tuple[str, ...]:
 
 UTILITY: Final = measured("predictor")
 DESCRIPTORS: Final = measured("descriptor")  # Of privacy: PLR, AEL and MEL.
-RECONSTRUCTION: Final = measured("descriptor", "reconstruction")
-"""Of what an attack makes of the positions."""
+RECONSTRUCTION: Final = measured("descriptor", "reconstruction")  # Of what an attack rebuilds.
 GAP: Final = "plr_gap"  # In model worlds alone.
 RANK_OPTIMUM, RANK_GAP = "rank1_optimum", "rank1_gap"  # The same of rank 1.
 CEILING: Final = "plr_ceiling"

@@ -32,8 +32,7 @@ PUBLISHED: tuple[tuple[str, float | None, str, float], ...] = tuple(
 FITTED = (("raw", None, "plr"), ("raw", None, "mel"), ("fid", 1000.0, "plr"))
 """Those that the free constants are fitted to, under linear adding. The others were not fitted, but
 seen: error law, adding rule and other readings were chosen because they fit them."""
-CONFLICTS = 250
-"""Scenes that a missed-conflict rate of the paper rests on: every other one of its 500."""
+CONFLICTS = 250  # Scenes behind a missed-conflict rate of the paper: every other one of its 500.
 ETAS = (1.0, 1000.0)  # Ends of its sweep.
 ACTIVATED = 0.27  # Its missed-conflict rate under FID, 'approximately'; at which eta is not said.
 

@@ -34,7 +34,7 @@ _ENDS: Final = ("value", "ci_low", "ci_high")
 COLUMNS = ["question", "recording", "adding", "law", "seed", *_ENDS, "n", "tau2"]
 OWN_GALLERY: Final = "_own_gallery"
 """Ends a question about people too few for a gallery of 100: the measure of no other recording."""
-QUESTIONS: Final = {
+QUESTIONS: Final = {  # In the order of the first screen; all in fractions.
     "robot_loses": "What the robot loses: missed conflicts at fid:1 less those at raw",
     "left_after_attack": "What an attack wins back: PLR at fid:1 after it, less PLR as shared",
     "people_linked": "Can people be linked: rank 1 of 100 at fid:1 in a re-release, less chance",
@@ -43,7 +43,6 @@ QUESTIONS: Final = {
     f"descriptors_tell{OWN_GALLERY}": "Of fewer: how far rank 1 among themselves differs so",
     "fid_against_fixed": "FID against fixed noise at equal missed conflicts: PLR after attack",
 }
-"""In the order of the first screen; all in fractions."""
 _TAIL: Final = 0.5 + CONFIDENCE / 2.0
 _NORMAL: Final = float(ndtri(_TAIL))
 _STRICT: Final = 1.0  # Threshold of FID at which is asked.

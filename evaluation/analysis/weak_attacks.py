@@ -47,10 +47,6 @@ _ABOUT = {
     "optimum. `difference`: what it lacks. `compared`: levels at which the optimum is known.",
 }
 _FAR: Final = 0.05
-_INTERVALS = (
-    "95 %, of the paired difference over bootstrap draws of whole clusters; not adjusted for the "
-    "number of comparisons: of two equally good attacks one is flagged at about one level in 40"
-)
 
 
 class _Pair(NamedTuple):
@@ -126,7 +122,9 @@ def to_json(rows: pd.DataFrame, looked: Mapping[str, Any]) -> bytes:
         "about": "Attacks that may be too weak for their numbers to mean privacy.",
         "kinds": _ABOUT,
         "simpler": {"order": SIMPLER, "others": "held against all of these", **_ALONE},
-        "intervals": _INTERVALS,
+        "intervals": "95 %, of the paired difference over bootstrap draws of whole clusters; not "
+        "adjusted for the number of comparisons: of two equally good attacks one is flagged at "
+        "about one level in 40",
         **looked,
         "columns": COLUMNS,
         "flags": known.where(known.notna(), None).to_dict("records"),
