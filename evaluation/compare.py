@@ -1,7 +1,4 @@
-"""Two runs side by side: `python -m evaluation.compare OUT_A OUT_B`.
-
-Nothing is written into either folder. docs/compare.md says how to read what is told.
-"""
+"""Two runs side by side: `python -m evaluation.compare OUT_A OUT_B`; see docs/compare.md."""
 
 import argparse
 import json

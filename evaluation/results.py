@@ -29,14 +29,13 @@ from evaluation.experiment.constants import BLOCK_SCENES, MOST_SCENES, WORLDS
 from evaluation.experiment.fingerprint import has_strangers
 from evaluation.experiment.plan import Plan, plan
 from evaluation.experiment.settings import Settings, check_drawing
-from evaluation.reporting import page
+from evaluation.reporting import page, study_page
 from evaluation.reporting.announcements import plan_lines
 from evaluation.reporting.answers import answers
 from evaluation.reporting.figures import figure
 from evaluation.reporting.finished import load
 from evaluation.reporting.progress import progress_bar
 from evaluation.reporting.rows import Results
-from evaluation.reporting.study_page import render
 from evaluation.reporting.tables import write_tex, write_text
 from evaluation.runs import folder
 from evaluation.runs.cell_files import read_gallery
@@ -253,8 +252,8 @@ def study(asked: Sequence[tuple[str, Settings]], *, out: Path) -> tuple[list[Ans
             simulated |= {results.dataset}
     of = answered(rows, simulated=simulated)
     write_whole(out / "study.csv", to_csv(to_frame(rows, of)))
-    folders = [ready.out.name for _, ready in plans]
-    write_whole(out / "study.html", render(of, simulated=simulated, runs=folders).encode())
+    shown = study_page.render(of, simulated=simulated, runs=[one.out.name for _, one in plans])
+    write_whole(out / "study.html", shown.encode())
     return of, n_failed
 
 

@@ -113,8 +113,7 @@ def _run(options: Namespace, variants: Sequence[Variant], manifest: Mapping[str,
     else:
         difference_tables.show_variants(rows, left_out=not_shown)
     failed = [outcome for outcome in outcomes if outcome["why"]]
-    for outcome in failed:
-        print(f"failed: {outcome['name']}: {outcome['why']}", file=sys.stderr)
+    sys.stderr.writelines(f"failed: {one['name']}: {one['why']}\n" for one in failed)
     return FAILED_CELLS if failed else DONE
 
 

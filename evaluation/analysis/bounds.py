@@ -23,10 +23,7 @@ _PLACE = ["world", "mechanism", "level", "task"]
 
 
 def linked_gaps(found: Found) -> dict[Key, Estimate]:
-    """Return linkage of a model world with the optimum's name, and what attacks lack of it.
-
-    Differences are paired: the same people, drawn alike.
-    """
+    """Return linkage of a model world with the optimum's name, and what attacks lack of it."""
     named = dict[Key, Estimate]()
     for key, one in found.items():
         task, _, who = key.consumer.partition("/")

@@ -137,10 +137,14 @@ def fit(
     """
     raw_plr, raw_mel_s, fid_plr = targets
 
+    def fitted(*constants: float) -> SensingSettings:
+        known: Any = dict(zip(FITTED, constants, strict=True))
+        return replace(stages.sensing, **known)
+
     def trial(
         net_db: float, spread_db: float, gap_db: float = 0.0, *, eta: float | None = None
     ) -> tuple[float, float]:
-        tried = _fitted(stages.sensing, net_db + gap_db, spread_db, gap_db)
+        tried = fitted(net_db + gap_db, spread_db, gap_db)
         return descriptors(blocks, settings=tried, rule=stages.privacy, eta=eta)
 
     def net_for(spread: float) -> float:
@@ -153,13 +157,7 @@ def fit(
         _GAPS,
         what=f"PLR at eta = {_FID_ETA:g}",
     )
-    constants = (net_db + gap_db, spread_db, gap_db)
-    return _fitted(stages.sensing, *(round(one, 2) for one in constants))
-
-
-def _fitted(sensing: SensingSettings, *constants: float) -> SensingSettings:
-    known: Any = dict(zip(FITTED, constants, strict=True))
-    return replace(sensing, **known)
+    return fitted(*(round(one, 2) for one in (net_db + gap_db, spread_db, gap_db)))
 
 
 def predictions(

@@ -71,7 +71,7 @@ class Comparison:
     rows: pd.DataFrame
     """A row for each number that both have, the surest difference first; columns `COLUMNS`."""
     lead: pd.DataFrame
-    """Its rows of missed conflicts, PLR after the strongest attack and rank 1, at a few levels."""
+    """Its rows of missed conflicts, PLR after A's strongest attack and rank 1, at a few levels."""
     verdicts: dict[str, Any] | None  # Decisions that changed; None unless both runs have a verdict.
 
     @property
@@ -223,11 +223,7 @@ def _rows(
 
 
 def _lead(rows: pd.DataFrame, found: Found, cells: Sequence[Manifest]) -> pd.DataFrame:
-    """Return the rows that tell most, at the levels of the smoke preset, else at the first ones.
-
-    Attacks are the strongest of A; rank 1 is of the first task, of 100 people if both have it, and
-    left out where galleries differ.
-    """
+    """Return the rows that tell most, at the levels of the smoke preset, else at the first ones."""
     best = strongest(found, families_in(cells))
     known = dict.fromkeys(key.measure for key, one in found.items() if np.isfinite(one.value))
     wanted = [measure for measure in known if measure.metric == MISSED_RATE][:1]
@@ -312,7 +308,6 @@ def only_in(first: Manifest, second: Manifest) -> Apart:
 
 
 def _beside(names: Iterable[str], others: Iterable[str]) -> list[str]:
-    """Return the names that the others lack, each once."""
     return [name for name in dict.fromkeys(names) if name not in others]
 
 

@@ -65,9 +65,9 @@ def told(
 ) -> tuple[list[Told], dict[Key, Estimate]]:
     """Return what is told of every mechanism, and the estimates that are not those of the run.
 
-    As shared; after the strongest reconstruction and linker, of the headline's adversaries and of
-    every other one but the oracle. They are chosen against each mechanism by itself over its levels
-    and, where `sums` are known, on one half of the people and scored on the other, and swapped.
+    As shared, and after the strongest reconstruction and linker of each of `GROUPS`: chosen against
+    each mechanism by itself and, where `sums` are known, on one half of the people and scored on
+    the other, and swapped.
     """
     found = [Told(name, dict.fromkeys(sweeps.known, AS_SHARED)) for name in DESCRIPTORS]
     crossed: dict[Key, Estimate] = {}

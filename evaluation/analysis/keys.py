@@ -126,8 +126,5 @@ def worlds_of(frame: pd.DataFrame) -> pd.Series[str]:
 
 
 def is_attack(frame: pd.DataFrame) -> pd.Series[bool]:
-    """Return which rows of a summary are of an attack: those that name an adversary.
-
-    Not the name of the consumer tells: an attack and a predictor may bear the same.
-    """
+    """Return which rows of a summary name an adversary: an attack's name a predictor may bear."""
     return frame["knowledge"].isin(list(ADVERSARIES))

@@ -1,8 +1,8 @@
 """The scorecards of a run, and what each says: `linkability.csv`.
 
 An outcome is one of three: *links*, *no link detected* (with the rank-1 rate that would have been
-found), *attack too weak* (it fails even where nothing was added and nothing was sensed: its silence
-is no privacy). A cell whose shortcut audit beats chance is invalid, and says which shortcut it was.
+found), *attack too weak* (it fails on clean, too: its silence is no privacy). A cell whose shortcut
+audit beats chance is invalid, and says which shortcut it was.
 """
 
 import math

@@ -179,11 +179,7 @@ def matched(sweeps: Sweeps, *, predictors: Sequence[str], dataset: str) -> pd.Da
 def _compared(
     curves: Curves, by: Measure, measures: Sequence[Measure]
 ) -> Iterator[tuple[Measure, dict[str, Floats]]]:
-    """Yield measures of two mechanisms where `by` has changed from raw by as much in both.
-
-    `curves` are of the mechanism that is compared, and of fixed noise. With each come the columns
-    of `matched.csv`, (P,), from `at` to `defined`.
-    """
+    """Yield measures with columns of `matched.csv`, (P,), where `by` has changed alike in both."""
     scales: Sequence[Floats] = curves.get(by, ())
     reach = min((np.abs(one[0] - one[0, -1]).max() for one in scales), default=0.0)
     if not reach > 0:

@@ -193,13 +193,10 @@ def answered(rows: Sequence[Mapping[str, Any]], *, simulated: frozenset[str]) ->
 
     `rows` are those of `answers_of`, of all runs; `simulated` recordings are never pooled.
     """
-    order = [*QUESTIONS]
-
-    def group(row: Mapping[str, Any]) -> tuple[int, str, str]:
-        return order.index(row["question"]), row["law"], row["adding"]
-
-    found = []
-    for (place, law, adding), of in groupby(sorted(rows, key=group), key=group):
+    found, order = [], [*QUESTIONS]
+    by = itemgetter("question", "law", "adding")
+    in_order = sorted(rows, key=lambda row: (order.index(row["question"]), *by(row)))
+    for (question, law, adding), of in groupby(in_order, key=by):
         seeds: dict[str, list[Mapping[str, Any]]] = {}
         for row in of:
             seeds.setdefault(row["recording"], []).append(row)
@@ -210,10 +207,10 @@ def answered(rows: Sequence[Mapping[str, Any]], *, simulated: frozenset[str]) ->
         ]
         real = [row for row in averages if row["recording"] not in simulated]
         errors = [(row["ci_high"] - row["ci_low"]) / (2.0 * _NORMAL) for row in real]
-        is_alike = len(real) >= FEWEST and not order[place].endswith(OWN_GALLERY)
+        is_alike = len(real) >= FEWEST and not question.endswith(OWN_GALLERY)
         able = is_alike and all(one > 0.0 for one in errors)
         pooled = pool([row["value"] for row in real], errors) if able else None
-        found.append(Answered(order[place], adding, law, averages, len(real), pooled))
+        found.append(Answered(question, adding, law, averages, len(real), pooled))
     return found
 
 

@@ -5,7 +5,6 @@ clusters, the same ones for every mechanism, so that differences are paired.
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import lru_cache
 from itertools import groupby
 from operator import itemgetter
@@ -85,7 +84,11 @@ def estimates(
         shares = [METRICS[key.metric].is_share for key in keys]
         told_of = ratio_estimates(numerator=over, denominator=under, weights=drawn, is_share=shares)
         for key, one in zip(keys, told_of, strict=True):
-            found[key] = _root(one) if METRICS[key.metric].is_root else one
+            found[key] = one
+            if METRICS[key.metric].is_root:
+                value, low, high = np.sqrt([one.value, one.ci_low, one.ci_high]).tolist()
+                roots = np.sqrt(one.replicates)
+                found[key] = Estimate(value, low, high, one.n, roots, effective=one.effective)
         attacked |= {
             key: Summed(one, weights, used)
             for key, one in zip(keys, of_clusters, strict=True)
@@ -97,12 +100,6 @@ def estimates(
 def key_of(entry: Mapping[str, Any], metric: str) -> Key:
     """Return what a metric of a cell of the manifest is about."""
     return Key(entry["mechanism"], entry["level"], entry["consumer"], metric, entry["knowledge"])
-
-
-def _root(one: Estimate) -> Estimate:
-    value, low, high = np.sqrt([one.value, one.ci_low, one.ci_high]).tolist()
-    roots = np.sqrt(one.replicates)
-    return replace(one, value=value, ci_low=low, ci_high=high, replicates=roots)
 
 
 def linkage_estimates(read: Cards) -> dict[Key, Estimate]:

@@ -97,10 +97,9 @@ def flags(
 def far_from_optimum(known: Sequence[Gap]) -> pd.DataFrame:
     """Return the flags of levels at which even the closest attack is far below the optimum."""
     exact = [one for one in known if one.is_exact]
+    far = [one for one in exact if one.gap.ci_low > _FAR]
     rows = []
-    for one in exact:
-        if not one.gap.ci_low > _FAR:
-            continue
+    for one in far:
         interval = one.gap.value, one.gap.ci_low, one.gap.ci_high
         said = f"is the closest to the optimum at {where_text(*one.where)} in the model world"
         sentence = f"{one.attack.label} {said}, and {_points(*interval)} points below"
