@@ -23,7 +23,7 @@ from evaluation.analysis.families import Family
 from evaluation.analysis.keys import Source
 from evaluation.analysis.linked_people import LinkedLevel, LinkedTask
 from evaluation.experiment.presets import PRESETS
-from evaluation.verdict import power, rules
+from evaluation.verdict import rules, spread
 from evaluation.verdict.validity import validity
 from isac_track import plugins
 from isac_track.rng import stream
@@ -150,7 +150,7 @@ def tally(world: World, *, times: int, seed: int = 0) -> Tally:
     right, decisions = world.right, Counter[str]()
     wrong = promised = kept = controls = 0
     needed: list[int] = []
-    truth = power.EQUAL if right == rules.TRACKS else "10 points in one family"
+    truth = spread.EQUAL if right == rules.TRACKS else "10 points in one family"
     for place in range(times):
         said = said_of(world, seed=seed + place)
         found = [one["decision"] for one in said["items"]]

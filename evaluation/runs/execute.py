@@ -96,7 +96,6 @@ def borrow(ready: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None
     """Open the folder of a run and copy the cells into it that other runs have.
 
     Each is taken from the first of the source folders that has it: what is keyed alike is the same.
-
     Raises DataError if the folder cannot be written or another process runs in it, and
     SettingsError if it holds another run, which `fresh` replaces.
     """

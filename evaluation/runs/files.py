@@ -69,9 +69,8 @@ _NOT_FOLLOWED = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file to a temporary name beside it, which nobody can foresee, and rename it.
 
-    What has the file's name, a link say, is replaced and not written to.
-
-    Raises DataError if the disk is full or the folder cannot be written.
+    What has the file's name, a link say, is replaced and not written to. Raises DataError if the
+    disk is full or the folder cannot be written.
     """
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}.tmp")
     try:
@@ -204,19 +203,15 @@ def write_checked(out: Path, name: str, content: bytes) -> None:
 
 
 def written_down(out: Path) -> set[str]:
-    """Return the files of cells that are there and whose checksums are written down.
+    """Return the files of cells that are there and have a checksum written down, theirs or not.
 
-    Whether these are theirs takes longer: see `checked`. Raises DataError if the checksums cannot
-    be read, and OSError if the folder of the cells cannot.
+    Raises DataError if the checksums cannot be read, and OSError if the folder of the cells cannot.
     """
     return _present(out) & dict(_lines(out)).keys()
 
 
 def checked(out: Path, names: Iterable[str]) -> Iterator[tuple[str, bytes | None]]:
-    """Yield those of some files that are there, with their content.
-
-    It is None if it is not as it was written.
-    """
+    """Yield those of some files that are there, with their content: None if it has changed."""
     known = dict(_lines(out))
     for name in dict.fromkeys(names):
         try:
@@ -270,20 +265,18 @@ def _lines(out: Path) -> list[tuple[str, str]]:
     except FileNotFoundError:
         return []
     except OSError as error:
-        raise DataError(
-            f"{path} cannot be read: {error.strerror}; make it readable or delete it"
-        ) from None
-    pairs = (line.split(f"  {FOLDER}/", 1) for line in text.splitlines())
-    return [(pair[1], pair[0]) for pair in pairs if len(pair) > 1]
+        what = f"{path} cannot be read: {error.strerror}"
+        raise DataError(f"{what}; make it readable or delete it") from None
+    parts = (line.partition(f"  {FOLDER}/") for line in text.splitlines())
+    return [(name, checksum) for checksum, is_whole, name in parts if is_whole]
 
 
 @contextlib.contextmanager
 def locked(out: Path) -> Iterator[None]:
     """Hold the lock of a run folder, which is made if it is missing: one run at a time writes.
 
-    The lock is the system's (flock): it ends with its process, however that ends.
-
-    What killed runs left half written is removed.
+    The lock is the system's (flock): it ends with its process, however that ends. What killed runs
+    left half written is removed.
 
     Raises SettingsError if another process holds it, the folder cannot be written, or a folder in
     it is a link to somewhere else.

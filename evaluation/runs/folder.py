@@ -49,15 +49,13 @@ def check_folder(out: Path) -> None:
 def open_run(
     out: Path, *, identity: dict[str, Any], fresh: bool
 ) -> tuple[dict[str, Any], dict[str, Index], list[str]]:
-    """Return the manifest of a run folder, new or continued, and the files that it has.
+    """Return the manifest of a run folder, new or continued, and its files: sound ones, and others.
 
-    Those are what the files of cells hold that are as they were written, and the names of the
-    others. Cells that another version of the code computed are dropped from it and counted.
-    `SHA256SUMS` has no line then for which there is no cell.
+    Cells that another version of the code computed are dropped and counted, and so are lines of
+    `SHA256SUMS` for which there is no cell.
 
-    Raises SettingsError if the folder holds another run (what differs is named) or something else,
-    or cannot be used, and DataError if its manifest cannot be read, or is damaged and not to be
-    replaced.
+    Raises SettingsError if the folder holds another run (what differs is named) or cannot be used,
+    and DataError if its manifest cannot be read, or is damaged and not to be replaced.
     """
     manifest: dict[str, Any] = {"identity": identity, "cells": [], "dropped_cells": 0}
     with usable(out):
@@ -132,9 +130,8 @@ def _remove_run(out: Path) -> None:
                 (out / folder).rmdir()
         (out / files.MANIFEST).unlink()
     except OSError as error:
-        raise SettingsError(
-            f"cannot replace the run in {out}: {error.strerror}; choose another --out"
-        ) from None
+        what = f"cannot replace the run in {out}: {error.strerror}"
+        raise SettingsError(f"{what}; choose another --out") from None
 
 
 def note_figures(out: Path, names: Sequence[str]) -> None:
@@ -143,17 +140,13 @@ def note_figures(out: Path, names: Sequence[str]) -> None:
 
 
 def remove_figures(out: Path) -> None:
-    """Delete the page and the figures that an earlier report drew.
-
-    Raises DataError if the folder cannot be written.
-    """
+    """Delete the page and the figures of an earlier report; DataError where that cannot be."""
     for path in (out / files.PAGE, *_figures(out, read_manifest(out))):
         try:
             path.unlink(missing_ok=True)
         except OSError as error:
-            raise DataError(
-                f"cannot replace {path}: {error.strerror}; finished cells are kept"
-            ) from None
+            what = f"cannot replace {path}: {error.strerror}"
+            raise DataError(f"{what}; finished cells are kept") from None
 
 
 def _figures(out: Path, manifest: Mapping[str, Any]) -> list[Path]:

@@ -41,10 +41,7 @@ _MOST_NAMED = 3
 
 
 def missing_of(ready: Plan, places: Mapping[tuple[str, str], str]) -> list[Unit]:
-    """Return the units of a run with the consumers that they lack, and none that lacks none.
-
-    `places` has the file of every finished cell by the keys of its unit and its consumer.
-    """
+    """Return the units of a run that lack consumers, with these; `places` are as of `places_of`."""
     units = []
     for unit in ready.units:
         who = {key: one for key, one in unit.consumers.items() if (unit.key, key) not in places}
@@ -63,9 +60,8 @@ def unfinished(ready: Plan) -> list[Unit]:
 
     Raises DataError if these cannot be read, and OSError if the folder of the cells cannot.
     """
-    indices = {name: index_of(ready.out / FOLDER / name) for name in written_down(ready.out)}
-    places = places_of({name: one for name, one in indices.items() if one is not None})
-    return missing_of(ready, places)
+    indices = ((name, index_of(ready.out / FOLDER / name)) for name in written_down(ready.out))
+    return missing_of(ready, places_of({name: one for name, one in indices if one is not None}))
 
 
 def pieces_of(missing: Sequence[Unit], ready: Plan) -> list[Work]:
@@ -287,8 +283,7 @@ def in_files(
 ) -> Iterator[Found]:
     """Yield what `attempt` does, packed as far as files are whole: the rest one by one.
 
-    So a worker sends a few kilobytes where its tables would be megabytes, and who writes them does
-    not compress them, too.
+    A worker then sends kilobytes for megabytes, and who writes them has nothing to compress.
     """
     gathered, failed = Gathered(files), list[Failed]()
     for found in attempt(work, **options):

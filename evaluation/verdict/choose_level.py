@@ -99,10 +99,7 @@ class Level:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What is asked for.
-
-    SettingsError for a fraction beyond 0..1, or a time that is negative or not finite.
-    """
+    """What is asked for; SettingsError for a fraction beyond 0..1, or no finite time from 0 on."""
 
     given: Mapping[str, float]
     """By name of `ASKED`, a fraction or s; `rank1` is of the strongest attack of every task of the
@@ -151,9 +148,9 @@ class Check:
 
     @property
     def times_more(self) -> float:
-        """How many times as much data would tell the value, if it stays, from its limit.
+        """How many times the data would tell the value from its limit; NaN unless that is within.
 
-        An interval narrows with the root of it. NaN unless the limit is missed within the interval.
+        An interval narrows with the root of it.
         """
         value, low, high = self.measured.value, self.measured.ci_low, self.measured.ci_high
         if self.status != "not met" or not low < self.limit:
@@ -232,9 +229,8 @@ def choose(
     """Return the strictest levels of a run that meet the targets, and whether the limits hold.
 
     `adding` names the rules to answer for; `predictor` is by default the first of the run; `only`
-    names families, by default all of the run. Raises DataError if the folder holds no run, or a
-    file of it is missing or broken, and SettingsError if the run lacks what is asked for; the
-    message names the option and the way out.
+    names families, by default all. Raises DataError if there is no run, or a file of it is missing
+    or broken, and SettingsError if it lacks what is asked for: with the option and the way out.
     """
     manifest = read_manifest(out)
     cells = [one["consumer"] for one in manifest["cells"] if one["kind"] == "predictor"]
@@ -259,8 +255,8 @@ def choose(
     added = [one for one in families_in(summary).values() if one.is_added]
     # FID is shown first, then fixed noise, all others as they were run.
     families = sorted(added, key=lambda one: {FID: 0, FIXED: 1}.get(one.name, 2))
+    known = dict.fromkeys(text for one in families for text in (one.family, one.name))
     for name in only:
-        known = dict.fromkeys(text for one in families for text in (one.family, one.name))
         if name not in known:
             hint = did_you_mean(name, known, quote="'") or f"; it has {', '.join(known)}"
             raise SettingsError(f"--family {name}: {out} has no such family{hint}")
@@ -278,7 +274,7 @@ def choose(
         adding=tuple(adding),
         limits=limits,
         raw=raw,
-        raw_checks=() if raw is None else tuple(_targets(raw, limits)),
+        raw_checks=_targets(raw, limits),
         schemes=tuple(one for rule in adding for one in every if one.adding == rule),
         tasks=next((one.tasks for one in levels), ()),
     )
@@ -376,22 +372,23 @@ def _refuse_missing(choice: Choice, have: Mapping[str, str], *, is_attacked: boo
         )
 
 
-def _targets(level: Level, limits: Limits) -> list[Check]:
+def _targets(level: Level | None, limits: Limits) -> tuple[Check, ...]:
     """Return the checks that choose a level."""
-    return [
+    return tuple(
         Check(name, limit, level.numbers[name], level.scenes_utility)
         for name, limit in limits.of(*TARGETS).items()
-    ]
+        if level
+    )
 
 
 def _privacy(level: Level, limits: Limits) -> list[Check]:
     """Return the checks at the chosen level."""
     numbers, whose, missing = level.numbers, "as shared", ""
-    if not limits.as_shared:
+    if not limits.as_shared and (attacked := level.after_attack):
+        numbers = attacked.numbers
+        whose = f"after {Source(attacked.attack, attacked.knowledge).label}"
+    elif not limits.as_shared:
         numbers, whose, missing = {}, "", "no reconstruction attack was run at this level"
-        if attacked := level.after_attack:
-            numbers, missing = attacked.numbers, ""
-            whose = f"after {Source(attacked.attack, attacked.knowledge).label}"
     checks = [
         Check(name, limit, numbers.get(name, UNKNOWN), level.scenes, whose, missing)
         for name, limit in limits.of(*DESCRIPTORS).items()
@@ -433,5 +430,5 @@ def _scheme(found: Sequence[Level], family: Family, adding: str, limits: Limits)
         also_meets=tuple(level for level in beyond if level is not None),
         is_saturated=len(shown) > 1 and shown[0] == shown[1],
         checks=() if chosen is None else (*_targets(chosen, limits), *_privacy(chosen, limits)),
-        missed=() if stricter is None else tuple(_targets(stricter, limits)),
+        missed=_targets(stricter, limits),
     )

@@ -3,12 +3,13 @@
 With D_k, how much more often people are linked under mechanism level k than under fixed noise at
 one descriptor value, the spread is theta = max |D_k| over a panel. Its naive estimate is far too
 high (the largest of several noisy numbers); here are its ends, a value that is as often too low as
-too high where all are equal (Chernozhukov, Lee and Rosen, Econometrica 81, 2013), and the decision.
-Rows are draws of the people (the estimate first), columns are levels or contrasts.
+too high where all are equal (Chernozhukov, Lee and Rosen, Econometrica 81, 2013), the decision, and
+what people could show at all. Rows are draws of them (the estimate first), columns contrasts.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Final
 
 import numpy as np
@@ -24,6 +25,9 @@ BOTH, ONLY_MORE, ONLY_FEWER, NEITHER = 0, 1, -1, 2  # What can be tested of a co
 ANSWERS: Final = (rules.NOT_TESTABLE, rules.DOES_NOT, rules.TRACKS, rules.BETWEEN)
 """By the codes of `decided`."""
 _TAIL: Final = 0.5 + CONFIDENCE / 2
+EQUAL: Final = "all equal"
+PLANTED: Final = {"10 points in one family": 0.10, "15 points in one family": 0.15}  # Other truths.
+WANTED: Final = 0.8  # Probability with which a true equal is to be shown.
 LEAST_SHARE: Final = 0.01  # Of the descriptor at raw: logarithms are taken of no less.
 
 
@@ -116,11 +120,10 @@ def beside_fixed(
     less, so that one direction can still be shown. `descriptor` and `success` are (R, K), those of
     `fixed` noise (R, F) from the noisiest level to raw.
     """
-    scale, achieved = (rising(one) for one in fixed)
+    scale, achieved = map(rising, fixed)
     span, below = scale[0, -1] - scale[0, 0], scale[0, -1] - descriptor[0]
     hair = rules.REACH * span
-    side = np.where(below > span + hair, ONLY_MORE, BOTH)
-    side = np.where(below < -hair, ONLY_FEWER, side)
+    side = np.select([below < -hair, below > span + hair], [ONLY_FEWER, ONLY_MORE], BOTH)
     where = nearest_places(descriptor, scale)
     return success - interpolated(where, achieved, log=False), side, where
 
@@ -151,10 +154,7 @@ def exact_ends(more: Floats, fewer: Floats, n: Floats, tail: float) -> tuple[Flo
 
 
 def critical(one: Contrasts, furthest: Floats, level: float) -> Floats:
-    """Return the quantile of the largest deviation as one of t, (K,).
-
-    With few clusters the standard error itself is uncertain, which replicates do not show.
-    """
+    """Return the quantile of the largest deviation as one of t, (K,): errors of few people vary."""
     normal = float(np.quantile(furthest, level)) if furthest.size else 0.0
     return np.asarray(stdtrit(np.maximum(one.degrees, 1.0), ndtr(normal)))
 
@@ -186,10 +186,9 @@ def intervals(one: Contrasts) -> tuple[Floats, Floats]:
     low, high = one.gaps[0] - half, one.gaps[0] + half
     more, fewer = one.discordant[:2]
     least, most = exact_ends(more, fewer, one.degrees + 1.0, 1.0 - _TAIL)
-    return (
-        np.where(one.is_exact, np.minimum(low, least), low),
-        np.where(one.is_exact, np.maximum(high, most), high),
-    )
+    np.minimum(low, least, out=low, where=one.is_exact)
+    np.maximum(high, most, out=high, where=one.is_exact)
+    return low, high
 
 
 def ends(one: Contrasts, wide: Widths, gaps: Floats) -> tuple[Floats, Floats]:
@@ -233,3 +232,50 @@ def together(every: Sequence[Contrasts]) -> Floats:
     """Return the largest deviation over all contrasts of a section, (B,)."""
     deviations = [one.furthest for one in every]
     return np.max(deviations, axis=0) if deviations else np.zeros(0)
+
+
+def answers(one: Contrasts, wide: Widths, families: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Return how probable each answer is if the truth were such: truth, answer, probability.
+
+    From the run's own replicates, moved to the truth: theta + (D_b - D). At the observed effect it
+    would say no more than a p-value (Hoenig and Heisey, The American Statistician 55, 2001). A
+    difference is planted in one family at a time, more and fewer; told is the one found least
+    often. `families` are those of the contrasts, (K,).
+    """
+    around = one.gaps[1:] - one.gaps[0]
+    told = np.array(families)
+
+    def found(truth: Floats) -> dict[str, float]:
+        codes, *_ = decided(one, wide, gaps=around + truth, fall=one.fall[1:], span=one.span[1:])
+        shares = np.bincount(codes, minlength=len(ANSWERS)) / max(codes.size, 1)
+        return dict(zip(ANSWERS, shares.tolist(), strict=True))
+
+    table = {EQUAL: found(np.zeros(told.size))}
+    planted = sorted(set(told[one.decides].tolist()))
+    for name, size in PLANTED.items():
+        cases = [found(sign * size * (told == of)) for of, sign in product(planted, (-1, 1))]
+        if cases:
+            table[name] = min(cases, key=lambda case: case[rules.DOES_NOT])
+    return table
+
+
+def of_each(table: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+    """Return how probable each decision is where it is right: all equal, or 10 points apart."""
+    apart = table.get(next(iter(PLANTED)), {}).get(rules.DOES_NOT, 0.0)
+    return {rules.TRACKS: table[EQUAL][rules.TRACKS], rules.DOES_NOT: apart}
+
+
+def clusters_needed(one: Contrasts, wide: Widths, n: int) -> int | None:
+    """Return the clusters at which a true equal is shown with probability `WANTED`.
+
+    All errors shrink with the root of the number of clusters, each of which brings its own noise;
+    the gallery stays. None where no number would do: something cannot be tested, or linkage falls
+    too little. `n` is how many there are.
+    """
+    room = float(one.fall[0]) - rules.LEAST_FALL
+    if not one.is_whole or (one.side != BOTH).any() or room <= 0:
+        return None
+    around = np.abs(one.gaps[1:] - one.gaps[0]) + wide.up
+    far = float(np.quantile(around.max(axis=1), WANTED)) / rules.SUCCESS_MARGIN
+    down = one.fall[0] - one.fall[1:] + wide.fall
+    return int(np.ceil(n * max(far, float(np.quantile(down, WANTED)) / room) ** 2))

@@ -16,7 +16,7 @@ from evaluation.analysis.families import ADDING_RULES, Family
 from evaluation.analysis.keys import where_text
 from evaluation.analysis.linked_people import LinkedTask
 from evaluation.analysis.metrics import DESCRIPTORS
-from evaluation.verdict import power, rules, spread
+from evaluation.verdict import rules, spread
 from evaluation.verdict.panel import Panel, Sums, contrasts, drawn_weights, panel
 from evaluation.verdict.prediction_error import Squared, kind_of, prediction_errors
 from evaluation.verdict.rules import BETWEEN, NAME, known, with_interval
@@ -157,8 +157,8 @@ def _item(one: Tested, section: Floats) -> dict[str, Any]:
     # is so as far as these attacks go.
     sure = {gap["evidence"] for gap in compared if gap["reading"] == rules.DIFFERS}
     kinds = sorted(sure - {CONSTRUCTION}) if sure and not is_flat else [ATTACKS]
-    answers = power.answers(found, wide, [of.families[place] for place in of.compared])
-    needed = None if is_flat else power.clusters_needed(found, wide, one.n)
+    answers = spread.answers(found, wide, [of.families[place] for place in of.compared])
+    needed = None if is_flat else spread.clusters_needed(found, wide, one.n)
     why = f"between {_points(low)} and {_points(high)} of 100 people" * (decision == BETWEEN)
     said = {
         "id": f"{rules.VALIDITY}/{of.adding}/{one.descriptor}/{of.task.task}",
@@ -177,7 +177,7 @@ def _item(one: Tested, section: Floats) -> dict[str, Any]:
         "metric": "rank1" if of.task.gallery is None else "rank1_g100",
         **_error_numbers(one.errors),
         "evidence": kinds if decision in (rules.DOES_NOT, rules.TRACKS) else [],
-        "power": power.of_each(answers),
+        "power": spread.of_each(answers),
         "power_if": answers,
         "n": one.n,
         "n_needed": needed,

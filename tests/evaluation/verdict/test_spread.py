@@ -7,7 +7,7 @@ import pytest
 from scipy.special import stdtrit
 from scipy.stats import binomtest, norm, t
 
-from evaluation.verdict import power, rules, spread
+from evaluation.verdict import rules, spread
 from evaluation.verdict.prediction_error import prediction_errors
 from evaluation.verdict.spread import BOTH, NEITHER, ONLY_FEWER, ONLY_MORE, Contrasts
 
@@ -150,28 +150,28 @@ class TestPower:
     def test_is_that_of_a_normal_contrast(self):
         s = 0.012
         one = contrasts([0.3], [s], n_drawn=20_000)
-        table = power.answers(one, spread.widths(one, one.furthest), ["offset"])
+        table = spread.answers(one, spread.widths(one, one.furthest), ["offset"])
         q = np.quantile(one.furthest, 0.975)
         tracks = 2 * norm.cdf((0.05 - 1.96 * s) / s) - 1
         fails = norm.sf((0.05 + q * s - 0.10) / s)
-        assert table[power.EQUAL][rules.TRACKS] == pytest.approx(tracks, abs=0.01)
-        assert power.of_each(table)[rules.DOES_NOT] == pytest.approx(fails, abs=0.01)
+        assert table[spread.EQUAL][rules.TRACKS] == pytest.approx(tracks, abs=0.01)
+        assert spread.of_each(table)[rules.DOES_NOT] == pytest.approx(fails, abs=0.01)
         assert all(sum(of.values()) == pytest.approx(1) for of in table.values())
 
     def test_clusters_needed_show_a_true_equal_in_four_of_five(self):
         one = contrasts([0.0, 0.1], [0.03, 0.02], n_drawn=20_000)
-        needed = power.clusters_needed(one, spread.widths(one, one.furthest), 100)
+        needed = spread.clusters_needed(one, spread.widths(one, one.furthest), 100)
         factor = np.sqrt(100 / needed)
         there = contrasts([0.0, 0.1], [0.03 * factor, 0.02 * factor], n_drawn=20_000)
-        table = power.answers(there, spread.widths(there, there.furthest), ["a", "b"])
-        assert table[power.EQUAL][rules.TRACKS] == pytest.approx(0.8, abs=0.02)
+        table = spread.answers(there, spread.widths(there, there.furthest), ["a", "b"])
+        assert table[spread.EQUAL][rules.TRACKS] == pytest.approx(0.8, abs=0.02)
 
     @pytest.mark.parametrize(
         "changed", [{"is_whole": False}, {"fall": [0.2] * 4001}, {"side": [BOTH, ONLY_MORE]}]
     )
     def test_no_number_helps_where_equality_cannot_be_tested(self, changed):
         one = contrasts([0.0, 0.0], [0.01, 0.01], **changed)
-        assert power.clusters_needed(one, spread.widths(one, one.furthest), 100) is None
+        assert spread.clusters_needed(one, spread.widths(one, one.furthest), 100) is None
 
 
 class TestPredictionError:
