@@ -51,10 +51,7 @@ _NAMED, _COUNTED = ("metric", "group", "assigned"), ("above", "tied", "chance", 
 _OUTCOME: Final = (*_NAMED, *_COUNTED, "about", "value", "ci_low", "ci_high", "n")
 """Columns of a linkage cell beside its replicates."""
 _NONE: Final = np.zeros(0, dtype=np.float32)
-_ALIKE: Final = {
-    *("plr", "plr_gap", "plr_attacked"),
-    *("separation_m", "tpr_at_fpr_1pct", "chance"),
-}
+_ALIKE: Final = {"plr", "plr_gap", "plr_attacked", "separation_m", "tpr_at_fpr_1pct", "chance"}
 """Numbers that occur again and again, in other rows or for other consumers: whole they compress."""
 _SINGLE: Final = {
     *DESCRIPTORS,
@@ -112,10 +109,7 @@ def packed(
     unit: str,
     code: Mapping[str, str],
 ) -> bytes:
-    """Return the file of a unit of work: label, key, code of plug-ins, and tables of its consumers.
-
-    `unit` is the key of the whole, `code` its digest by module.
-    """
+    """Return the file of a unit of work, of key `unit`; found are label, key, code and tables."""
     consumers, start = {}, 0
     for label, key, own, tables in found:
         places = {}
@@ -169,10 +163,7 @@ def _index(metadata: Mapping[bytes, bytes]) -> Index:
 
 
 def sound_files(out: Path, names: Sequence[str] = ()) -> tuple[dict[str, Index], list[str]]:
-    """Return what the files hold that are as they were written, and the names of the others.
-
-    Those in `names` are looked at besides those whose checksums are written down.
-    """
+    """Return what the sound files of `names` and of the checksums hold, and which ones are not."""
     sound, damaged = {}, []
     for name, content in checked(out, sorted({*names, *written_down(out)})):
         if content is None:
@@ -184,11 +175,7 @@ def sound_files(out: Path, names: Sequence[str] = ()) -> tuple[dict[str, Index],
 
 def places_of(files: Mapping[str, Index]) -> dict[tuple[str, str], str]:
     """Return the file of every cell, by the keys of its unit and of its consumer."""
-    return {
-        (index.unit, held.key): name
-        for name, index in files.items()
-        for held in index.consumers.values()
-    }
+    return {(of.unit, one.key): name for name, of in files.items() for one in of.consumers.values()}
 
 
 def read_rows(
@@ -197,7 +184,6 @@ def read_rows(
     """Return the rows of one consumer at one level, an entry of a manifest: block by block.
 
     Columns `beside` are read, too, for whoever is asked for next in the same files: once for all.
-
     Raises DataError if a cell is missing or broken, or has no such column; the message names it.
     """
     found = []
@@ -221,9 +207,7 @@ def read_outcomes(
 
     Those of one file are read at once if they come one after the other. Replicates are in single
     precision: those of a run would take half a gigabyte in double. Only metrics in `drawn` have
-    them, and of attacks alone; without it all have that can.
-
-    Raises DataError if a cell is missing or broken; the message names it.
+    them, and of attacks alone; without it all have that can. DataError names a cell that is broken.
     """
     columns = None if drawn is None else (*_OUTCOME, *drawn)
     found: list[LinkageOutcome] = []
@@ -380,10 +364,7 @@ def write_gallery(parts: Sequence[pa.Table], *, out: Path) -> None:
 
 
 def read_gallery(out: Path) -> pd.DataFrame | None:
-    """Return the sample tracks of a run folder; None if it has none.
-
-    Raises DataError if the file is broken.
-    """
+    """Return the sample tracks of a run folder, None without any; DataError if they are broken."""
     path = out / GALLERY
     if not path.exists():
         return None

@@ -44,9 +44,8 @@ class FailedCellsWarning(UserWarning):
 def execute(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
     """Compute what a run's folder misses; the folder is locked by who calls.
 
-    `tell` is called with cells finished, cells to do, and what is under way.
-
-    Raises IsacTrackError for anything that a user can mend; finished cells are kept.
+    `tell` is called with cells finished, cells to do, and what is under way. Raises IsacTrackError
+    for anything that a user can mend; finished cells are kept.
     """
     started, out = time.monotonic(), ready.out
     given_up = try_plugins(ready)

@@ -110,10 +110,7 @@ def from_csv(content: bytes) -> pd.DataFrame:
 
 
 def made_of(out: Path, name: str, *, columns: Iterable[str] = ()) -> Any:  # noqa: ANN401 - as said
-    """Return what a report wrote of a run: of a CSV the table, some `columns` of it; else JSON.
-
-    Raises DataError, with the way out, if it is missing or cannot be read.
-    """
+    """Return a file of a report: of a CSV some `columns`, else JSON; DataError has the way out."""
     again = f"python -m evaluation.report {shlex.quote(str(out))} writes it anew"
     try:
         content = content_of(out / name)
@@ -164,10 +161,7 @@ def is_temporary(name: str) -> bool:
 
 
 def opened(path: Path, flags: int) -> int:
-    """Open a regular file of a run folder by the flags of `os.open`.
-
-    Raises OSError if it is a link, a pipe, a device or a folder, or as `os.open` does.
-    """
+    """Open a regular file by the flags of `os.open`; OSError as there, or if it is none."""
     file = os.open(path, flags | _NOT_FOLLOWED, 0o644)
     mode = os.fstat(file).st_mode
     if stat.S_ISREG(mode):
@@ -185,10 +179,7 @@ def content_of(path: Path) -> bytes:
 
 
 def write_checked(out: Path, name: str, content: bytes) -> None:
-    """Write a file of cells, and its checksum.
-
-    Raises DataError if the disk is full or the folder cannot be written.
-    """
+    """Write a file of cells, and its checksum; DataError if that cannot be."""
     # First the line: a kill in between leaves one without a cell, not a cell that looks damaged.
     path = out / CHECKSUMS
     try:
@@ -239,10 +230,7 @@ def check_sound(out: Path, names: Iterable[str]) -> None:
 
 
 def forget_missing(out: Path) -> None:
-    """Write the checksums anew, if one is of a cell that is not there or was written twice.
-
-    `sha256sum --check` would take it for damage. Lines of cells that are there stay.
-    """
+    """Forget checksums of missing cells, and outdated ones: to `sha256sum` they are damage."""
     lines, there = _lines(out), _present(out)
     needed = {name: checksum for name, checksum in lines if name in there}
     if set(lines) != set(needed.items()):

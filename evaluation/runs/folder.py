@@ -16,10 +16,7 @@ _SHOWN_DIFFERENCES = 3
 
 @contextlib.contextmanager
 def usable(out: Path) -> Iterator[None]:
-    """Tell in one line what the system says of a run folder within.
-
-    Raises SettingsError if no folder can have that name, or it cannot be entered, read or changed.
-    """
+    """Make one line, a SettingsError, of an impossible name, and of what the system says within."""
     name = str(out)
     if "\0" in name or name.encode(errors="ignore").decode() != name:
         raise SettingsError(f"{name!a} cannot be the name of a folder; choose another --out")
@@ -85,10 +82,7 @@ def open_run(
 
 
 def _drop_other_code(out: Path, manifest: dict[str, Any], held: dict[str, Index]) -> None:
-    """Drop the cells whose code is not what is here now, and the files that hold no others.
-
-    Code that is not here at all cannot be told to be another.
-    """
+    """Drop cells whose code is here and another, or is nowhere, and files that hold no others."""
     modules = {
         module
         for index in held.values()

@@ -19,6 +19,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from importlib.metadata import version
 from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -44,10 +45,7 @@ _LIBRARIES: Final = ("numpy", "scipy", "pandas", "pyarrow")
 
 
 def read_manifest(out: Path) -> dict[str, Any]:
-    """Return the manifest of a run folder; all that its readers rely on is there.
-
-    Raises DataError if there is none, it cannot be read or is damaged, or the run never started.
-    """
+    """Return a run's manifest; DataError if none is there, it is damaged, or no run started."""
     manifest = undamaged(parsed(out), out=out)
     if not manifest.keys() >= {"dataset", "settings"}:
         raise DataError(f"{out} holds a run that never started; run the matrix again")
@@ -124,15 +122,12 @@ def with_ceiling(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
     What an attack says when it finds nothing depends on it; in other worlds it is held against the
     optimum instead.
     """
-    ceilings = {
-        (entry["consumer"], entry["knowledge"]) for entry in entries if entry["spec"] == "clean"
-    }
+    whose = itemgetter("consumer", "knowledge")
+    ceilings = {whose(entry) for entry in entries if entry["spec"] == "clean"}
     return [
         entry
         for entry in entries
-        if entry["kind"] != "linkage"
-        or entry.get("world")
-        or (entry["consumer"], entry["knowledge"]) in ceilings
+        if entry["kind"] != "linkage" or entry.get("world") or whose(entry) in ceilings
     ]
 
 
@@ -166,6 +161,10 @@ def describe(ready: Plan) -> dict[str, Any]:
     from isac_track.privacy import mean_interval_s  # noqa: PLC0415 - a reader needs none
 
     tracks, settings, axes = ready.tracks, ready.settings, ready.axes
+    linkers = dict.fromkeys(link.spec for _, link in axes.links)
+    requires = {plugin.spec: plugin.instance.requires for plugin in axes.predictors}
+    undeclared = (plugin for plugin in axes.mechanisms if not plugin.adding)
+    without_rule = {one.family for one in undeclared if getattr(one.instance, "adds_error", True)}
     tasks = {}
     for sessions in ready.sessions:
         galleries = np.bincount(sessions.gallery.search, minlength=len(sessions.searches))
@@ -202,26 +201,13 @@ def describe(ready: Plan) -> dict[str, Any]:
             "seed": settings.seed,
             "mechanisms": [plugin.spec for plugin in axes.mechanisms],
             "predictors": [plugin.spec for plugin in axes.predictors],
-            "attacks": [
-                *(plugin.spec for plugin in axes.attacks),
-                *dict.fromkeys(link.spec for _, link in axes.links),
-            ],
+            "attacks": [*(plugin.spec for plugin in axes.attacks), *linkers],
             "tasks": [task.name for task in axes.tasks],
             **({"adversaries": list(axes.adversaries)} if axes.adversaries else {}),
             "stages": settings.stages.flat(),
         },
-        "granted": {
-            plugin.spec: sorted(one.name for one in plugin.instance.requires)
-            for plugin in axes.predictors
-            if plugin.instance.requires
-        },
-        "without_rule": sorted(
-            {
-                plugin.family
-                for plugin in axes.mechanisms
-                if not plugin.adding and getattr(plugin.instance, "adds_error", True)
-            }
-        ),
+        "granted": {name: sorted(one.name for one in of) for name, of in requires.items() if of},
+        "without_rule": sorted(without_rule),
         "dataset": about_data(ready),
         "history": {
             "points": float(np.diff(tracks.offsets).mean()),

@@ -165,10 +165,7 @@ class Failures:
         self._died_at: set[tuple[Place, ...]] = set()
 
     def rest(self, work: Work, failure: Failed, *, finished: Container[Place]) -> list[Work]:
-        """Return what is still to be done of a work in which something failed.
-
-        A worker's death is tried once more. `finished` has what is finished.
-        """
+        """Return what is left of a work in which something failed; a death is tried once more."""
         spec, label = failure.at or ("", "")
 
         def is_at(cell: Cell) -> bool:  # in a mechanism, all of its consumers are
@@ -249,10 +246,7 @@ class Gathered:
         self._found: dict[str, dict[Place, Item | None]] = {}
 
     def add(self, place: Place, item: Item | None) -> WholeFile | None:
-        """Take what a consumer makes of a unit, None if it fails; return the file if it is whole.
-
-        One of which everything failed is none.
-        """
+        """Take what a consumer makes, None if it fails; return a file that is whole."""
         file = self._files[place]
         found = self._found.setdefault(file.name, {})
         found[place] = item

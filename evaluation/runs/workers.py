@@ -1,8 +1,7 @@
 """Works handed out to worker processes of this machine, and what comes back of them.
 
-Each worker is in a lane of its own, at the other end of a pipe, so that one that dies takes nobody
-along. It tells where it is before each cell: that names the culprit, and shows how long a cell has
-been running.
+Each worker is in a lane of its own, at the other end of a pipe: one that dies takes nobody along.
+It tells where it is before each cell, which names the culprit and times it.
 """
 
 from __future__ import annotations
@@ -267,10 +266,7 @@ class _Lane(Generic[W, R]):
         worker.tell("work", work)
 
     def items(self) -> list[R | Failed]:
-        """Return what comes next of the work, if it is there; kill a worker that is late.
-
-        Afterwards it is not busy if that was all, because it is done or the worker is.
-        """
+        """Return what comes next; busy no more if that was all. Kill a worker that is late."""
         # First: what it said before it ended is still there.
         is_gone = self._worker is None or not self._worker.is_alive()
         try:

@@ -289,10 +289,7 @@ def _levels(
     robots: Sequence[str],
     manifest: Mapping[str, Any],
 ) -> list[Level]:
-    """Return what the levels of a run come to, each with all of its tasks.
-
-    Without those that the first robot, or nobody, was shown; raw needs no predictor.
-    """
+    """Return raw, and the levels that the first robot was shown, each with all of its tasks."""
     robot = Source(robots[0])
     dataset, identity = manifest["dataset"]["name"], manifest["identity"]
     own = (one for one in manifest["cells"] if not one.get("world"))

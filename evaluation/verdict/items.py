@@ -76,10 +76,9 @@ def decided(section: str, drafts: Iterable[Draft]) -> list[dict[str, Any]]:
 
 
 def critical(effects: Sequence[Estimate], coverage: float = rules.BAND_COVERAGE) -> float:
-    """Return the quantile over replicates of the largest deviation over its scale.
+    """Return the quantile over replicates of the largest deviation over its scale; 0 without any.
 
-    Replicates of all effects share their draws, row by row; one that an effect lacks (NaN) is not
-    counted there. Without an effect it is 0.
+    Replicates of all effects share their draws, row by row; what an effect lacks is not counted.
     """
     n_rows = min((one.replicates.size for one in effects), default=0)
     largest = np.zeros(max(n_rows, 1))
@@ -101,10 +100,7 @@ def scale(effect: Estimate) -> float:
 
 
 def around(effect: Estimate, half: float, q: float) -> tuple[float, float]:
-    """Return effect +- q halves, q taken from the normal law to Student's t.
-
-    With few clusters the standard error is uncertain itself, which replicates do not show.
-    """
+    """Return effect +- q halves, q taken from the normal law to Student's: errors of few vary."""
     t = float(stdtrit(max(effect.n_effective - 1.0, 1.0), float(ndtr(q))))
     return effect.value - t * half, effect.value + t * half
 

@@ -148,10 +148,7 @@ def contrasts(
     others: Sequence[int],
     fid: Sequence[int] = (),
 ) -> Contrasts:
-    """Return the contrasts of FID at its quartiles and of other levels.
-
-    `rates` are `Sums.drawn` under the weights of `drawn_weights`.
-    """
+    """Return the contrasts of FID at quartiles and of others; `rates` are `Sums.drawn` of all."""
     (success, shows), fixed = rates, of.fixed
     others = list(others)
     at, reached, own = shows[:, others], success[:, others], np.eye(len(sums.probes))[others]

@@ -160,10 +160,7 @@ def critical(one: Contrasts, furthest: Floats, level: float) -> Floats:
 
 
 def widths(one: Contrasts, section: Floats) -> Widths:
-    """Return how far the ends lie from the estimates.
-
-    `section` is `furthest` over all contrasts that are tested together, (B,).
-    """
+    """Return how far the ends lie; `section`, (B,), is `furthest` of all tested together."""
     t = stdtrit(np.maximum(one.degrees, 1.0), _TAIL)
     # Where counts give every interval there is no q, and the descriptor is uncertain all the same.
     q = np.maximum(critical(one, section, _TAIL), t)

@@ -1,9 +1,9 @@
 """Section a of the verdict: how often are people linked at equal descriptor value.
 
-Within one mechanism more noise lowers both a descriptor and linkability: a rank correlation near 1
-over the levels comes for free. A descriptor that measures linkability does so whatever the
-mechanism: at one value of it, fixed noise, FID and the dissociation controls must let equally many
-people be linked. Who is compared is in `panel`, what follows in `spread`; here are items and words.
+Over the levels of one mechanism descriptor and linkability fall together for free. What measures
+linkability does so whatever the mechanism: at one value of it, fixed noise, FID and the
+dissociation controls must let equally many people be linked. Who is compared is in `panel`, what
+follows in `spread`; here are items and words.
 """
 
 from collections.abc import Mapping, Sequence
@@ -66,10 +66,7 @@ def validity(
     dataset: str,
     seed: int,
 ) -> dict[str, list[dict[str, Any]]]:
-    """Return the section's `items`, its positive `controls`, and the descriptors `on_trial`.
-
-    `families` are the mechanisms of the run by name.
-    """
+    """Return items, positive controls, and descriptors on trial; `families` are by mechanism."""
     tested: list[Tested] = []
     halves: list[Tested] = []
     on_trial: list[dict[str, Any]] = []

@@ -1,8 +1,7 @@
 """Section b of the verdict: whether a track's own PLR, AEL or MEL tells that it is linked.
 
-Within one mechanism level some tracks are linked and some are not. A designer who reads a
-descriptor track by track wants to know whether it tells which, beyond what anybody sees without
-it: how long the track is, how fast, and how noisy in both releases.
+Within one mechanism level, and beyond what anybody sees without a descriptor: how long the track
+is, how fast, and how noisy in both releases.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
