@@ -137,8 +137,7 @@ def packed(
     ) as writer:
         writer.write_table(whole)
         writer.add_key_value_metadata({_INDEX: json.dumps(index).encode()})
-    content: bytes = sink.getvalue().to_pybytes()
-    return content
+    return bytes(sink.getvalue())
 
 
 def _of_precision(whole: pa.Table, kind: pa.DataType) -> pa.Table:

@@ -37,12 +37,10 @@ _ASK_S: Final = 2.0
 _LOOK_S: Final = 0.02
 _FETCH_S: Final = 10.0
 _AHEAD: Final = 3  # Works handed out per thread: no worker waits, and nobody holds many.
-_LARGE: Final = {"distributed.admin.large-graph-warning-threshold": "1GiB"}
-"""Dask warns of large graphs; ours holds the tracks, once."""
+_LARGE: Final = {"distributed.admin.large-graph-warning-threshold": "1GiB"}  # Ours holds tracks.
 _LIBRARIES: Final = ("numpy", "scipy", "numba")
 _LOADING: Final = threading.Lock()
-_FIRST_SEEN: Final[dict[str, str]] = {}
-"""Digests of the source as this process loaded it: files may change under a running worker."""
+_FIRST_SEEN: Final[dict[str, str]] = {}  # Digests of the source as loaded: files may change later.
 
 
 def spread_on_cluster(

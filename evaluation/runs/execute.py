@@ -53,9 +53,7 @@ def execute(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
     earlier_s = float(manifest.get("wall_time_s", 0.0))
     places = places_of(held)
     missing = pieces.missing_of(ready, places)
-    manifest |= describe(ready)
-    manifest["damaged_cells"] = damaged
-    manifest["untried_plugins"] = given_up
+    manifest |= describe(ready) | {"damaged_cells": damaged, "untried_plugins": given_up}
     # What failed when other axes were run, whose finished levels stay in the tables.
     failures = manifest.get("failed", []) if manifest["cells"] else []
     ours = entries_of(ready, places, missing)

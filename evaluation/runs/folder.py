@@ -82,7 +82,7 @@ def open_run(
 
 
 def _drop_other_code(out: Path, manifest: dict[str, Any], held: dict[str, Index]) -> None:
-    """Drop cells whose code is here and another, or is nowhere, and files that hold no others."""
+    """Drop cells whose code is here but another, and the files that hold no other cells."""
     modules = {
         module
         for index in held.values()

@@ -136,12 +136,10 @@ def about_data(ready: Plan) -> dict[str, Any]:
     from isac_track.scenes import FEW_PEOPLE, what_would_help  # noqa: PLC0415 - as below
 
     tracks, dataset = ready.tracks, ready.dataset
+    own = ("name", "sha256", "format", "simulated", "notice")
     about = {
         "path": str(dataset.path),
-        **{
-            name: getattr(dataset, name)
-            for name in ("name", "sha256", "format", "simulated", "notice")
-        },
+        **{name: getattr(dataset, name) for name in own},
         "tracks": len(dataset.tracks),
         "tracks_used": len(tracks),
         "too_short": tracks.too_short,
@@ -252,12 +250,8 @@ def _git_commit() -> str | None:
     git = shutil.which("git")
     if git is None or not (root / ".git").exists():
         return None
-    answer = subprocess.run(  # noqa: S603 - a fixed command
-        [git, "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    command = [git, "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40"]
+    answer = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603 - fixed
     return answer.stdout.strip() or None
 
 

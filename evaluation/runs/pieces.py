@@ -30,8 +30,7 @@ if TYPE_CHECKING:
 
 Work: TypeAlias = "Block | LinkWork"
 Cell: TypeAlias = "tuple[int, Plugin, Consumer]"  # Block (0: what is linked), mechanism, consumer.
-Place: TypeAlias = "tuple[int, str, str]"
-"""Of a cell: its block, the SPEC of its mechanism, and the label of its consumer."""
+Place: TypeAlias = "tuple[int, str, str]"  # Block, SPEC of the mechanism, label of the consumer.
 Found: TypeAlias = "WholeFile | Item | Failed"  # What comes of work.
 _TASKS_PER_WORKER = 2
 _LEVELS_PER_TASK = 12  # Of what is linked.
@@ -56,10 +55,7 @@ def n_finished(ready: Plan) -> int:
 
 
 def unfinished(ready: Plan) -> list[Unit]:
-    """Return what a run lacks by the checksums of its folder, which nothing is changed in.
-
-    Raises DataError if these cannot be read, and OSError if the folder of the cells cannot.
-    """
+    """Return what a run lacks by the checksums of its folder; raises as `written_down`."""
     indices = ((name, index_of(ready.out / FOLDER / name)) for name in written_down(ready.out))
     return missing_of(ready, places_of({name: one for name, one in indices if one is not None}))
 
@@ -269,16 +265,8 @@ class Gathered:
             yield from filter(None, found.values())
 
 
-def in_files(
-    work: Work,
-    *,
-    files: Mapping[Place, ToCome],
-    **options: Any,  # noqa: ANN401 - handed on
-) -> Iterator[Found]:
-    """Yield what `attempt` does, packed as far as files are whole: the rest one by one.
-
-    A worker then sends kilobytes for megabytes, and who writes them has nothing to compress.
-    """
+def in_files(work: Work, *, files: Mapping[Place, ToCome], **options: Any) -> Iterator[Found]:  # noqa: ANN401 - handed on
+    """Yield what `attempt` does, packed where files are whole: there is less to send."""
     gathered, failed = Gathered(files), list[Failed]()
     for found in attempt(work, **options):
         if isinstance(found, Failed):

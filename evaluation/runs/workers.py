@@ -4,8 +4,6 @@ Each worker is in a lane of its own, at the other end of a pipe: one that dies t
 It tells where it is before each cell, which names the culprit and times it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import gc
@@ -16,10 +14,11 @@ import sys
 import threading
 import time
 import traceback
+from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from importlib import import_module
 from multiprocessing import Pipe, connection
-from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, TypeVar
+from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 import pyarrow as pa
 from cloudpickle import dumps
@@ -28,9 +27,6 @@ from threadpoolctl import threadpool_limits
 from evaluation.cells.where import Failed, here, note
 from isac_track.command_line import check_interrupt
 from isac_track.errors import told
-
-if TYPE_CHECKING:
-    from collections import deque
 
 W = TypeVar("W")
 R = TypeVar("R")
@@ -54,7 +50,7 @@ except EOFError:  # the parent was killed meanwhile
 from evaluation.runs.workers import serve
 serve(pipe, parent=int(sys.argv[2]))
 """
-_waiting: Final[list[_Worker]] = []  # With nothing to do: who spreads work takes them first.
+_waiting: Final["list[_Worker]"] = []  # With nothing to do: who spreads work takes them first.
 _IMPORTED: Final = ("evaluation.runs.pieces", "evaluation.cells.sample_tracks", "numba")
 _heard: Final[dict[int, int]] = {}  # Output and errors of this process, as it began.
 _M_ARENA_MAX: Final = -8  # Of glibc's malloc.h.

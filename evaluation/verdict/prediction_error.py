@@ -1,12 +1,10 @@
 """How well a descriptor foretells who is linked under a kind of noise that it was not fitted to.
 
-Description only: it decides nothing. One kind of mechanism is left out at a time; the others give
-the curve from descriptor to linkage (isotonic, interpolated), which is read at the levels of the
-kind left out. PE^2 is the mean of e^2 - s^2, e the error and s its standard error: what sampling
-alone would give is taken off. Kinds weigh alike, and so do the levels of one.
+It decides nothing. One kind of mechanism is left out at a time; the others give the curve from
+descriptor to linkage (isotonic, interpolated), which is read at the levels left out. PE^2 is the
+mean of e^2 - s^2, e the error and s its standard error: what sampling alone would give is taken
+off. Kinds weigh alike, and so do the levels of one.
 """
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +17,7 @@ from evaluation.analysis.matching import interpolated, nearest_places, rising
 from isac_track.intervals import percentile_interval
 from isac_track.types import Floats
 
-_WHITE: Final = (RAW, FIXED, FID, "laplace")
+WHITE: Final = (RAW, FIXED, FID, "laplace")  # Families that are one kind.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -41,14 +39,9 @@ class Squared:
         value, low, high = np.sqrt(np.maximum([self.drawn[0], *self.ends], 0.0)).tolist()
         return value, low, high
 
-    def less(self, other: Squared) -> Squared:
+    def less(self, other: "Squared") -> "Squared":
         """Return how much smaller the other is."""
         return Squared(self.drawn - other.drawn, self.centre - other.centre)
-
-
-def kind_of(family: str) -> str:
-    """Return the kind of a family: all white noise is one."""
-    return "white" if family in _WHITE else family
 
 
 def prediction_errors(
@@ -69,19 +62,14 @@ def prediction_errors(
     rows: list[list[Floats]] = []
     for place, name in enumerate(names):
         out = told == name
-        foretold = _foretold(scale[:, ~out], reached[:, ~out], scale[:, out])
+        # A curve through the levels of all others; flat beyond its ends.
+        order = np.argsort(scale[:, ~out], axis=1, kind="stable")
+        x, y = (np.take_along_axis(one[:, ~out], order, axis=1) for one in (scale, reached))
+        foretold = interpolated(nearest_places(scale[:, out], x), rising(y), log=False)
         null = np.delete(means, place, axis=0).mean(axis=0)[:, None]
         rows.append([_squares(reached[:, out] - one) for one in (foretold, null)])
     ours, none = np.mean(rows, axis=0)
     return Squared(ours[1:], float(ours[0])), Squared(none[1:], float(none[0]))
-
-
-def _foretold(scale: Floats, reached: Floats, at: Floats) -> Floats:
-    """Return what a curve through levels, (R, L), says at others, (R, P); flat beyond its ends."""
-    order = np.argsort(scale, axis=1, kind="stable")
-    scale, reached = (np.take_along_axis(one, order, axis=1) for one in (scale, reached))
-    where = nearest_places(at, scale)
-    return interpolated(where, rising(reached), log=False)
 
 
 def _squares(errors: Floats) -> Floats:

@@ -30,8 +30,7 @@ SUCCESS_MARGIN: Final = 0.05  # Difference in rank 1 that counts as none: five p
 LEAST_SPAN: Final = 1.25  # Of a descriptor, raw over the strongest fixed error: less says nothing.
 LEAST_CORRELATION: Final = 0.10  # Partial, of ranks: less tells nothing of a track.
 LEAST_FALL: Final = 0.20  # Of linkage, raw to the strongest fixed error: else anything would track.
-FEWEST_DISCORDANT: Final = 10
-"""People linked under one of two mechanisms only: with fewer the interval is that of counts."""
+FEWEST_DISCORDANT: Final = 10  # People linked under one of two only; fewer: interval of counts.
 NO_SPREAD: Final = 1e-9  # Standard error below which replicates say nothing.
 REACH: Final = 0.02  # Share of its span by which a point may lie beyond the fixed sweep.
 

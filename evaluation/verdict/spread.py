@@ -227,8 +227,7 @@ def shown(one: Contrasts) -> float:
 
 def together(every: Sequence[Contrasts]) -> Floats:
     """Return the largest deviation over all contrasts of a section, (B,)."""
-    deviations = [one.furthest for one in every]
-    return np.max(deviations, axis=0) if deviations else np.zeros(0)
+    return np.max([one.furthest for one in every], axis=0) if every else np.zeros(0)
 
 
 def answers(one: Contrasts, wide: Widths, families: Sequence[str]) -> dict[str, dict[str, float]]:

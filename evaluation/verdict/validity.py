@@ -18,7 +18,7 @@ from evaluation.analysis.linked_people import LinkedTask
 from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.verdict import rules, spread
 from evaluation.verdict.panel import Panel, Sums, contrasts, drawn_weights, panel
-from evaluation.verdict.prediction_error import Squared, kind_of, prediction_errors
+from evaluation.verdict.prediction_error import WHITE, Squared, prediction_errors
 from evaluation.verdict.rules import BETWEEN, NAME, known, with_interval
 from evaluation.verdict.spread import BOTH, NEITHER, ONLY_FEWER, ONLY_MORE, Contrasts, Widths
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate
@@ -114,7 +114,8 @@ def _errors(of: Panel, name: str, rates: tuple[Floats, Floats]) -> Errors:
     """Return the squared prediction error of a descriptor, and that without one."""
     levels = [*of.fixed, *of.fid[:-1], *of.others]
     success, shows = (one[: 1 + _N_FOR_ERRORS, levels] for one in rates)
-    kinds = [kind_of(of.families[place]) for place in levels]
+    families = [of.families[place] for place in levels]
+    kinds = ["white" if family in WHITE else family for family in families]
     return prediction_errors(-shows if name in FALLING else shows, success, kinds)
 
 

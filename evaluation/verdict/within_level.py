@@ -5,6 +5,7 @@ is, how fast, and how noisy in both releases.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -43,18 +44,16 @@ def within(
     names = {name for of in clusters.values() for name in of}
     drawn = {name: stream(seed, "within", name).standard_normal(N_REPLICATES) for name in names}
     of_task = {task: np.column_stack([drawn[name] for name in of]) for task, of in clusters.items()}
-    for adding in ADDING_RULES:
+    for adding, descriptor, task in product(ADDING_RULES, DESCRIPTORS, success):
         wanted = (RAW, *sweeps.swept(adding))
-        for descriptor in DESCRIPTORS:
-            for task, linker in success.items():
-                # Each release once: several eta may share the same.
-                mine: dict[bytes, LinkedProbes] = {}
-                for one in levels.get(task, ()):
-                    if one.mechanism in wanted:
-                        release = np.column_stack([one.hit, *one.descriptors.values()])
-                        mine.setdefault(release.tobytes(), one)
-                if any(one.mechanism != RAW for one in mine.values()):
-                    yield _item([*mine.values()], adding, descriptor, linker, of_task[task])
+        # Each release once: several eta may share the same.
+        mine: dict[bytes, LinkedProbes] = {}
+        for one in levels.get(task, ()):
+            if one.mechanism in wanted:
+                release = np.column_stack([one.hit, *one.descriptors.values()])
+                mine.setdefault(release.tobytes(), one)
+        if any(one.mechanism != RAW for one in mine.values()):
+            yield _item([*mine.values()], adding, descriptor, success[task], of_task[task])
 
 
 def _item(
