@@ -6,24 +6,16 @@ from isac_track.compiling import FLOAT, compiled, read, together, written
 from isac_track.types import Floats, Ints
 
 
-@compiled(
-    *(together(read(2), read(2), read(2), read(2)), together(FLOAT, FLOAT)),
-    *(read(1), read(1, "int64"), together(FLOAT, FLOAT), written(2)),
-)
+@compiled(together(*[read(2)] * 4), read(1), read(1, "int64"), together(*[FLOAT] * 4), written(2))
 def described(
-    places: tuple[Floats, Floats, Floats, Floats],
-    turn: tuple[float, float],
-    t: Floats,
-    offsets: Ints,
-    rule: tuple[float, float],
-    out: Floats,
+    places: tuple[Floats, ...], t: Floats, offsets: Ints, rule: tuple[float, ...], out: Floats
 ) -> None:
     """Fill `out` (5, N) with PLR, AEL, MEL, segments and mean squared error of every track.
 
-    The `rule` is epsilon in m, and 1 if a sample lasts by the intervals beside it, 0 if all last
-    their mean.
+    The `rule` is the cosine and sine of the turn, epsilon in m, and 1 if a sample lasts by the
+    intervals beside it, 0 if all last their mean.
     """
-    (xy, truth, moved_to, moved_from), (cos, sin), (epsilon_m, by_segment) = places, turn, rule
+    (xy, truth, moved_to, moved_from), (cos, sin, epsilon_m, by_segment) = places, rule
     for i in range(offsets.size - 1):
         own = slice(offsets[i], offsets[i + 1])
         shared, true, to, since, clock = xy[own], truth[own], moved_to[own], moved_from[own], t[own]

@@ -94,10 +94,8 @@ def described(
     to, since = moved or (xy, xy)
     places = tuple(np.ascontiguousarray(one) for one in (xy, truth, to, since))
     times, out = np.ascontiguousarray(t), np.empty((5, offsets.size - 1))
-    rule = settings.epsilon_m, float(settings.intervals == "segment")
-    import_module("isac_track._privacy_loop").described(
-        places, (turn.real, turn.imag), times, offsets, rule, out
-    )
+    rule = turn.real, turn.imag, settings.epsilon_m, float(settings.intervals == "segment")
+    import_module("isac_track._privacy_loop").described(places, times, offsets, rule, out)
     return out
 
 

@@ -133,12 +133,11 @@ def smooth_positions(
     """
     if passes < 1 or not 0 <= anneal < 1:
         raise ValueError(f"need passes >= 1 and 0 <= anneal < 1, got {passes} and {anneal}")
-    position, spread = np.empty((batch.t.size, 2)), np.empty(batch.t.size)
+    out = np.empty((batch.t.size, 2)), np.empty(batch.t.size)
     order = np.argsort(np.diff(batch.offsets), kind="stable")
-    import_module("isac_track.kalman._linear_loops").smooth_positions(
-        *(batch.arrays(2), order, positive("q", q), passes, float(anneal)), (position, spread)
-    )
-    return position, spread
+    loops = import_module("isac_track.kalman._linear_loops")
+    loops.smooth_positions(batch.arrays(2), order, positive("q", q), passes, float(anneal), out)
+    return out
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,11 +221,10 @@ def imm_smoother(batch: Batch, moods: Moods) -> tuple[Floats, Floats]:
     Barber, "Expectation correction for smoothed inference in switching linear dynamical
     systems", J. Machine Learning Research 7, 2006, 2515-2540.
     """
-    position, variance = np.empty((batch.t.size, 2)), np.empty(batch.t.size)
-    import_module("isac_track.kalman._imm_loops").imm_smoother(
-        batch.arrays(2), moods.arrays(batch.t), position, variance
-    )
-    return position, variance
+    out = np.empty((batch.t.size, 2)), np.empty(batch.t.size)
+    loops = import_module("isac_track.kalman._imm_loops")
+    loops.imm_smoother(batch.arrays(2), moods.arrays(batch.t), *out)
+    return out
 
 
 def prepare() -> None:

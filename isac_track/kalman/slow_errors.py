@@ -111,9 +111,8 @@ def smooth_tracks(
     """
     if passes < 1 or not 0 <= anneal < 1:
         raise ValueError(f"need passes >= 1 and 0 <= anneal < 1, got {passes} and {anneal}")
-    position, spread = np.empty((batch.t.size, 2)), np.empty(batch.t.size)
+    out = np.empty((batch.t.size, 2)), np.empty(batch.t.size)
     import_module("isac_track.kalman._error_loops").smooth_tracks(
-        *(error.arrays(batch), error.tau_s, positive("q", q), passes, float(anneal)),
-        (position, spread),
+        *(error.arrays(batch), error.tau_s, positive("q", q), passes, float(anneal)), out
     )
-    return position, spread
+    return out

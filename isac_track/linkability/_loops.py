@@ -151,8 +151,7 @@ def _sorted_pairs(ones: int, pairs: _Pairs) -> tuple[Ints, Places, Places]:
     starts = np.zeros(counts.size + 1, dtype=np.int64)
     for key in range(counts.size):
         starts[key + 1] = starts[key] + counts[key // 2, key % 2]
-    a_of = np.empty(cell.size, dtype=np.uint16)
-    b_of = np.empty(cell.size, dtype=np.uint16)
+    a_of, b_of = np.empty((2, cell.size), dtype=np.uint16)
     place = starts.copy()
     pair, row, column = 0, 0, 0
     for s in range(shapes.shape[0]):
@@ -209,6 +208,20 @@ def _add_share(sums: Floats, totals: Floats, inner: float, out: Floats) -> None:
         out[0, r] += share
         out[1, r] += inner * share
     sums[:] = 0.0
+
+
+@compiled(read(2, "uint16"), read(1, "int64"), written(1))
+def mean_shares(mated: Places, counts: Ints, out: Floats) -> None:
+    """Write `d_sys`, (n,), of histograms of mated scores, (bins, n), of all `counts`, (bins,)."""
+    n_bins, n = mated.shape
+    sums, totals, shares = np.empty((2, n)), np.zeros((2, n)), np.zeros((2, n))
+    for k in range(n_bins):
+        totals[0] += mated[k]
+        totals[1] += counts[k] - mated[k]
+    for k in range(n_bins):
+        sums[0], sums[1] = mated[k], counts[k] - mated[k]
+        _add_share(sums, totals, 1.0, shares)
+    out[:] = shares[0]
 
 
 @part_of_loop

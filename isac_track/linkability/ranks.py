@@ -119,8 +119,7 @@ def log_rank(*, scores: Floats, mate: Ints) -> Floats:
     """Return the expected -log(rank / G) of each probe's mate, (P,); NaN for one without.
 
     Zero at the bottom, log G at the top: every halving of the rank counts the same, in galleries of
-    any size. The expectation is over a random order of ties, as in all rank metrics here; the
-    logarithm of a mid-rank would rate a tie above what it is worth.
+    any size. The logarithm of a mid-rank would rate a tie above what it is worth.
     """
     _check_scores(scores, mate)
     (above, tied), n_gallery = standing(scores, mate), scores.shape[1]
@@ -210,13 +209,8 @@ def first_among(strangers: Ints, gallery: int = GALLERY) -> Floats:
 
 def expected_reciprocal(above: Ints, tied: Ints, n_gallery: int) -> Floats:
     """Return `reciprocal_rank` likewise; `n_gallery` is the largest there is."""
-    harmonic = _harmonic(n_gallery)
+    harmonic = np.append(0.0, np.cumsum(1.0 / np.arange(1, n_gallery + 1)))
     return np.asarray((harmonic[above + tied] - harmonic[above]) / tied)
-
-
-@lru_cache(maxsize=256)
-def _harmonic(n: int) -> Floats:
-    return np.append(0.0, np.cumsum(1.0 / np.arange(1, n + 1)))
 
 
 @lru_cache(maxsize=256)

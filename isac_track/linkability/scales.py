@@ -120,9 +120,9 @@ def score_scale(
     # The next attack on the same people has the same weights.
     kept = _weighed.__wrapped__ if weights.flags.writeable else _weighed
     people = kept(searches, _Same(weights), without)
-    counts = cut.counts
+    loops, counts = import_loops(), cut.counts
     columns = np.empty((len(_COLUMNS), people.table.shape[1]))
-    import_loops().read_scores(
+    loops.read_scores(
         people.table,
         (*people.who, np.concatenate([cell.ravel() for cell in cut.places]), counts),
         *(cut.bins, people.totals, np.array([*LEVELS.values()]), columns),
@@ -132,9 +132,9 @@ def score_scale(
     bias = math.nan
     if n_mated and n_non_mated:
         total = np.bincount(cut.bins, counts.sum(axis=1), minlength=len(cut.null_bins))
-        p, q = (of / of.sum(axis=0) for of in (cut.null_bins, total[:, None] - cut.null_bins))
-        with np.errstate(invalid="ignore"):
-            bias = float(np.where(p > q, p * (p - q) / (p + q), 0.0).sum(axis=0).mean())
+        null = np.empty(cut.null_bins.shape[1])
+        loops.mean_shares(cut.null_bins, total.astype(np.int64), null)
+        bias = float(null.mean())
 
     # Some replicates more are there for the loops alone.
     n_replicates = people.rows[0][0].shape[1]
