@@ -26,7 +26,8 @@ def one_process():
         return spread(function, works, jobs=1, limit_s=None)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("evaluation.runs.execute.spread", here)
+        for name in ("execute", "trials"):
+            patch.setattr(f"evaluation.runs.{name}.spread", here)
         patch.setattr("evaluation.matrix._n_workers", lambda _: 0)
         yield
 
