@@ -43,9 +43,7 @@ def told(error: BaseException) -> str:
         text = "(its message cannot be read)"
     words = " ".join(f"{name}: {text[: 10 * _MOST_TOLD]}".split()).removesuffix(":")
     # Half a surrogate pair or an escape sequence is shown as what it is.
-    line = "".join(
-        one if one.isprintable() else one.encode("unicode_escape").decode() for one in words
-    )
+    line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in words)
     return line if len(line) <= _MOST_TOLD else f"{line[:_MOST_TOLD]}..."
 
 

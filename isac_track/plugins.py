@@ -162,9 +162,7 @@ def parse_all(kind: Kind, given: Iterable[Any]) -> tuple[Plugin, ...]:
     found: dict[str, Plugin] = {}
     for one in (plugin for some in given for plugin in plugins_of(kind, some)):
         if found.setdefault(one.spec, one).digest != one.digest:
-            raise SettingsError(
-                f"two {kind} are both called {one.spec!r}; rename one of the classes"
-            )
+            raise SettingsError(f"two {kind} are both called {one.spec!r}; rename one of them")
     return tuple(found.values())
 
 

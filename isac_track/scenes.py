@@ -154,7 +154,7 @@ def make_scenes(
             step = int(rng.integers(min(1, rules.horizon_steps - 1), rules.horizon_steps))
             shift[scene, 0] = robot[scene, 0, step] - futures[scene, 0, step]
         else:
-            shift[scene, 0] = _past_the_robot(robot[scene, 0], futures[scene, 0], settings, rng)
+            shift[scene, 0] = _past_robot(robot[scene, 0], futures[scene, 0], settings, rng)
         for agent in range(1, n_agents):
             # A stream of its own: how often one is redrawn must not move the next one.
             own = stream(seed, "scenes", "scene", first + scene, "agent", agent)
@@ -194,9 +194,7 @@ def robot_positions(scenes: Scenes, *, settings: ConflictSettings) -> Floats:
     )
 
 
-def _past_the_robot(
-    robot: Floats, future: Floats, settings: StageSettings, rng: Generator
-) -> Floats:
+def _past_robot(robot: Floats, future: Floats, settings: StageSettings, rng: Generator) -> Floats:
     """Return the shift of a near miss: the smallest separation is a drawn distance, exactly.
 
     The agent is pushed along a random direction u until its relative path q, as a whole, just

@@ -67,7 +67,7 @@ def _shapes(
     """Return the score of every pair, (P, G), or (E, P, G) of several floors."""
     p, g, reach_s = on_grid(probe), on_grid(gallery), attack.reach_s
     costs = aligned_costs(p, g, floors=floors, rank=attack.rank, reach_s=reach_s, rotated=True)
-    return np.asarray(-np.log(costs))
+    return np.negative(np.log(costs, out=costs), out=costs)  # (E, P, G) may be large
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,4 +112,4 @@ def _profiles(
 ) -> Floats:
     p, g = (motion_of(one, factor, attack.turn_m) for one in (probe, gallery))
     costs = aligned_costs(p, g, floors=floor, rank=_RANK, reach_s=attack.reach_s)
-    return np.asarray(-np.log(costs))
+    return np.negative(np.log(costs, out=costs), out=costs)

@@ -72,9 +72,8 @@ def warped_costs(
 ) -> Floats:
     """Return the cost of warping each of P profiles onto each of G, (P, G); see `DTW`."""
     costs = np.empty((probe.sizes.size, gallery.sizes.size))
-    sides = (
-        Signals(one.values[:, :, ::_STRIDE], -(-one.sizes // _STRIDE)) for one in (probe, gallery)
-    )
+    both, nth = (probe, gallery), _STRIDE
+    sides = (Signals(one.values[:, :, ::nth], -(-one.sizes // nth)) for one in both)
     for rows, columns, part, other in blocks(*sides):
         shorter, longer = sorted((part.shape[1], other.shape[1]))
         reach = round(band * longer)

@@ -15,6 +15,7 @@ from isac_track.protocols import AttackContext, Linker
 from isac_track.types import Floats, Ints, Knowledge, Release
 
 _FASTEST_M_S = 2.2
+_AT_ONCE = 2**20  # Pairs: of thousands of people all at once would take half a gigabyte.
 _TAUGHT_BY = 64  # Mated pairs to learn from: four candidates on all would cost too much.
 _TURNS_RAD_S = np.array([-0.5, -0.2, 0.0, 0.2, 0.5])
 
@@ -98,8 +99,12 @@ def _between(values: Floats, centres: Floats) -> tuple[Ints, Floats]:
 
 def one_source(a: Floats, b: Floats) -> Floats:
     """Return the log likelihood ratio of one source to two, (P, G), of counts (P, K) and (G, K)."""
-    all_a, all_b = a.sum(axis=1)[:, None], b.sum(axis=1)
-    shared = np.empty((len(a), len(b)))
-    loops().shared_cells(a, b, xlogy(a, a), xlogy(b, b), shared)
-    both = all_a + all_b
-    return np.asarray(xlogy(all_a, all_a) + xlogy(all_b, all_b) - xlogy(both, both) + shared)
+    ratio, all_b, log_b = np.empty((len(a), len(b))), b.sum(axis=1), xlogy(b, b)
+    n_at_once = max(1, _AT_ONCE // max(1, len(b)))
+    for first in range(0, len(a), n_at_once):
+        some, found = a[first : first + n_at_once], ratio[first : first + n_at_once]
+        loops().shared_cells(some, b, xlogy(some, some), log_b, found)
+        all_a = some.sum(axis=1)[:, None]
+        both = all_a + all_b
+        found += xlogy(all_a, all_a) + xlogy(all_b, all_b) - xlogy(both, both)
+    return ratio

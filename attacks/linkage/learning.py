@@ -29,15 +29,17 @@ def linker(score: Callable[..., Floats], *chosen: object) -> Linker:
     return linked
 
 
-def _anew(
+def _made(
     probe: Release, gallery: Release, score: Callable[..., Floats], *chosen: object
 ) -> Floats:
     return read_only(score(probe, gallery, *chosen))
 
 
-_scored = remembered(_anew)
-# One of each half of the people: all of a level would not fit into memory.
-_scored_last = lru_cache(maxsize=2)(_anew)
+_scored = remembered(_made)
+
+# One of each half of the people, in the precision that all are rounded to in the end: all of a
+# level would not fit into memory.
+_scored_last = lru_cache(maxsize=2)(lambda *of: read_only(_made(*of).astype(np.float32)))
 
 
 def mated(train: LinkageTrainingSet) -> Ints:

@@ -14,6 +14,7 @@ from attacks.parameters import positive
 from attacks.reconstruction.kalman_rts import RadialRTS, information
 from attacks.remembered import remembered, whole
 from isac_track.kalman.slow_errors import added_error
+from isac_track.linkability.ranks import soft_matches
 from isac_track.protocols import AttackContext, Linker
 from isac_track.types import Floats, Knowledge, Release, read_only
 
@@ -55,6 +56,9 @@ class LikelihoodRatio:
     rank: int = 6
     window_s: float = 12.0  # What comes later in a walk is left out.
     reach_s: float = 6.0  # Greatest lag.
+    one_to_one: bool = False
+    """Whether to take everybody to have a mate: of as many candidates as probes, a pair's score is
+    then how probable it is given all others (`soft_matches`)."""
 
     kind: ClassVar[str] = "linkage"
     one_stretch: ClassVar[bool] = True
@@ -97,7 +101,8 @@ def _ratios(
         sides.append(tuple(one.take(among, axis=2) for one in side))
     score = np.empty((len(probe), len(gallery)))
     _loops().ratios(*sides, 1.0 / spread_m2, log_lag, score)
-    return score
+    is_square = len(probe) == len(gallery)
+    return soft_matches(score) if attack.one_to_one and is_square else score
 
 
 def _lags_s(attack: LikelihoodRatio) -> Floats:
@@ -111,7 +116,6 @@ def _spread_m2(attack: LikelihoodRatio) -> Floats:
     return prior_m2(duration_s=lasts_s, q=attack.q, rank=attack.rank)
 
 
-@remembered
 def _told(release: Release, attack: LikelihoodRatio, sign: int, passes: int) -> Floats:
     """Return what the walks of a release tell, as a probe (1) or a gallery (-1)."""
     lags_s, rank = _lags_s(attack), attack.rank

@@ -74,13 +74,11 @@ class Posterior:
                 return begun
             rng = np.random.default_rng(seed)
             parts = _parts(variance(release), mechanism)
-            return _where_most_are(self._draws(release, begun.xy, parts, rng), context.epsilon_m)
+            return _where_most_are(self._draw(release, begun.xy, parts, rng), context.epsilon_m)
 
         return reconstruct
 
-    def _draws(
-        self, release: Release, xy: Floats, parts: Sequence[_Part], rng: Generator
-    ) -> Floats:
+    def _draw(self, release: Release, xy: Floats, parts: Sequence[_Part], rng: Generator) -> Floats:
         """Return draws of the walks, (K, M, 2) m."""
         t, offsets = release.t, release.offsets
         motion, start = Motion(self.q, self.q, PRIOR_STD[1]), np.zeros((len(release), 2))

@@ -219,9 +219,8 @@ def _closed(draft: Draft, length_s: float, starts_s: _Starts, *, needed_s: float
     slack_s = np.maximum(last_s - first_s - needed_s, 0.0)
     streams = [draft.rng("windows", name) for name in source]
     starts = np.array(list(map(starts_s, first_s, slack_s, streams)))
-    group = joined(
-        [tracks.group[row] for row in rows], [later.tracks.group[row] for row in rows_later]
-    )
+    whose = (tracks.group, rows), (later.tracks.group, rows_later)
+    group = joined(*([group[row] for row in some] for group, some in whose))
     if draft.task.comes_back:
         fold_of = np.zeros(rows.size, dtype=np.int64)
         cluster = np.unique(group, return_inverse=True)[1]

@@ -61,8 +61,12 @@ def _alike(features: Callable[[Release], Floats]) -> Score:
 def closeness(first: Floats, second: Floats) -> Floats:
     """Return minus the distance of features, (P, F) and (G, F), each scaled by its spread."""
     spread = np.concatenate([first, second]).std(axis=0)
-    gap = (first[:, None, :] - second[None, :, :]) / np.where(spread > 0, spread, 1.0)
-    return np.asarray(-np.sqrt((gap**2).sum(axis=2)))
+    square = np.zeros((len(first), len(second)))
+    # One by one: the gaps of thousands of people in all features at once are a gigabyte.
+    for one, other, width in zip(first.T, second.T, spread.tolist(), strict=True):
+        gap = (one[:, None] - other) / (width if width > 0 else 1.0)
+        square += np.square(gap, out=gap)
+    return np.negative(np.sqrt(square, out=square), out=square)
 
 
 def _means(values: Floats, release: Release) -> Floats:

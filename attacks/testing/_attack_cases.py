@@ -272,9 +272,7 @@ class LinkageCase(made.Case):
     def in_other_frames(self) -> tuple[LinkageCase, Callable[[Floats], Floats]]:
         """Return the case with every walk of all four releases in yet another frame and clock."""
         rng = draws("linkage", "other frames")
-        changed = made.of_each(
-            self, lambda release: made.moved(release, made.frames(rng, len(release)))
-        )
+        changed = made.of_each(self, lambda one: made.moved(one, made.frames(rng, len(one))))
         return changed, lambda scores: scores
 
     @staticmethod

@@ -83,12 +83,10 @@ def shared(walks: Sequence[Walk], name: tuple[str | int, ...], *, mechanism: Fix
     return mechanism.share(found, draws("share", *name))
 
 
-def sensed(
-    walks: Sequence[Walk], name: tuple[str | int, ...], *, law: ErrorLaw = "radial"
-) -> Sensed:
+def sensed(walks: Sequence[Walk], of: tuple[str | int, ...], *, law: ErrorLaw = "radial") -> Sensed:
     """Return walks as the network senses them, with errors of `RAW_SIGMA_M`."""
     t, xy = (np.concatenate(arrays) for arrays in zip(*walks, strict=True))
-    unit = unit_errors(n_samples=t.size, law=law, rng=draws("errors", *name))
+    unit = unit_errors(n_samples=t.size, law=law, rng=draws("errors", *of))
     offsets = np.cumsum([0, *(times.size for times, _ in walks)])
     sigma, information = np.full(t.size, RAW_SIGMA_M), np.full(t.size, RAW_SIGMA_M**-2)
     fid = fisher_information_density(information=information, t=t, offsets=offsets)

@@ -25,7 +25,7 @@ COLUMNS = [
     *("dataset", "mechanism", "level", "consumer", "knowledge", "gallery", "metric"),
     *("value", "ci_low", "ci_high", "predicted"),
 ]
-_REPLICATES = 400
+_DRAWS = 400
 TPR: Final = "tpr_at_fpr_1pct"
 
 
@@ -41,9 +41,7 @@ def galleries(
         if not levels:
             continue
         n, name = len(levels[0].clusters), ("gallery", task)
-        weights = intervals.cluster_weights(
-            n_clusters=n, n_replicates=_REPLICATES, seed=seed, of=name
-        )
+        weights = intervals.cluster_weights(n_clusters=n, n_replicates=_DRAWS, seed=seed, of=name)
         for one in levels:
             own = dataset_of(one.linker.consumer, dataset=dataset)
             about = own, one.mechanism, np.nan if one.level is None else one.level, *one.linker

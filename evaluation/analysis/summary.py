@@ -74,9 +74,7 @@ def estimates(
                 scored.append((entry, cluster, told))
             for metric, ratio in ratios(entry["kind"], table).items():
                 keys.append(key_of(entry, metric))
-                sums.append(
-                    [cluster_sums(values=one, cluster=cluster, n_clusters=n) for one in ratio]
-                )
+                sums.append([cluster_sums(values=x, cluster=cluster, n_clusters=n) for x in ratio])
         of_clusters = np.array(sums)
         used = np.flatnonzero(of_clusters.any(axis=(0, 1)))  # of thousands, hundreds are in scenes
         of_clusters = of_clusters[:, :, used]

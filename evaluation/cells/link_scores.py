@@ -43,6 +43,7 @@ _NUMBERS = (
     *("realised_fpr_1pct", "realised_fpr_01pct", "d_sys_bins", "is_inverted"),
     "minimum_detectable_rank1",
 )
+_AT_ONCE = 256  # Probes that are compared at a time: of thousands all take 200 MB.
 _NEVER = 1e300  # A score that no pair reaches.
 _NOTHING: Final[Mapping[int, Any]] = MappingProxyType({})
 
@@ -145,14 +146,17 @@ def _cohorts(
     searches: Sequence[linkability.Search], known: SensedSessions
 ) -> dict[str, dict[str, float]]:
     """Return rank 1 where only some people are probes and candidates, for each set of people."""
-    parts, of_set, chance, place, trials = _without_some(known)
+    parts, of_set, chance, place, trials = _without(known)
     hits = []
     for search, (mated, mate, gallery, probe, of) in zip(searches, parts, strict=True):
-        scores = search.scores[mated]
-        own = search.scores[mated, mate][:, None]
-        # How many of each set stand above the mate and how many as high: exact in single precision.
-        both = scores > own, scores == own
-        above, tied = ((one.astype(np.float32) @ gallery)[probe, of] for one in both)
+        own, count = search.scores[mated, mate][:, None], np.empty((2, mated.size, 2), np.float32)
+        for first in range(0, mated.size, _AT_ONCE):
+            rows = slice(first, first + _AT_ONCE)
+            scores, mine = search.scores[mated[rows]], own[rows]
+            # How many of each set stand above the mate and as high: exact in single precision.
+            for which, one in enumerate((scores > mine, scores == mine)):
+                count[which, rows] = one.astype(np.float32) @ gallery
+        above, tied = count[:, probe, of]
         hits.append(expected_hit(above, tied.astype(np.float64)))
     hit = np.concatenate(hits)
     sums = cluster_sums(values=hit, cluster=place, n_clusters=trials.size).reshape(trials.shape)
@@ -175,9 +179,7 @@ def _cohorts(
 
 
 @lru_cache(maxsize=4)
-def _without_some(
-    known: SensedSessions,
-) -> tuple[list[tuple[Any, ...]], Ints, Floats, Ints, Floats]:
+def _without(known: SensedSessions) -> tuple[list[tuple[Any, ...]], Ints, Floats, Ints, Floats]:
     """Return who searches for whom without some people, the same at every attack.
 
     Of each search mated probes, their mates, candidates, (G, sets), and which probe counts in which

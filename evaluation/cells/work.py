@@ -124,6 +124,7 @@ def _linked(work: LinkWork, *, tracks: Cut, stages: StageSettings, seed: int) ->
                 is_bound = consumer.kind == "linkage" and not consumer.plugins
                 found = linkage.bound(level, motion) if is_bound else linkage.link(consumer, level)
                 tables = linkage_tables(found, whole, keep_scores=work.keep_scores)
+                del found  # Of thousands of people its scores must not stay beside the next ones.
             if is_same or sees_release_alone(consumer):
                 alike[key] = tables
             yield 0, mechanism, consumer, tables
@@ -144,15 +145,13 @@ def _of_scenes(block: Block, *, tracks: Cut, stages: StageSettings, seed: int) -
         level: reconstruction.AttackedLevel | None = None
         release = sharing.share(mechanism, sensed, "block", block.number, seed=seed)
         digest = release_digest(release)
-        known = sharing.restricted(scenes, sharing.samples_shared(release, sensed))
+        left = sharing.restricted(scenes, sharing.samples_shared(release, sensed))
         for consumer in consumers:
             note(mechanism.spec, consumer.label)
             tables = alike.get((digest, consumer.label))
             if tables is None:
                 if consumer.kind not in {"attack", "bound"}:
-                    rows = sharing_rows(
-                        consumer, release, known, mechanism=mechanism, stages=stages
-                    )
+                    rows = sharing_rows(consumer, release, left, mechanism=mechanism, stages=stages)
                 else:
                     attacked = attacked or reconstruction.attacked_block(
                         scenes=scenes, sensed=sensed, repeats=Knowledge.REPEATS in granted, **of

@@ -101,9 +101,7 @@ class Settings:
         if is_dask and self.jobs is not None:
             raise SettingsError("--jobs is of --executor local: a cluster has the workers it has")
         if is_dask and self.cell_timeout_s is not None:
-            raise SettingsError(
-                "--cell-timeout is of --executor local: limits of a cluster are its own"
-            )
+            raise SettingsError("--cell-timeout is of --executor local: a cluster has its own")
 
     def _check_types(self) -> None:
         """Refuse what only Python lets one write, and take lists and mappings for what they are."""

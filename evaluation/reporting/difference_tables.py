@@ -171,13 +171,11 @@ def _short(value: float, unit: str) -> str:
     return f"{value:.3g}{' s' * (unit == 's')}" if math.isfinite(value) else "unknown"
 
 
-def variants_json(
-    rows: pd.DataFrame, variants: list[dict[str, Any]], *, out: Path
-) -> dict[str, Any]:
-    """Return the table and what became of the `variants` in plain values; None is unknown."""
+def variants_json(rows: pd.DataFrame, others: list[dict[str, Any]], *, out: Path) -> dict[str, Any]:
+    """Return the table and what became of `others`, the variants, in plain values."""
     return {
         "out": str(out),
-        "variants": variants,
+        "variants": others,
         "counts": sensitivity.counts(rows),
         "changed_sign": turned(rows),
         "items": _plain(rows),

@@ -127,9 +127,7 @@ def _robots(able: Sequence[str]) -> list[Shown]:
     others = [one for one in able if one not in ROBOTS]
     added = [one for one in others if one not in _BESIDE]
     names = list(dict.fromkeys([*known[:1], *added, *(known[1:] or others)]))[:_MOST_ROBOTS]
-    return [
-        Shown(_MISSED, robot_name(name).split()[-1], Measure(name, MISSED_RATE)) for name in names
-    ]
+    return [Shown(_MISSED, robot_name(of).split()[-1], Measure(of, MISSED_RATE)) for of in names]
 
 
 def _own_strongest(

@@ -302,9 +302,7 @@ def _weights(drawn_as: tuple[int, ...], n_groups: int, task: str, seed: int) -> 
 def _held(path: Path, index: Index, entry: Mapping[str, Any]) -> Held:
     label = label_of(entry)
     if label not in index.consumers:
-        raise DataError(
-            f"{path} has no rows of {label}; delete it and run the matrix again to compute it"
-        )
+        raise DataError(f"{path} has no rows of {label}; delete it and run the matrix again")
     return index.consumers[label]
 
 

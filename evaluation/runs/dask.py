@@ -21,6 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from evaluation.cells.where import Failed, note
 from evaluation.experiment.fingerprint import OURS, code_hash, source_digest
+from evaluation.runs.workers import given_back
 from isac_track.command_line import check_interrupt
 from isac_track.errors import SettingsError, told
 
@@ -36,7 +37,7 @@ _ANSWER_S: Final = 8.0  # Longest time that a scheduler may take to say how many
 _ASK_S: Final = 2.0
 _LOOK_S: Final = 0.02
 _FETCH_S: Final = 10.0
-_AHEAD: Final = 3  # Works handed out per thread: no worker waits, and nobody holds many.
+_AHEAD: Final = 2  # Works handed out per thread: no worker waits, and nobody holds many.
 _LARGE: Final = {"distributed.admin.large-graph-warning-threshold": "1GiB"}  # Ours holds tracks.
 _LIBRARIES: Final = ("numpy", "scipy", "numba")
 _LOADING: Final = threading.Lock()
@@ -241,7 +242,8 @@ def _computed(
     work: W = _loaded(packed)
     threadpool_limits(limits=1)  # not lifted: of the whole process, where others may be computing
     note()
-    return list(function(work))
+    with given_back():
+        return list(function(work))
 
 
 def _about(modules: tuple[str, ...], *, seen: dict[str, str] = _FIRST_SEEN) -> dict[str, str]:

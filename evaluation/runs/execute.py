@@ -125,12 +125,10 @@ def _write_gallery(ready: Plan, without: set[str]) -> list[str]:
     # Where workers are they have loaded all that this takes.
     apart = ready.jobs > 1 or has_strangers(ready.axes)
     limit_s = ready.settings.cell_timeout_s
-    for mechanism, found in spread(
-        compute, deque(mechanisms), jobs=1, limit_s=limit_s, apart=apart
-    ):
+    for plugin, found in spread(compute, deque(mechanisms), jobs=1, limit_s=limit_s, apart=apart):
         for part in found:
             if isinstance(part, Failed):
-                failed.append(f"{mechanism.spec}: {part.why}")
+                failed.append(f"{plugin.spec}: {part.why}")
             else:
                 parts.append(part)
     write_gallery(parts, out=ready.out)

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from evaluation.cells.linkage import who_sees_alike
 from evaluation.cells.where import Failed
 from evaluation.cells.work import Block, Item, Levels, LinkWork, attempt
 from evaluation.experiment.constants import BLOCK_SCENES, WORLDS
@@ -133,11 +135,20 @@ def _shared_out(levels: Levels, n_pieces: int) -> list[Levels]:
 
 
 def cut_for_cluster(works: deque[Work]) -> None:
-    """Cut work into pieces for some dozen threads, in place: workers come and go."""
+    """Cut work into pieces for some dozen threads, in place: workers come and go.
+
+    Who links behind one reconstruction is in a piece: what others make of theirs is not beside it.
+    """
     n_pieces = -(-_CLUSTER_TASKS // len(works))
     for _ in range(len(works)):
         work = works.popleft()
-        works.extend(replace(work, levels=piece) for piece in _shared_out(work.levels, n_pieces))
+        for part in (replace(work, levels=one) for one in _shared_out(work.levels, n_pieces)):
+            for see in sorted({who_sees_alike(one) for *_, one in cells_of(part)}):
+                works.append(_only(part, partial(_sees, see)))
+
+
+def _sees(what: tuple[str, str], cell: Cell) -> bool:
+    return who_sees_alike(cell[2]) == what
 
 
 def cells_of(work: Work) -> Iterator[Cell]:
@@ -280,10 +291,8 @@ def in_files(work: Work, *, files: Mapping[Place, ToCome], **options: Any) -> It
 def failed_lines(rows: pd.DataFrame) -> list[str]:
     """Return what failed, by `failed.csv`: for each consumer and reason the levels left out."""
     lines = []
-    for (consumer, knowledge, why), part in rows.groupby(
-        ["consumer", "knowledge", "why"], sort=False
-    ):
-        who = f"{consumer} ({knowledge})" if str(knowledge) else consumer
+    for (consumer, knows, why), part in rows.groupby(["consumer", "knowledge", "why"], sort=False):
+        who = f"{consumer} ({knows})" if str(knows) else consumer
         specs = list(part["spec"].unique())
         more = f" and {len(specs) - _MOST_NAMED} more" if len(specs) > _MOST_NAMED else ""
         lines.append(f"{who} at {', '.join(specs[:_MOST_NAMED])}{more}: {why}; left out everywhere")

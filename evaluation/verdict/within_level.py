@@ -100,7 +100,7 @@ def _item(
 def clustered_mean(values: Floats, cluster: Ints) -> Estimate:
     """Return the mean of values with its clustered standard error (Liang and Zeger 1986)."""
     mean = float(values.mean())
-    return _with_error(mean, (values - mean) / values.size, cluster)
+    return _estimated(mean, (values - mean) / values.size, cluster)
 
 
 def partial_correlation(
@@ -144,7 +144,7 @@ def partial_correlation(
         return Estimate(np.nan, n=int(np.unique(cluster).size))
     value = float(x @ y / x.size / scale)
     influence = x * y / scale - value / 2.0 * (x * x / (x @ x) + y * y / (y @ y)) * x.size
-    return _with_error(value, influence / x.size, cluster, drawn)
+    return _estimated(value, influence / x.size, cluster, drawn)
 
 
 def _ranks(values: Floats) -> Floats:
@@ -154,9 +154,7 @@ def _ranks(values: Floats) -> Floats:
     return scaled
 
 
-def _with_error(
-    value: float, parts: Floats, cluster: Ints, drawn: Floats | None = None
-) -> Estimate:
+def _estimated(value: float, parts: Floats, cluster: Ints, drawn: Floats | None = None) -> Estimate:
     """Return an effect whose influence, (N,), sums up within clusters."""
     names, column = np.unique(cluster, return_inverse=True)
     n = names.size

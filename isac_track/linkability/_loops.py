@@ -173,11 +173,9 @@ def _sorted_pairs(ones: int, pairs: _Pairs) -> tuple[Ints, Places, Places]:
 
 
 @part_of_loop
-def _weigh(
-    table: Bins, most: int, a_of: Places, b_of: Places, some: Places, weight: Floats
-) -> None:
+def _weigh(table: Bins, most: int, a_of: Places, b_of: Places, some: Places, total: Floats) -> None:
     """Write the weight of some pairs in every replicate, (R,); in 16 bits, `most` at a time."""
-    weight[:] = 0.0
+    total[:] = 0.0
     for start in range(0, a_of.size, most):
         stop = min(start + most, a_of.size)
         some[:] = 0
@@ -195,7 +193,7 @@ def _weigh(
             for r in range(some.size):
                 some[r] = np.uint16(some[r] + a[r] * b[r])
         for r in range(some.size):
-            weight[r] += some[r]
+            total[r] += some[r]
 
 
 @part_of_loop

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from scipy.special import logsumexp
 
 from isac_track.types import Floats, Ints
 
@@ -25,6 +26,7 @@ REACH = 10
 """No gallery larger than so many times the one measured, and the other rate is of so small a part
 of it."""
 FEWEST = 3  # Candidates of the smallest gallery that a rate is read of.
+_SCALINGS, _SCALED = 100, 1e-6
 _STEPS = 60
 _ENDS = np.log([1e-6, 1e9])
 
@@ -169,6 +171,27 @@ def assign_in(order: Ints, scores: Floats, no_match_score: float | None) -> Ints
     if no_match_score is not None:
         assigned[rows[gain[rows, columns] <= 0.0]] = -1
     return assigned
+
+
+def soft_matches(scores: Floats) -> Floats:
+    """Return the log probability of every pair where each probe has a mate and nobody two, (N, N).
+
+    Scores are log likelihood ratios; a matching is as likely as the product of its pairs'. How
+    probable a pair is takes permanents: Sinkhorn's scaling (Annals of Mathematical Statistics 35,
+    1964) approximates them. Rows and columns of exp(scores) are divided by their sums, in turn,
+    until they are 1, to 1e-6, or 100 times. ValueError unless (N, N) and finite.
+    """
+    _check_finite(scores)
+    if scores.shape[0] != scores.shape[1]:
+        raise ValueError(f"as many candidates as probes are needed, got {scores.shape}")
+    log_p = scores
+    for _ in range(_SCALINGS):
+        of_rows = logsumexp(log_p, axis=1, keepdims=True)
+        log_p = log_p - of_rows
+        log_p -= logsumexp(log_p, axis=0, keepdims=True)
+        if np.abs(of_rows).max() < _SCALED:
+            break
+    return log_p
 
 
 def chance(searches: Sequence[Search]) -> float:

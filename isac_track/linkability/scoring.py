@@ -12,9 +12,9 @@ from isac_track import intervals
 from isac_track.intervals import FEW_CLUSTERS, LEAST_CLUSTERS, Estimate
 from isac_track.linkability import ranks, scales, significance
 from isac_track.linkability.ranks import Search
-from isac_track.linkability.scales import LEVELS, METRICS, SCORE_REPLICATES, Scale
+from isac_track.linkability.scales import LEVELS, METRICS, SCORE_REPLICATES, Scale, score_scale
 from isac_track.linkability.scores import Calibration
-from isac_track.linkability.significance import People
+from isac_track.linkability.significance import People, rank_rows
 from isac_track.types import Floats, Ints
 
 RANK_METRICS = ("rank1", "rank1_assigned", "mrr", "chance", "rank1_g100", "false_link_rate")
@@ -210,7 +210,7 @@ def scorecard_of(
     no_match: Sequence[float | None] = no_match_score or [None] * len(searches)
     for search, least, drawn in zip(searches, no_match, draws, strict=True):
         cut = cells[search.scale]
-        log_rank, cell, standing = significance.rank_rows(search, cut.breaks, cut.counts)
+        log_rank, cell, standing = rank_rows(search.scores, search.mate, cut.breaks, cut.counts)
         columns = ranks.assign_in(drawn.order, search.scores, least)
         shuffled = significance.mated_probes(drawn.people), drawn.columns
         of_score = cut.bins.take(cell)
@@ -224,9 +224,7 @@ def scorecard_of(
     is_few = LEAST_CLUSTERS <= intervals.effective_clusters(sizes) < FEW_CLUSTERS
     without = tuple(np.flatnonzero(sizes).tolist()) if is_few else ()
     fitted = dict.fromkeys(cells) if calibration is None else calibration
-    results = [
-        scales.score_scale(cut, weights, fitted[scale], without) for scale, cut in cells.items()
-    ]
+    results = [score_scale(cut, weights, fitted[scale], without) for scale, cut in cells.items()]
     values = scales.over_scales(results, n_searches=len(searches))
     estimates = _rank_estimates(probes, weights)
     estimates |= _score_estimates(results, values, sizes, n_without=len(without))

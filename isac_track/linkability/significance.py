@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import import_module
 from typing import Any, Literal, TypeAlias
@@ -20,6 +20,7 @@ People: TypeAlias = tuple[bytes, bytes, bytes]
 """Mates and clusters of a search, as 64-bit integers: unlike arrays, bytes are hashed."""
 
 LEVEL = 0.05  # Of the tests.
+_AT_ONCE = 2**20  # Scores that are ranked at a time: of thousands of people all take 400 MB.
 _SPARE = 2**29 - 1  # Bits that a number in single precision leaves unused in double.
 
 
@@ -72,11 +73,19 @@ def shuffled_log_ranks(
     null, nowhere = np.zeros(n_shuffles), np.zeros((1, n_shuffles), dtype=np.uint16)
     observed, standings = 0.0, []
     for search in searches:
-        mated = mated_probes(people_of(search))
-        ranks, cell, standing = rank_rows(search, np.empty(0), np.zeros((1, 2), dtype=np.int64))
+        mated, parts = mated_probes(people_of(search)), []
         columns = shuffled_mates(mated, rng, n_shuffles)
-        observed += add_shuffles(mated, columns, ranks, cell.astype(np.uint8), null, nowhere)
-        standings.append(standing)
+        n_at_once = max(1, _AT_ONCE // search.scores.shape[1])
+        for first in range(0, search.mate.size, n_at_once):
+            rows, unused = slice(first, first + n_at_once), np.zeros((1, 2), dtype=np.int64)
+            scores, mate = search.scores[rows], search.mate[rows]
+            ranks, cell, standing = rank_rows(scores, mate, np.empty(0), unused)
+            some = np.flatnonzero((mated.probes >= first) & (mated.probes < first + mate.size))
+            part = replace(mated, probes=mated.probes[some] - first, mate=mated.mate[some])
+            bins = cell.astype(np.uint8)
+            observed += add_shuffles(part, columns[some], ranks, bins, null, nowhere)
+            parts.append(standing)
+        standings.append(np.concatenate(parts))
     return observed, null, standings
 
 
@@ -196,7 +205,7 @@ def companions_of(people: People) -> tuple[Ints, Ints]:
 
 
 def rank_rows(
-    search: Search, breaks: Floats, counts: Ints
+    scores: Floats, mate: Ints, breaks: Floats, counts: Ints
 ) -> tuple[Floats, NDArray[np.int32], Ints]:
     """Return `log_rank` of every column were it the mate, (P, G), its cell, and `standing`, (P, 2).
 
@@ -204,12 +213,12 @@ def rank_rows(
     (cells, 2), are added the non-mated and the mated scores in each. Without a mate -1 stand above
     it and 0 as high.
     """
-    scores = np.ascontiguousarray(search.scores, dtype=np.float64)
+    scores = np.ascontiguousarray(scores, dtype=np.float64)
     log_rank, cell = np.empty(scores.shape), np.empty(scores.shape, dtype=np.int32)
     standing = np.tile([-1, 0], (len(scores), 1))
     import_loops().rank_rows(
         *(scores, _ascending(scores), breaks, log_factorials(scores.shape[1])),
-        np.ascontiguousarray(search.mate, dtype=np.int64),
+        np.ascontiguousarray(mate, dtype=np.int64),
         (log_rank, cell, standing, counts),
     )
     return log_rank, cell, standing

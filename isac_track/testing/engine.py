@@ -115,6 +115,5 @@ def parametrize(arguments: str, cases: Iterable[tuple[str, tuple[object, ...]]])
     """Return a pytest decorator that runs a test once for each (id, values) of its arguments."""
     import pytest  # noqa: PLC0415 - only those who test with pytest need it
 
-    return pytest.mark.parametrize(
-        arguments, [pytest.param(*values, id=name) for name, values in cases]
-    )
+    given = [pytest.param(*values, id=name) for name, values in cases]
+    return pytest.mark.parametrize(arguments, given)

@@ -75,7 +75,8 @@ def test_linkers_are_compared_where_they_know_the_same(tmp_path):
     summary = evaluation.run(smoke("plaza", out, **axes), pictures=False).summary
     rows = summary[(summary["metric"] == "rank1_g100") & (summary["mechanism"] == "raw")]
     rank1 = rows.set_index(["consumer", "knowledge"])["value"]
-    found = [one for one in paired_linkers.paired(out, names[1]) if one[0].mechanism == "raw"]
+    every = paired_linkers.paired(out, names[1], "rank1_g100")
+    found = [one for one in every if one[0].mechanism == "raw"]
     assert [key.knowledge for key, _, _ in found] == ["blind", "informed"]
     for key, best, gap in found:
         apart = rank1[key.consumer, key.knowledge] - rank1["rerelease/shape", key.knowledge]

@@ -9,6 +9,7 @@ from scipy.stats import multivariate_normal
 from attacks.linkage import _ratio_loop, likelihood_ratio
 from attacks.linkage.likelihood_ratio import LikelihoodRatio, prior_m2
 from attacks.reconstruction.kalman_rts import information
+from isac_track.linkability.ranks import soft_matches
 from isac_track.protection import Ou
 from isac_track.rng import stream
 from isac_track.types import Knowledge
@@ -94,6 +95,14 @@ def test_a_lag_is_found_and_no_further_than_the_reach():
     probe, gallery, mate = two_releases(12, shift_s=4.0, length_s=12.0)
     assert hits(LikelihoodRatio().fit(context())(probe, gallery), mate) >= 0.9
     assert hits(LikelihoodRatio(reach_s=0.5).fit(context())(probe, gallery), mate) <= 0.7
+
+
+def test_who_knows_that_everybody_has_a_mate_scores_matchings():
+    probe, gallery, _ = two_releases(12, shift_s=4.0, length_s=12.0)
+    each, matched = (LikelihoodRatio(one_to_one=one).fit(context()) for one in (False, True))
+    assert np.array_equal(matched(probe, gallery), soft_matches(each(probe, gallery)))
+    fewer = probe.tracks(np.arange(5))
+    assert np.array_equal(matched(fewer, gallery), each(fewer, gallery))
 
 
 @pytest.mark.parametrize(

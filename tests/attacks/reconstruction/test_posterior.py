@@ -77,7 +77,7 @@ def test_a_short_track_against_all_scales_on_a_grid(parts, n):
     many = flat_release(times, places, 3 * np.arange(N_CHAINS + 1))
     repeated = [(np.tile(std_m, N_CHAINS), law) for std_m, law in parts]
     attack, rng = Posterior(q=Q, draws=150, burn_in=50), stream(0, "test", "posterior")
-    draws = attack._draws(many, many.xy + 0.3, repeated, rng).reshape(150, N_CHAINS, 3, 2)
+    draws = attack._draw(many, many.xy + 0.3, repeated, rng).reshape(150, N_CHAINS, 3, 2)
     chains = draws.mean(axis=0)
     error = 5.0 * chains.std(axis=0, ddof=1) / np.sqrt(N_CHAINS)
     np.testing.assert_array_less(np.abs(chains.mean(axis=0) - mean), error + 0.003)

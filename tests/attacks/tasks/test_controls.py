@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 from helpers.walks import release_of
+from scipy.spatial.distance import cdist
 
-from attacks.tasks.controls import CONTROLS
+from attacks.tasks.controls import CONTROLS, closeness
 from attacks.tasks.sessions import COLUMNS
 from attacks.tasks.task_list import TASKS
 from isac_track.linkability import Search, permutation_p
+from isac_track.rng import stream
 
 N = 60
 ALPHA = 1e-3
@@ -130,3 +132,11 @@ def test_frame_and_clock_are_no_shortcuts_where_the_scene_shows():
         if name in COLUMNS:
             continue
         assert control.applies(TASKS["handover-1s"]) == (name not in {"frame", "clock"})
+
+
+def test_closeness_is_the_distance_of_features_in_units_of_their_spread():
+    rng = stream(0, "test", "closeness")
+    first, second = rng.normal([0, 5, 0], [1, 100, 0], (7, 3)), rng.normal(0, [1, 9, 0], (4, 3))
+    both = np.concatenate([first, second])
+    expected = -cdist(first, second, "seuclidean", V=[*both[:, :2].var(axis=0), 1.0])
+    assert closeness(first, second) == pytest.approx(expected, rel=1e-12)

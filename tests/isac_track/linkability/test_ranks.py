@@ -1,7 +1,7 @@
 """Ranks and assignments against brute force and by hand."""
 
 import math
-from itertools import combinations
+from itertools import combinations, permutations
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ from isac_track.linkability import (
     reciprocal_rank,
     residual_risk,
 )
-from isac_track.linkability.ranks import assign_in
+from isac_track.linkability.ranks import assign_in, soft_matches
 from isac_track.rng import stream
 
 
@@ -139,3 +139,35 @@ def test_a_search_refuses(changes, message):
     assert Search(**right).scale == 0
     with pytest.raises(ValueError, match=message):
         Search(**right | changes)
+
+
+class TestSoftMatches:
+    def test_it_is_the_one_scaling_of_the_scores_whose_rows_and_columns_sum_to_one(self):
+        # Sinkhorn: no other matrix has these sums and the same cross ratios as the scores.
+        scores = stream(0, "test", "soft").normal(0.0, 4.0, (9, 9))
+        log_p = soft_matches(scores)
+        for axis in (0, 1):
+            assert np.exp(log_p).sum(axis=axis) == pytest.approx(np.ones(9), abs=1e-5)
+        factor = log_p - scores  # of a row, and of a column
+        alone = factor - factor[:1] - factor[:, :1] + factor[0, 0]
+        assert alone == pytest.approx(np.zeros((9, 9)), abs=1e-9)
+
+    def test_it_finds_more_mates_than_each_probe_by_itself_as_the_exact_marginals_do(self):
+        hits = np.zeros(3)
+        for number in range(300):
+            rng = stream(number, "test", "matches")
+            ratio = rng.normal(-1.0, np.sqrt(2.0), (6, 6)) + 2.0 * np.eye(6)
+            orders = np.array(list(permutations(range(6))))
+            log_p = ratio[np.arange(6), orders].sum(axis=1)
+            chance = np.exp(log_p - log_p.max())
+            exact = np.stack([chance @ (orders == column) for column in range(6)], axis=1)
+            for place, found in enumerate((ratio, soft_matches(ratio), exact)):
+                hits[place] += (found.argmax(axis=1) == np.arange(6)).sum()
+        alone, softly, exactly = hits / 1800
+        assert alone + 0.05 < softly < exactly + 0.01
+        assert softly > exactly - 0.03
+
+    @pytest.mark.parametrize("scores", [np.zeros((2, 3)), np.full((2, 2), np.nan)])
+    def test_what_has_no_such_matching_is_refused(self, scores):
+        with pytest.raises(ValueError, match=r"candidates|finite"):
+            soft_matches(scores)

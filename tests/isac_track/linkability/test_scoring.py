@@ -111,7 +111,7 @@ def test_the_scorecard_says_what_its_parts_say(is_grouped):
         hits.append(rank1(scores=s.scores, mate=s.mate))
         score_bin = np.searchsorted(edges[1:-1], s.scores, side="right").astype(np.uint8)
         mated, counts = mated_probes(people_of(s)), np.zeros((1, 2), dtype=int)
-        ranked = rank_rows(s, np.empty(0), counts)[0]
+        ranked = rank_rows(s.scores, s.mate, np.empty(0), counts)[0]
         columns = shuffled_mates(mated, rng, 999)
         add_shuffles(mated, columns, ranked, score_bin, null, null_bins)
     observed = 42 * mean_log_rank([one, two])

@@ -29,6 +29,7 @@ from isac_track.linkability.significance import (
     mated_probes,
     people_of,
     rank_rows,
+    shuffled_log_ranks,
     shuffled_mates,
 )
 from isac_track.rng import stream
@@ -72,6 +73,20 @@ CLUSTERED = {
 """How many sets of mates the null allows: products of factorials."""
 
 
+def test_the_shuffles_are_those_of_all_rows_however_many_are_ranked_at_a_time(monkeypatch):
+    one = gaussian(stream(15, "test", "rows"), 30, 0.5, decimals=1)
+    mates = np.where(np.arange(30) % 3 > 0, one.mate, -1)
+    clustered = replace(one, mate=mates, probe_cluster=np.arange(30) // 4)
+    found = []
+    for n_at_once in (1, 100, 10**6):
+        monkeypatch.setattr("isac_track.linkability.significance._AT_ONCE", n_at_once)
+        found.append(shuffled_log_ranks([clustered, one], stream(0, "test", "shuffles"), 999))
+    for observed, null, standings in found[:2]:
+        assert observed == pytest.approx(found[2][0], abs=1e-10)
+        assert null == pytest.approx(found[2][1], abs=1e-10)
+        assert all(map(np.array_equal, standings, found[2][2]))
+
+
 @pytest.mark.parametrize("sizes", CLUSTERED)
 def test_the_null_is_the_law_over_all_possible_mates(sizes):
     rng = stream(16, "test", "law")
@@ -83,7 +98,7 @@ def test_the_null_is_the_law_over_all_possible_mates(sizes):
     n = 300 * len(mates)
     null, null_bins = np.zeros(n), np.zeros((3, n), np.uint16)
     mated, counts = mated_probes(people_of(one)), np.zeros((1, 2), dtype=int)
-    ranked = rank_rows(one, np.empty(0), counts)[0]
+    ranked = rank_rows(one.scores, one.mate, np.empty(0), counts)[0]
     columns = shuffled_mates(mated, stream(17, "test", "law"), n)
     observed = add_shuffles(mated, columns, ranked, score_bin, null, null_bins)
     assert observed == pytest.approx(np.nansum(log_rank(scores=one.scores, mate=one.mate)))
