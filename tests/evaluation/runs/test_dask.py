@@ -20,13 +20,15 @@ from helpers.small_runs import smoke, write_walks
 
 import evaluation
 from evaluation import matrix
+from evaluation.cells.linkage import who_sees_alike
 from evaluation.cells.where import Failed
-from evaluation.cells.work import Block
+from evaluation.cells.work import Block, LinkWork
 from evaluation.experiment.axes import Consumer
+from evaluation.experiment.plan import plan
 from evaluation.experiment.settings import Settings
 from evaluation.runs import dask as on_cluster
 from evaluation.runs.execute import FailedCellsWarning
-from evaluation.runs.pieces import Failures, cells_of, place_of
+from evaluation.runs.pieces import Failures, cells_of, cut_for_cluster, pieces_of, place_of
 from isac_track import plugins
 from isac_track.errors import SettingsError
 
@@ -375,3 +377,22 @@ class TestADeathAtAnUnknownPlace:
         assert (*place_of(cell), why) == (3, "fixed:0.5", "least_squares", "died")
         assert len(finished) == len(set(finished)) == 5
         assert tries == 2  # the work, the cell
+
+
+def test_a_piece_for_a_cluster_is_behind_one_reconstruction_and_no_cell_is_lost(tmp_path):
+    attacks = ("shape", "shape@kalman_rts", "kalman_rts")
+    axes = {"attacks": attacks, "tasks": ("rerelease",), "mechanisms": ("raw", "fixed:0.7")}
+    ready = plan(smoke("plaza", tmp_path / "run", **axes))
+    works = deque(pieces_of(ready.units, ready))
+    before = sorted(place_of(cell) for work in works for cell in cells_of(work))
+    cut_for_cluster(works)
+    assert sorted(place_of(cell) for work in works for cell in cells_of(work)) == before
+    seen = [
+        {(cell[1].spec, *who_sees_alike(cell[2])) for cell in cells_of(work)}
+        for work in works
+        if isinstance(work, LinkWork)
+    ]
+    every = set().union(*seen)
+    assert [len(one) for one in seen] == [1] * len(every)
+    assert len({spec for spec, *_ in every}) == 3
+    assert len({one[1:] for one in every}) >= 4  # As it is, and what three adversaries smooth.
