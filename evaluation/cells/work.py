@@ -115,6 +115,8 @@ def _linked(work: LinkWork, *, tracks: Cut, stages: StageSettings, seed: int) ->
             if linkage.who_sees_alike(consumer) != before:
                 before = linkage.who_sees_alike(consumer)
                 level.sides.clear()
+                if whole.candidates:  # of thousands of people all that was made of it is gone, too
+                    level = linkage.linked_level(mechanism, whole)
             is_same = linkage.sees_times_alone(consumer, level)
             key = () if is_same else digest, consumer.label
             tables = alike.get(key)

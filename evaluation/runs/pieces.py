@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -143,12 +142,10 @@ def cut_for_cluster(works: deque[Work]) -> None:
     for _ in range(len(works)):
         work = works.popleft()
         for part in (replace(work, levels=one) for one in _shared_out(work.levels, n_pieces)):
-            for see in sorted({who_sees_alike(one) for *_, one in cells_of(part)}):
-                works.append(_only(part, partial(_sees, see)))
-
-
-def _sees(what: tuple[str, str], cell: Cell) -> bool:
-    return who_sees_alike(cell[2]) == what
+            cells = list(cells_of(part))
+            for sees in sorted({who_sees_alike(one) for *_, one in cells}):
+                alike = [cell for cell in cells if who_sees_alike(cell[2]) == sees]
+                works.append(_only(part, alike.__contains__))
 
 
 def cells_of(work: Work) -> Iterator[Cell]:

@@ -45,7 +45,7 @@ from multiprocessing.connection import Connection
 pipe = Connection(int(sys.argv[1]))
 try:
     sys.path[:] = pipe.recv()
-except EOFError:  # the parent was killed meanwhile
+except (EOFError, OSError):  # the parent was killed meanwhile
     sys.exit()
 from evaluation.runs.workers import serve
 serve(pipe, parent=int(sys.argv[2]))
@@ -314,7 +314,7 @@ def serve(pipe: Any, *, parent: int) -> None:  # noqa: ANN401 - a connection, un
     gc.disable()
     libc = _glibc()
     function: Any = None
-    with contextlib.suppress(EOFError):
+    with contextlib.suppress(EOFError, OSError):  # the parent is gone
         while True:
             kind, said = pipe.recv()
             if kind == "function":
