@@ -68,7 +68,9 @@ def shared_cells(a: Floats, b: Floats, f_a: Floats, f_b: Floats, out: Floats) ->
 
 
 @compiled(read(3), read(3), INT, INT, FLOAT, written(2))
-def warp(probe: Floats, gallery: Floats, reach: int, loose: int, price: float, out: Floats) -> None:
+def warp(
+    probe: Floats, gallery: Floats, reach: int, loose: int, penalty: float, out: Floats
+) -> None:
     """Fill `out` (P, G) with the least sums of squares under warping; see `dtw.warped_costs`.
 
     Of (C, n, P) and (C, m, G) signals, with cells ``-reach - max(n - m, 0) <= j - i <= reach +
@@ -98,7 +100,7 @@ def warp(probe: Floats, gallery: Floats, reach: int, loose: int, price: float, o
                 on, up, left, to = before[j - 1], before[j], here[j - 1], here[j]
                 for g in range(n_gallery):
                     aside = min(left[g], up[g])
-                    aside += price
+                    aside += penalty
                     to[g] = cost[g] + min(on[g], aside)
                 if (i == n and j >= m - loose) or (j == m and i >= n - loose):
                     for g in range(n_gallery):
