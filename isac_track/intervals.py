@@ -5,9 +5,11 @@ Of few clusters the bootstrap's are too narrow: there a jackknife takes its plac
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import betaincinv, expit, logit, ndtri, stdtrit
 
 from isac_track.rng import stream
@@ -134,9 +136,15 @@ def cluster_weights(
     One matrix serves every metric and mechanism of a run, so that all comparisons are paired;
     `of` names what has draws of its own.
     """
-    rng = stream(seed, "bootstrap", *of)
-    counts = rng.multinomial(n_clusters, np.full(n_clusters, 1.0 / n_clusters), n_replicates)
+    counts = _counts(n_clusters, n_replicates, seed, *of)
     return counts.astype(np.float64, order="F")  # whoever reads some clusters has them in one piece
+
+
+@lru_cache(maxsize=2)  # of thousands of clusters half a second to draw
+def _counts(n_clusters: int, n_replicates: int, seed: int, *of: str) -> NDArray[np.uint8]:
+    rng, p = stream(seed, "bootstrap", *of), np.full(n_clusters, 1.0 / n_clusters)
+    # Counts are 1 on average: never hundreds.
+    return np.array([rng.multinomial(n_clusters, p).astype(np.uint8) for _ in range(n_replicates)])
 
 
 def cluster_sums(*, values: Floats, cluster: Ints, n_clusters: int) -> Floats:

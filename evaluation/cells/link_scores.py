@@ -137,7 +137,7 @@ def _stream(seed: int, *names: str) -> Generator:
     return stream(seed, "linkage", "scorecard", *names)
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=20)  # those of a task; of a thousand people 2 MB each
 def _draws(people: tuple[People, ...], seed: int, *names: str) -> tuple[Drawn, ...]:
     return draw(people, _stream(seed, *names), SHUFFLES)
 

@@ -114,7 +114,8 @@ def _linked(work: LinkWork, *, tracks: Cut, stages: StageSettings, seed: int) ->
             note(mechanism.spec, consumer.label)
             if linkage.who_sees_alike(consumer) != before:
                 before = linkage.who_sees_alike(consumer)
-                level.sides.clear()
+                for held in (level.sides, level.blind.found, level.seen.found):
+                    held.clear()  # and what was made of it goes with it
                 if whole.candidates:  # of thousands of people all that was made of it is gone, too
                     level = linkage.linked_level(mechanism, whole)
             is_same = linkage.sees_times_alone(consumer, level)
