@@ -131,7 +131,7 @@ def false_alarm_rate(*, conflict: Bools, predicted: Bools) -> float:
 
 
 def distance_mae_m(*, true_separation_m: Floats, predicted_separation_m: Floats) -> float:
-    """Return the mean absolute error of the minimum separation, m; NaN without a scene."""
+    """Return the mean absolute error of separations, (N,) m each, or ValueError; NaN of none."""
     if true_separation_m.shape != predicted_separation_m.shape:
         raise ValueError("true and predicted separations must have one shape")
     if true_separation_m.size == 0:

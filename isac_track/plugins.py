@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import Any, Literal, TypeAlias, Union
 
 from isac_track.command_line import may_be_ctrl_c
@@ -254,7 +254,9 @@ def _load(kind: Kind, name: str) -> tuple[type, str]:
     origin = name if ":" in name else known.get(name)
     singular = kind.removesuffix("s")
     if origin is None:
-        raise SettingsError(f"unknown {singular} {quoted(name)}{_nearest(name, known)}")
+        is_here = name in map(str, Path().glob("*/"))
+        hint = f"; the folder here is ./{name}" if is_here else _nearest(name, known)
+        raise SettingsError(f"unknown {singular} {quoted(name)}{hint}")
     module_name, _, attribute = origin.partition(":")
     try:
         cls = getattr(importlib.import_module(module_name), attribute)

@@ -36,7 +36,7 @@ def perturb(
     `d_sigma` is (M,) m, or one number; `rng` draws the fresh error and the pseudonyms. The fresh
     error has the `law` of the raw error unless told otherwise, or is itself given, standardised:
     `unit_error`, (M, 2). The release declares the standard deviation of every sample. ValueError if
-    `d_sigma` is negative, not finite or of the wrong shape, or a rule is unknown.
+    `d_sigma` is negative, not finite or misshapen, a rule unknown, or linear with another error.
     """
     given = np.asarray(d_sigma, dtype=np.float64)
     extra: Floats = np.broadcast_to(given, sensed.t.shape)

@@ -113,8 +113,8 @@ def partial_correlation(
     of either is correlated, over all levels together. The standard error is the clustered sandwich
     of its influence function, so that a person who occurs at every level counts once.
 
-    `levels` are (descriptor (N, 2), hit (N,), covariates (N, K), cluster (N,)) of each; rows in
-    which anything is unknown are left out. `drawn`, (B, C), are standard normal numbers of each
+    `levels` are (descriptor (N, 2), hit (N,), covariates (N, K), cluster (N,)) of each; rows
+    without a descriptor or covariate go. `drawn`, (B, C), are standard normal numbers of each
     cluster, from which the replicates come (Gaussian multipliers of the influence of each cluster:
     Chernozhukov, Chetverikov and Kato, Ann. Stat. 41, 2013).
     """

@@ -74,7 +74,7 @@ def _measured(cov: _Six, s: float, r: float, inverse: float) -> _Six:
 def filter_tracks(
     batch: _Batch, tau_s: float, q: float, gate: float, patience: int, out: tuple[Floats, ...]
 ) -> None:
-    """Filter to the last state (p, v, e) of every track; `causal` are positions by the way."""
+    """Filter to the last state (p, v, error) of every track; `causal` are positions by the way."""
     t, xy, variance, offsets, prior, amplitude = batch
     mean, covariance, log_likelihood, causal = out
     for i in range(offsets.size - 1):
