@@ -102,8 +102,7 @@ def _run(arguments: Sequence[str]) -> int:
     add("--family", action="append", default=[], metavar="NAME", help=about)
     about = "hold PLR, AEL and MEL against what was shared, not against the best reconstruction "
     add("--as-shared", action="store_true", help=f"{about}(highest PLR)")
-    about = "adding rule to answer for (default: both, which must both hold); a network could "
-    about += "implement only the independent one"
+    about = "adding rule to answer for (default: both must hold); a network can do independent only"
     add("--adding", choices=[*ADDING_RULES, "both"], default="both", help=about)
     add("--json", action="store_true", help="print one JSON object and nothing else")
     add("--plan", action="store_true", help="answer without a run: --plan --help")

@@ -36,8 +36,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     add = command.add_argument
     add("out", type=Path, metavar="OUT", nargs="?", help="folder of a finished run")
-    about = "a variant of --list, or STAGE.KEY=VALUE, law=LAW, epsilon=METRES, predictor=SPEC, "
-    about += "recording=NAME|PATH; repeatable; replaces the list"
+    about = (
+        "of --list, or STAGE.KEY=, law=, epsilon=, predictor=, recording=; replaces those of --list"
+    )
     add("--variant", action="append", metavar="NAME", help=about)
     about = "a class of your own that the run used, package.module:Class; repeatable"
     add("--trust", action="append", default=[], metavar="SPEC", help=about)

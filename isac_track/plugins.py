@@ -212,7 +212,7 @@ def _naming(spec: str) -> Iterator[None]:
 
 def _split(kind: Kind, spec: str) -> tuple[str, list[tuple[str, str]]]:
     """Return the name in a SPEC and its parameters, as text; VALUE has no name."""
-    name, _, rest = _from_path(spec.strip()).partition(":")
+    name, _, rest = _from_path(kind, spec.strip()).partition(":")
     attribute = rest.partition(":")[0]
     may_be_module = name.isidentifier() and attribute.isidentifier() and name not in names(kind)
     pairs: list[tuple[str, str]] = []
@@ -235,10 +235,14 @@ def _split(kind: Kind, spec: str) -> tuple[str, list[tuple[str, str]]]:
     return name, pairs
 
 
-def _from_path(spec: str) -> str:
-    """Return a SPEC with ./, a Python file or its folder, as `package.module:Class[...]`."""
+def _from_path(kind: Kind, spec: str) -> str:
+    """Return a SPEC with ./, a Python file or its folder, as `package.module:Class[...]`.
+
+    A folder of `attacks new` needs no ./ where nothing else has its name.
+    """
     path, colon, rest = spec.partition(":")
-    if not path.startswith("./"):
+    is_free = path.isidentifier() and path not in names(kind) and find_spec(path) is not None
+    if not path.startswith("./") and not (is_free and any(Path().glob(f"{path}/{path}.py"))):
         return spec
     parts = PurePosixPath(path.removesuffix(".py")).parts
     if not parts or not all(part.isidentifier() for part in parts):
@@ -254,9 +258,7 @@ def _load(kind: Kind, name: str) -> tuple[type, str]:
     origin = name if ":" in name else known.get(name)
     singular = kind.removesuffix("s")
     if origin is None:
-        is_here = name in map(str, Path().glob("*/"))
-        hint = f"; the folder here is ./{name}" if is_here else _nearest(name, known)
-        raise SettingsError(f"unknown {singular} {quoted(name)}{hint}")
+        raise SettingsError(f"unknown {singular} {quoted(name)}{_nearest(name, known)}")
     module_name, _, attribute = origin.partition(":")
     try:
         cls = getattr(importlib.import_module(module_name), attribute)

@@ -101,8 +101,7 @@ def _ratios(
         sides.append(tuple(one.take(among, axis=2) for one in side))
     score = np.empty((len(probe), len(gallery)))
     _loops().ratios(*sides, 1.0 / spread_m2, log_lag, score)
-    is_square = len(probe) == len(gallery)
-    return soft_matches(score) if attack.one_to_one and is_square else score
+    return soft_matches(score) if attack.one_to_one and len(probe) == len(gallery) else score
 
 
 def _lags_s(attack: LikelihoodRatio) -> Floats:

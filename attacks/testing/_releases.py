@@ -90,8 +90,7 @@ def sensed(walks: Sequence[Walk], of: tuple[str | int, ...], *, law: ErrorLaw = 
     offsets = np.cumsum([0, *(times.size for times, _ in walks)])
     sigma, information = np.full(t.size, RAW_SIGMA_M), np.full(t.size, RAW_SIGMA_M**-2)
     fid = fisher_information_density(information=information, t=t, offsets=offsets)
-    noisy = xy + RAW_SIGMA_M * unit
-    return Sensed(t, noisy, unit, sigma, information, fid, offsets, law=law)
+    return Sensed(t, xy + RAW_SIGMA_M * unit, unit, sigma, information, fid, offsets, law=law)
 
 
 def frames(rng: np.random.Generator, count: int) -> Floats:

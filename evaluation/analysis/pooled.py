@@ -177,8 +177,7 @@ class Answered:
         told = f"same sign in {same} of {k}"
         if self.question == "descriptors_tell":  # a spread has no sign
             told, same = "0 where PLR tells, and never below", 0
-        sure = [one["ci_low"] > 0 or one["ci_high"] < 0 for one in of]
-        if same == k and all(sure):
+        if same == k and all(one["ci_low"] > 0 or one["ci_high"] < 0 for one in of):
             told += f"; in all {k}, each significant at 5 %"
         told += f"; least {100 * least['value']:+.1f} points ({least['recording']})"
         told += f", largest {100 * most['value']:+.1f} ({most['recording']})"

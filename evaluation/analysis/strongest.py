@@ -10,8 +10,10 @@ favours none of them; of a run with neither of the two over all levels but the c
 after attack without a name.
 """
 
+from __future__ import annotations
+
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from typing import Final, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 
@@ -19,9 +21,11 @@ from evaluation.analysis.families import CLEAN, FID, FIXED, RAW, SWEPT, Family
 from evaluation.analysis.keys import AS_SHARED, INFORMED, Found, Key, Source, Where
 from evaluation.analysis.metrics import EXPOSURE, METRICS, SUCCESS, SUCCESS_OF_100
 from evaluation.experiment.presets import IDENTITY
-from evaluation.runs.cell_files import Summed
-from isac_track.intervals import Estimate
 from isac_track.rng import stream
+
+if TYPE_CHECKING:
+    from evaluation.runs.cell_files import Summed
+    from isac_track.intervals import Estimate
 
 Levels: TypeAlias = "dict[Where, dict[Source, float]]"  # Success of every attack at each level.
 HEADLINE: Final = ("blind", INFORMED)  # Adversaries of whom the strongest is the headline.

@@ -71,8 +71,7 @@ class _Sides:
         """Return the windows of a pairing, the same ones every time."""
         if id(pairing) not in self.found:
             probe, gallery = self.both
-            own = part(probe, pairing.probe), part(gallery, pairing.gallery)
-            self.found[id(pairing)] = own
+            self.found[id(pairing)] = part(probe, pairing.probe), part(gallery, pairing.gallery)
         return self.found[id(pairing)]
 
 

@@ -112,8 +112,7 @@ def plan_lines(ready: Plan) -> Iterator[str]:
         from evaluation.cells.reconstruction import slow_cost_s  # noqa: PLC0415 - seldom needed
 
         rows = [one for one in slow if one.spec == spec]
-        cost_s = slow_cost_s(rows, tracks=ready.tracks, n_levels=n_levels)
-        costs.append((spec, len(rows), cost_s))
+        costs.append((spec, len(rows), slow_cost_s(rows, tracks=ready.tracks, n_levels=n_levels)))
     yield from _said(
         "plan",
         of=ready,

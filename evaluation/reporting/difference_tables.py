@@ -80,9 +80,10 @@ def show(
     shown = other if every else other.head(_MOST_SHOWN)
     kinds = comparison.rows["pairing"].value_counts()
     changed = [
-        [f"{kind}:", name, " -> ".join(map(_value, pair))]
+        [f"{kind}:", name, " -> ".join(make.shortened(text, room=_ROOM) for text in texts)]
         for kind, values in comparison.changed.items()
         for name, pair in values.items()
+        for texts in [["-" if one is None else str(one) for one in pair]]
     ]
     said = paragraphs(
         "compare.compared",
@@ -109,10 +110,6 @@ def show(
         differences=[differences(shown, of=len(other), room=console.width)],
     )
     terminal.show(parts, console=console)
-
-
-def _value(setting: object) -> str:
-    return "-" if setting is None else make.shortened(str(setting), room=_ROOM)
 
 
 def differences(shown: pd.DataFrame, *, of: int, room: int) -> Table:

@@ -1,14 +1,18 @@
 """A table of results: built once, rendered by `terminal`, `markup`, and the templates of a page."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from evaluation.analysis.keys import level_text
 from evaluation.analysis.metrics import METRICS
-from isac_track.intervals import Estimate
+
+if TYPE_CHECKING:
+    from isac_track.intervals import Estimate
 
 _SIGNS = (
     ("✓", "good", ("tracks", "holds", "yes", "not inflated", "equal")),

@@ -105,7 +105,8 @@ def from_csv(content: bytes) -> pd.DataFrame:
     frame = pd.read_csv(io.BytesIO(content), dtype=kinds, keep_default_na=False, na_values=[""])
     for name in texts:
         column = frame[name].fillna("")
-        frame[name] = column.map({one: _typed(one) for one in column.unique()})
+        quoted = (one for one in column.unique() if one.startswith("'") and _safe(one[1:]) == one)
+        frame[name] = column.replace({one: one[1:] for one in quoted})
     return frame
 
 
@@ -123,11 +124,6 @@ def made_of(out: Path, name: str, *, columns: Iterable[str] = ()) -> Any:  # noq
     except (OSError, ValueError, KeyError) as error:
         reason = str(error).partition("\n")[0]
         raise DataError(f"{out / name} cannot be read ({reason}); {again}") from None
-
-
-def _typed(text: str) -> str:
-    """Return a text as it was before `_safe`."""
-    return text[1:] if text.startswith("'") and _safe(text[1:]) == text else text
 
 
 def _safe(text: str) -> str:

@@ -6,6 +6,8 @@ many levels have are written once, in `consumers`. A seal over all of it tells w
 as a run of this layout wrote it: its readers need not look at every value.
 """
 
+from __future__ import annotations
+
 import json
 import platform
 import re
@@ -19,18 +21,20 @@ from importlib.metadata import version
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 import isac_track
-from evaluation.experiment.axes import Consumer
 from evaluation.experiment.fingerprint import digest
-from evaluation.experiment.plan import Plan, Unit
-from evaluation.runs.cell_files import Index
 from evaluation.runs.files import MANIFEST, content_of, label_of, write_whole
 from isac_track.errors import DataError
-from isac_track.plugins import Plugin
+
+if TYPE_CHECKING:
+    from evaluation.experiment.axes import Consumer
+    from evaluation.experiment.plan import Plan, Unit
+    from evaluation.runs.cell_files import Index
+    from isac_track.plugins import Plugin
 
 CELL_NAME: Final = re.compile(r"[A-Za-z0-9.=-]{1,80}_[0-9]{5}_[0-9a-f]{16}\.parquet")
 LAYOUT: Final = 3  # Another one wherever readers would miss or mistake a value.

@@ -97,9 +97,8 @@ def cut_scores(trials: Sequence[tuple[Search, People]], n_shuffles: int) -> Cell
     mated = [(search.scores, mated_probes(people)) for search, people in trials]
     own = np.concatenate([table[of.probes, of.mate] for table, of in mated])
     n_bins = scores.default_bins(own.size)
-    low = min(float(table.min()) for table, _ in mated)
-    high = max(float(table.max()) for table, _ in mated)
-    edges = scores.inner_edges(low, high, n_bins)
+    ends = [(float(table.min()), float(table.max())) for table, _ in mated]
+    edges = scores.inner_edges(min(ends)[0], max(high for _, high in ends), n_bins)
     breaks = np.unique(np.concatenate([own, edges]))
     bins = np.zeros(2 * breaks.size + 1, dtype=np.uint8)
     bins[1::2] = np.searchsorted(edges, breaks, side="right")

@@ -281,6 +281,7 @@ class MyNoise:
     [
         ("my_noise.py", "./my_noise.py:0.5", "my_noise:MyNoise"),
         ("my_noise/my_noise.py", "./my_noise:0.5", "my_noise.my_noise:MyNoise"),
+        ("my_noise/my_noise.py", "my_noise:0.5", "my_noise.my_noise:MyNoise"),
         ("some/my_noise/my_noise.py", "./some/my_noise:0.5", "some.my_noise.my_noise:MyNoise"),
     ],
 )
@@ -289,6 +290,7 @@ def test_a_path_names_a_file_of_ones_own(tmp_path, monkeypatch, file, spec, orig
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(MECHANISM, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
     (found,) = plugins.parse("mechanisms", spec)
     assert (found.origin, found.level) == (origin, 0.5)
     for name in [name for name in sys.modules if name.partition(".")[0] in ("my_noise", "some")]:
