@@ -228,8 +228,7 @@ def percentile_intervals(replicates: Floats) -> Floats:
     place = np.array([[tail], [1.0 - tail]]) * last
     below = place.astype(np.int64)
     both = np.stack([below, np.minimum(below + 1, last)])
-    ordered = np.partition(replicates, np.unique(both), axis=1)
-    a, b = ordered[np.arange(len(replicates)), both]
+    a, b = np.partition(replicates, np.unique(both), axis=1)[np.arange(len(replicates)), both]
     part, step = place - below, b - a
     # From the nearer of the two, as numpy does it.
     return np.asarray(np.where(part < 0.5, a + step * part, b - step * (1.0 - part)))  # noqa: PLR2004 - half way

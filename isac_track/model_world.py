@@ -71,8 +71,7 @@ def fitted_motion(tracks: Tracks) -> Motion:
             np.column_stack([np.interp(middle + shift_s, one.t, axis) for axis in one.xy.T])
             for shift_s in (-lag_s, 0.0, lag_s)
         )
-        bend = np.square(after - 2.0 * at + before).mean()
-        density.append(bend / (2.0 / 3.0 * lag_s**3))
+        density.append(np.square(after - 2.0 * at + before).mean() / (2.0 / 3.0 * lag_s**3))
         square.append(np.square((after - before) / (2.0 * lag_s)).mean())
     # Nobody walks dead straight, or stands dead still: a track that does was left standing.
     low = max(float(np.quantile(density, _LOW)), _LEAST_Q)

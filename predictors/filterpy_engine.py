@@ -110,5 +110,4 @@ def _filter(start: Floats, prior_std: tuple[float, ...], error: SlowError | None
 
 def _distance2(mode: Any, z: Floats) -> float:  # noqa: ANN401 - filterpy has no types
     innovation = z - mode.H @ mode.x
-    spread = mode.H @ mode.P @ mode.H.T + mode.R
-    return float(innovation @ np.linalg.solve(spread, innovation))
+    return float(innovation @ np.linalg.solve(mode.H @ mode.P @ mode.H.T + mode.R, innovation))

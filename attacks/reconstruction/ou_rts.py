@@ -106,8 +106,7 @@ class OuRTS:
         std_m, tau_s = added_error(mechanism)
         if std_m > 0.0 and tau_s > 0.0:
             return std_m, tau_s
-        is_white = std_m > 0.0 or not getattr(mechanism, "adds_error", True)
-        return (0.0, 0.0) if is_white else None
+        return (0.0, 0.0) if std_m > 0.0 or not getattr(mechanism, "adds_error", True) else None
 
     def _learnt(
         self, context: AttackContext, told: tuple[float, float] | None, densities: Sequence[float]

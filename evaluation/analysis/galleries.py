@@ -67,8 +67,7 @@ def _of_level(
     every = sorted({*within, *tried, *parts})
     rates = _ratios(one, [first_among(one.strangers, size) for size in every], weights)
     first = dict(zip(every, rates, strict=True))
-    share = (above + 0.5 * (tied - 1)) / np.maximum(candidates - 1, 1)
-    (ahead,) = _ratios(one, [share], weights)
+    (ahead,) = _ratios(one, [(above + 0.5 * (tied - 1)) / np.maximum(candidates - 1, 1)], weights)
     for size in [*within, *steps]:
         rank1 = first[size] if size <= measured else _predicted(first, measured, size)
         yield measured, size, "rank1", rank1

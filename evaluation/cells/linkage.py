@@ -253,7 +253,7 @@ def _controlled(consumer: Consumer, level: LinkedLevel) -> Linked:
         else:
             attack = Shape() if not (task.shows_scene or known.candidates) else first_stage(task)
             real = _untaught(attack, level, level.blind, pairing)
-            scores[number] = real[:, rng.permutation(real.shape[1])]
+            scores[number] = real[:, rng.permutation(real.shape[1])].astype(np.float64)
     return read_off(scores, known=known, drawn_from=rng, is_audit=control.is_audit)
 
 

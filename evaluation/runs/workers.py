@@ -37,6 +37,7 @@ _ONE_THREAD: Final = dict.fromkeys(
 _FREED_STAYS: Final = {"MALLOC_TRIM_THRESHOLD_": str(2**26), "MALLOC_MMAP_THRESHOLD_": str(2**25)}
 """Of glibc's malloc, which else gives every larger array back to the system, page by page."""
 _LOOK_S: Final = 0.25  # How often running cells are held against their limit.
+_COMPILES_S: Final = 5.0  # To load loops takes less.
 _WORKER: Final = """
 import ctypes, os, signal, sys
 if sys.platform == "linux":  # 1: it ends with its parent, even where no other thread may run
@@ -243,13 +244,18 @@ class _Lane(Generic[W, R]):
         return self._worker
 
     def load(self, modules: Sequence[str]) -> None:
-        """Let the worker import some modules, and wait until it has, or is gone."""
-        worker = self._worker or self.begin()
+        """Let the worker import some modules, and wait until it has, or is gone.
+
+        One that had to compile them keeps half a gigabyte for it: another takes its place.
+        """
+        worker, since_s = self._worker or self.begin(), time.monotonic()
         worker.tell("load", modules)
         with contextlib.suppress(EOFError, OSError):
             while not worker.pipe.poll(_LOOK_S):
                 check_interrupt()
             worker.pipe.recv()
+        if time.monotonic() - since_s > _COMPILES_S:
+            self.stop()
 
     def start(self, work: W) -> None:
         self.work, self.is_busy, self._overdue = work, True, ""

@@ -248,8 +248,7 @@ def _format_of(path: Path, name: str, *, data: bytes) -> tuple[str, tuple[Repair
             f"y; give --format ({known})"
         )
     if name not in FORMATS:
-        hint = did_you_mean(name, FORMATS)
-        raise DataError(f"unknown format {name!r}{hint} (known: {known})")
+        raise DataError(f"unknown format {name!r}{did_you_mean(name, FORMATS)} (known: {known})")
     return name, ()
 
 

@@ -246,7 +246,9 @@ class TestControls:
         names = {spec.partition("control-")[2] for spec, _ in found if "control" in spec}
         assert names == CONTROLS.keys() - without
 
-    def test_shuffled_mates_are_those_of_a_real_attack(self):
+    @pytest.mark.parametrize("most_pairs", [2**19, 1])  # beyond, scores are in single precision
+    def test_shuffled_mates_are_those_of_a_real_attack(self, monkeypatch, most_pairs):
+        monkeypatch.setattr("attacks.linkage.learning._MOST_PAIRS", most_pairs)
         found = of_task("rerelease", SHAPE, by="clean", controls=True)
         real = found["rerelease/shape", "blind"]
         shuffled = found["rerelease/control-shuffled", ""]
