@@ -80,7 +80,8 @@ def run(
         sys.stderr.writelines(f"{line}\n" for line in plan_lines(ready))
     folder.check_folder(ready.out)
     shown = progress_bar([]) if progress is True else contextlib.nullcontext(told)
-    with given_back(), locked(ready.out), _one_thread(), shown as update, ahead():
+    numeric = np.errstate(all="warn", under="ignore")  # whatever a plug-in's module set
+    with given_back(), locked(ready.out), _one_thread(), numeric, shown as update, ahead():
         execute(ready, update)
         # One helps: no one that may not be as it was, since strangers' plug-ins ran in it.
         dismiss(but=0 if has_strangers(ready.axes) else 1)

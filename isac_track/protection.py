@@ -200,8 +200,7 @@ class Forecast:
         # Radially |N(0, sigma)| is half of sigma^2 per axis.
         share = 1.0 if sensed.law == "isotropic" else 0.5
         owner = np.repeat(np.arange(len(sensed)), np.diff(sensed.offsets))
-        left_s = sensed.t[sensed.offsets[1:] - 1][owner] - sensed.t
-        turn = np.floor(left_s / self.every_s)
+        turn = np.floor((sensed.t[sensed.offsets[1:] - 1][owner] - sensed.t) / self.every_s)
         rows = np.flatnonzero((np.diff(turn, append=-1.0) != 0) | (np.diff(owner, append=-1) != 0))
         # What each filter has seen: its own stretch of the walk, back to its start or far enough.
         known = owner + 1j * sensed.t

@@ -83,8 +83,7 @@ def what_would_help(recorded: Tracks, *, settings: StageSettings, used: int = 0)
     durations = np.sort(recorded.t[recorded.offsets[1:] - 1] - recorded.t[recorded.offsets[:-1]])
     horizon_s = (settings.conflict.horizon_steps - 1) / settings.resample.rate_min_hz
     least_s = max(horizon_s / (1.0 - settings.scenes.history_ratio), 0.1)
-    shown = ", ".join(f"{one:.1f}" for one in durations[::-1][:4])
-    longest = f"the longest last {shown} s"
+    longest = f"the longest last {', '.join(f'{one:.1f}' for one in durations[::-1][:4])} s"
     wanted = [people for people in (FEW_PEOPLE, settings.scenes.agents) if people > used]
     for people in wanted:
         if len(durations) >= people and durations[-people] >= least_s:
@@ -233,5 +232,4 @@ def _around_the_robot(
         clear = (gap * gap).sum(axis=2).min(axis=1) >= place.clearance_m**2
         found = bool(clear.any())
         if found or not left:
-            choice = int(clear.argmax()) if found else -1
-            return now[choice] - future[0], found
+            return now[int(clear.argmax()) if found else -1] - future[0], found

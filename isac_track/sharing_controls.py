@@ -137,8 +137,7 @@ class Thin:
         """Return the thinned release."""
         whole = perturb(sensed, self.d_sigma, rng, adding=self.adding)
         sizes = np.diff(whole.offsets)
-        to_the_last = np.repeat(whole.offsets[1:] - 1, sizes) - np.arange(whole.t.size)
-        kept = to_the_last % self.every == 0
+        kept = (np.repeat(whole.offsets[1:] - 1, sizes) - np.arange(whole.t.size)) % self.every == 0
         assert whole.sigma is not None
         return Release(
             t=whole.t[kept],

@@ -222,8 +222,7 @@ class PredictorCase(made.Case):
 def _asked(sizes: tuple[int, ...], steps_s: tuple[float, float]) -> PredictorCase:
     walks = made.walks("plugin", "asked", sizes=sizes, steps_s=steps_s)
     release = made.shared(walks, ("plugin", *sizes), mechanism=PredictorCase.mechanism)
-    last = release.t[release.offsets[1:] - 1]
-    t_future = last[:, None] + np.linspace(0.0, HORIZON_S, N_STEPS)
+    t_future = release.t[release.offsets[1:] - 1][:, None] + np.linspace(0.0, HORIZON_S, N_STEPS)
     return PredictorCase(_about(sizes, steps_s), release, t_future)
 
 

@@ -46,8 +46,7 @@ def front(x: Floats, y: Floats) -> Bools:
     points, place = np.unique(np.column_stack([x, y]), axis=0, return_inverse=True)
     left = np.where(np.isnan(points).any(axis=1), np.inf, points[:, 1])
     # Of points from left to right the one is on it that has less left than all before.
-    best = np.minimum.accumulate(np.append(np.inf, left))
-    found: Bools = (left < best[:-1])[place.reshape(-1)]
+    found: Bools = (left < np.minimum.accumulate(np.append(np.inf, left))[:-1])[place.reshape(-1)]
     return found
 
 

@@ -202,8 +202,7 @@ def _sensed(sessions: Sessions, side: str, *, stages: StageSettings, seed: int) 
         at = (sessions.searches[search],) if task.shows_scene else ()
         keys.append(("linkage", task.family, side, sessions.source[person], *at))
     sizes = np.diff(windows.offsets)[:, None]
-    session = () if task.is_one_walk else (side,)
-    names = [("person", one, *session) for one in sessions.source]
+    names = [("person", one, *(() if task.is_one_walk else (side,))) for one in sessions.source]
     walks = np.concatenate([walk_numbers(*one, n_walks=1, seed=seed) for one in names])
     return sense(
         t=windows.t,

@@ -60,7 +60,8 @@ def guarded(who: str, call: Callable[[], Any]) -> Any:  # noqa: ANN401 - whateve
     Raises PluginError for whatever it raises, with who it was and where, but for the user's Ctrl-C.
     """
     try:
-        return call()
+        with np.errstate():  # as it is after the call, whatever was set within
+            return call()
     except BaseException as error:  # a plug-in may do anything
         if isinstance(error, KeyboardInterrupt) and may_be_ctrl_c():
             raise
@@ -100,8 +101,7 @@ def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Rele
     if release.sigma is None:
         raise PluginError(f"{who} declared no sigma: a standard deviation for every sample, in m")
     if not within(release.sigma, 0.0, SHARED_LIMIT_M):
-        is_too_large = (release.sigma >= 0).all()
-        wrong = f"above {limit}, the limit" if is_too_large else "below 0 or NaN"
+        wrong = f"above {limit}, the limit" if (release.sigma >= 0).all() else "below 0 or NaN"
         raise PluginError(f"{who} declared a sigma {wrong}")
     # Fresh for every release: the common stream gives every mechanism the same ones.
     drawn = stream(seed, "pseudonyms", mechanism.spec, *key).bytes(8 * len(release))

@@ -98,7 +98,7 @@ def _doubts(run: Results, of: Headline) -> list[str]:
     tasks = linkage.get("tasks", {}).values()
     return paragraphs(
         "run.doubts",
-        n_failed=len(run.failed),
+        failed=[*run.failed["why"]],
         bare=list(dict.fromkeys(bare)),
         least=f"{LEAST_CLUSTERS:.0f}",
         n_flags=len(weak_attacks.lines(run.flags)),

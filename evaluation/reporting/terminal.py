@@ -1,6 +1,7 @@
 """Lines on a terminal: literal text, columns that line up, and headings between them."""
 
 import os
+import shutil
 import sys
 import textwrap
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -16,10 +17,16 @@ Part: TypeAlias = "Table | str | tuple[str, str]"  # A table, or a text, which m
 _HEAD_WIDTH = 10
 
 
+class _Console(Console):
+    def on_broken_pipe(self) -> None:
+        raise  # noqa: PLE0704 - rich is at it, and would end with 1
+
+
 def standard_output() -> Console:
     """Return standard output, as wide as the terminal or `PIPE_WIDTH` where there is none."""
-    piped = not sys.stdout.isatty() and "COLUMNS" not in os.environ
-    return Console(width=PIPE_WIDTH if piped else None, highlight=False)
+    piped = not (sys.stdout.isatty() or os.environ.get("COLUMNS", "").strip("0"))
+    width = PIPE_WIDTH if piped else shutil.get_terminal_size().columns
+    return _Console(width=width, highlight=False)
 
 
 def show(parts: Iterable[Part], *, console: Console | None = None) -> None:

@@ -148,7 +148,7 @@ def _of_precision(whole: pa.Table, kind: pa.DataType) -> pa.Table:
 
 def index_of(content: bytes | Path) -> Index | None:
     """Return what a file of cells holds, given its content or where it is; None if it is none."""
-    source = pa.BufferReader(content) if isinstance(content, bytes) else content
+    source = pa.BufferReader(content) if isinstance(content, bytes) else content.absolute()
     try:
         return _index(pq.read_metadata(source).metadata)
     except (OSError, pa.ArrowException, KeyError, TypeError, ValueError):
@@ -327,12 +327,12 @@ def _content(
     found = []
     for path, *_ in stamped:
         with _readable(path):
-            about = pq.read_metadata(path)
+            about = pq.read_metadata(path.absolute())
             every = about.schema.to_arrow_schema().names
             names = [name for name in every if name in (columns or {*every} - {_SCORES})]
             coded = [name for name in names if name in _NAMES]
             # Not pq.read_table: its data set machinery costs more than reading such a file.
-            with pq.ParquetFile(path, metadata=about, read_dictionary=coded) as file:
+            with pq.ParquetFile(path.absolute(), metadata=about, read_dictionary=coded) as file:
                 whole = _of_precision(file.read(columns=names, use_threads=False), pa.float64())
             found.append((path, whole, _index(about.metadata)))
     return found

@@ -20,6 +20,7 @@ from importlib import import_module
 from multiprocessing import Pipe, connection
 from typing import Any, Final, Generic, NamedTuple, TypeVar
 
+import numpy as np
 import pyarrow as pa
 from cloudpickle import dumps
 from threadpoolctl import threadpool_limits
@@ -366,6 +367,7 @@ def _answers(function: Callable[[W], Iterable[R]], work: W) -> Iterator[bytes]:
 def _as_it_is() -> Callable[[], None]:
     """Return what undoes that a plug-in changes its process: how deep calls go, who hears it."""
     limit = sys.getrecursionlimit()
+    np.seterr(all="warn", under="ignore")  # as numpy begins, whatever a plug-in's module set
     if not _heard:
         with contextlib.suppress(OSError):  # nobody listens
             _heard.update({number: os.dup(number) for number in (1, 2)})

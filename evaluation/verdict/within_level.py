@@ -39,7 +39,7 @@ def within(
     `levels` are by task; clusters are numbered alike at all levels of a task. `sweeps` are of the
     run and say under which rule a mechanism is judged; `success` is the linker of each task.
     """
-    clusters = {task: one.clusters for task, (one, *_) in levels.items()}
+    clusters = {task: some[0].clusters for task, some in levels.items() if some}
     # By its name: who is in several tasks is drawn once.
     names = {name for of in clusters.values() for name in of}
     drawn = {name: stream(seed, "within", name).standard_normal(N_REPLICATES) for name in names}

@@ -203,8 +203,7 @@ def _found(
         title = shown(path.name if path.stem in KNOWN else path.stem)
         return Known(title, format=format or "", fps=fps), {registry.MAIN_FILE: path}, None
     is_asked = name is not None or bool(registry.locate(KNOWN[DEFAULT])[0])
-    usual = DEFAULT if is_asked else FALLBACK
-    source = registry.known(usual if name is None else said)
+    source = registry.known((DEFAULT if is_asked else FALLBACK) if name is None else said)
     if (format, fps, unit) != (None, None, None):
         raise DataError(
             f"{'the default data set' if name is None else source.name} is known by name: "

@@ -50,8 +50,7 @@ class Place:
         if not rows.size:
             return []
         numbers = np.sort(self.lines()[rows])
-        plural = "s" if numbers.size > 1 else ""
-        where = f"{self.path}: {self.unit}{plural} {listed(numbers)}"
+        where = f"{self.path}: {self.unit}{'s' if numbers.size > 1 else ''} {listed(numbers)}"
         return [Repair(kind, rows.size, f"{where}: {text}")]
 
 

@@ -52,8 +52,7 @@ def as_one(parts: Sequence[tuple[str, Tracks, str]], *, same_people: bool) -> Tr
             )
     t: list[Floats] = []
     for _, tracks, _ in parts:
-        begins_s = float(t[-1].max()) + APART_S if t else 0.0
-        t.append(tracks.t - tracks.t.min() + begins_s)
+        t.append(tracks.t - tracks.t.min() + (float(t[-1].max()) + APART_S if t else 0.0))
     sizes = np.concatenate([np.diff(tracks.offsets) for _, tracks, _ in parts])
     each = [(name, tracks, row) for name, tracks, _ in parts for row in range(len(tracks))]
     source = tuple(f"{name}:{tracks.source[row]}" for name, tracks, row in each)

@@ -308,8 +308,9 @@ class TestCommand:
         assert_refused(ended, said)
         assert len(ended.err.splitlines()) == 1
 
-    def test_a_reader_who_leaves_early_sees_no_traceback(self, run, tmp_path):
-        words = ("-m", "evaluation.compare", run("base"), run("wide"), "--json")
+    @pytest.mark.parametrize("how", [["--json"], ["--all"]])
+    def test_a_reader_who_leaves_early_sees_no_traceback(self, run, tmp_path, how):
+        words = ("-m", "evaluation.compare", run("base"), run("wide"), *how)
         with start(tmp_path, *words) as process:
             process.stdout.close()
             assert process.stderr.read() == ""

@@ -35,6 +35,7 @@ SAME = {
     "a terminal of Latin-1, in colour": {"PYTHONIOENCODING": "latin-1", "FORCE_COLOR": "1"},
     "a narrow terminal": {"COLUMNS": "20", "LINES": "3"},
     "columns that are no number": {"COLUMNS": "many"},
+    "no columns": {"COLUMNS": "0"},
     "no home": {"HOME": NOWHERE, "XDG_CACHE_HOME": NOWHERE, "MPLCONFIGDIR": None},
     "no home at all": {"HOME": None, "USER": None, "LOGNAME": None},
     "nowhere for temporary files": {"TMPDIR": NOWHERE, "TEMP": NOWHERE, "TMP": NOWHERE},
@@ -53,8 +54,14 @@ SAME = {
 @pytest.mark.parametrize("what", SAME)
 def test_the_same_bytes_with(what, place, tmp_path):
     ended = matrix(place, tmp_path / "run", changed=SAME[what])
-    assert ended.code == 0, ended
+    assert (ended.code, bool(ended.out)) == (0, True), ended
     assert_same(tmp_path / "run", content(place / "usual"))
+
+
+def test_a_folder_may_have_the_short_name_of_home(place):
+    for _ in range(2):
+        assert matrix(place, "~/run").code == 0
+        assert_same(place / "~" / "run", content(place / "usual"))
 
 
 PROCESSES = {

@@ -9,7 +9,7 @@ from helpers.cells import STAGES, Spy, World, parsed, plugin, sessions_of
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import TASKS
 from evaluation.cells import work as work_module
-from evaluation.cells.sharing import handed, release_digest, sees_release_alone
+from evaluation.cells.sharing import guarded, handed, release_digest, sees_release_alone
 from evaluation.cells.work import Block, LinkWork, cells
 from evaluation.experiment.axes import axes
 from evaluation.experiment.settings import Settings
@@ -103,3 +103,8 @@ def test_a_plug_in_of_somebody_else_is_handed_a_copy_and_ours_the_very_object(tr
             if isinstance(ours, np.ndarray):
                 assert not np.shares_memory(value, ours)
                 assert not value.flags.writeable
+
+
+def test_what_a_plug_in_sets_of_numpy_ends_with_its_call():
+    guarded("it", lambda: np.seterr(all="raise"))
+    assert np.geterr()["under"] == "ignore"

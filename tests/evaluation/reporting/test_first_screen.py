@@ -66,7 +66,7 @@ def test_what_simulates_says_so_first_and_doubts_are_counted():
     }
     text = " ".join(" ".join(first_screen(run)).split())
     assert text.startswith("SIMULATED crowd ")
-    assert "Doubts: 1 cell FAILED, 1 flag of weak attacks, 6 of " in text
+    assert "Doubts: 1 cell FAILED (it broke), 1 flag of weak attacks, 6 of " in text
     assert "linkage cells invalid (duration gives away)" in text
     assert "7 tracks frozen, split left out, 1 notice." in text
     assert [*notices(run.manifest)] == ["rerelease: 7 of 9 tracks are nearly frozen"]

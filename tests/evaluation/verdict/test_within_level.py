@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from evaluation.verdict.within_level import clustered_mean, partial_correlation
+from evaluation.analysis.matching import Sweeps
+from evaluation.verdict.within_level import clustered_mean, partial_correlation, within
 
 
 def draw(rng, n=400, *, own=0.0, noise=0.0):
@@ -66,3 +67,7 @@ def test_a_clustered_mean_is_a_plain_one_where_everybody_is_alone():
     values = np.random.default_rng(7).normal(size=50)
     one = clustered_mean(values, np.arange(50))
     assert one.standard_error == pytest.approx(values.std(ddof=1) / np.sqrt(50))
+
+
+def test_a_task_whose_windows_failed_has_no_item():
+    assert not [*within({"split": []}, Sweeps({}, {}), success={"split": None}, seed=0)]
