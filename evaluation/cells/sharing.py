@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.random import Generator
@@ -34,13 +34,10 @@ from isac_track.types import (
 )
 
 if TYPE_CHECKING:
-    from evaluation.experiment.axes import Consumer
     from isac_track.plugins import Plugin
 
 _Batch = TypeVar("_Batch", Release, Scenes, Sensed, Windows)
 OURS = ("isac_track.", "attacks.", "predictors.")  # Where plug-ins come from that are no stranger's
-Digest: TypeAlias = tuple[tuple[tuple[int, ...], int] | None, ...]
-"""Shape and hash of arrays: equal in one process for what is equal bit by bit."""
 SHOWS = frozenset({Knowledge.SIGMA, Knowledge.SCENE})  # Knowledge that shows in the release itself.
 FAR_M = 1000.0
 LONG_S = 86_400.0  # How far off, and how long ago, an adversary's frame and clock may begin.
@@ -214,25 +211,3 @@ def reconstructed(
         got = getattr(getattr(found, "xy", None), "shape", type(found).__name__)
         raise PluginError(f"{who} must return a Reconstruction with xy {expected}, got {got}")
     return found
-
-
-def release_digest(*releases: Release) -> Digest:
-    """Return a digest of all that releases hold but their pseudonyms."""
-    arrays = (array for one in releases for array in (one.t, one.xy, one.sigma, one.offsets))
-    return tuple(None if one is None else (one.shape, hash(one.tobytes())) for one in arrays)
-
-
-def sees_release_alone(consumer: Consumer) -> bool:
-    """Whether a consumer leaves the same of two levels whose releases are the same.
-
-    Ours do that know no mechanism. Controls and reconstructions draw from a stream of the level,
-    and so may whatever a stranger wrote.
-    """
-    if consumer.kind in {"shared", "windows"}:
-        return True
-    return (
-        consumer.kind in {"predictor", "linkage"}
-        and all(one.origin.startswith(OURS) for one in consumer.plugins)
-        and Knowledge.MECHANISM not in consumer.granted
-        and not any(getattr(one.instance, "aware", False) for one in consumer.plugins)
-    )

@@ -1,8 +1,7 @@
 """Pieces of work for one process: levels of a block of scenes, or of a linkage task.
 
 What all levels have in common is made once: walks, unit errors, frames, folds, and what sees no
-more of a level than its times. A level is shared once; all of its consumers read the same release,
-and what sees nothing else is computed once for levels that are shared alike.
+more of a level than its times. A level is shared once; all of its consumers read the same release.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ from evaluation.cells import linkage, reconstruction, sharing
 from evaluation.cells.forecasts import sharing_rows
 from evaluation.cells.link_scores import linkage_tables
 from evaluation.cells.link_setup import sensed_sessions
-from evaluation.cells.sharing import Digest, release_digest, sees_release_alone
 from evaluation.cells.tables import ROWS, Tables, rows_table
 from evaluation.cells.where import Failed, here, note
 from evaluation.experiment.constants import MODEL, OTHER_LAW, OTHER_LAW_WORLD
@@ -105,11 +103,10 @@ def _linked(work: LinkWork, *, tracks: Cut, stages: StageSettings, seed: int) ->
     whole = sensed_sessions(
         work.sessions, groups=work.groups, motion=motion, stages=stages, seed=seed
     )
-    alike: dict[tuple[Digest, str], Tables] = {}
+    alike: dict[str, Tables] = {}
     for mechanism, consumers in work.levels:
         note(mechanism.spec, "")
         level, before = linkage.linked_level(mechanism, whole), ("", "")
-        digest = release_digest(*level.shared)
         for consumer in sorted(consumers, key=linkage.who_sees_alike):
             note(mechanism.spec, consumer.label)
             if linkage.who_sees_alike(consumer) != before:
@@ -119,8 +116,7 @@ def _linked(work: LinkWork, *, tracks: Cut, stages: StageSettings, seed: int) ->
                 if whole.candidates:  # of thousands of people all that was made of it is gone, too
                     level = linkage.linked_level(mechanism, whole)
             is_same = linkage.sees_times_alone(consumer, level)
-            key = () if is_same else digest, consumer.label
-            tables = alike.get(key)
+            tables = alike.get(consumer.label) if is_same else None
             if tables is None and consumer.kind == "windows":
                 tables = linkage.window_tables(consumer, level)
             elif tables is None:
@@ -128,8 +124,8 @@ def _linked(work: LinkWork, *, tracks: Cut, stages: StageSettings, seed: int) ->
                 found = linkage.bound(level, motion) if is_bound else linkage.link(consumer, level)
                 tables = linkage_tables(found, whole, keep_scores=work.keep_scores)
                 del found  # Of thousands of people its scores must not stay beside the next ones.
-            if is_same or sees_release_alone(consumer):
-                alike[key] = tables
+            if is_same:
+                alike[consumer.label] = tables
             yield 0, mechanism, consumer, tables
 
 
@@ -141,30 +137,23 @@ def _of_scenes(block: Block, *, tracks: Cut, stages: StageSettings, seed: int) -
     scenes, sensed = reconstruction.sensed_scenes(scenes, **of)
     granted = {what for _, some in block.levels for one in some for what in one.granted}
     attacked: reconstruction.AttackedBlock | None = None
-    alike: dict[tuple[Digest, str], Tables] = {}
     for mechanism, consumers in block.levels:
         note(mechanism.spec, "")
         # All that was made of the one before is gone.
         level: reconstruction.AttackedLevel | None = None
         release = sharing.share(mechanism, sensed, "block", block.number, seed=seed)
-        digest = release_digest(release)
         left = sharing.restricted(scenes, sharing.samples_shared(release, sensed))
         for consumer in consumers:
             note(mechanism.spec, consumer.label)
-            tables = alike.get((digest, consumer.label))
-            if tables is None:
-                if consumer.kind not in {"attack", "bound"}:
-                    rows = sharing_rows(consumer, release, left, mechanism=mechanism, stages=stages)
-                else:
-                    attacked = attacked or reconstruction.attacked_block(
-                        scenes=scenes, sensed=sensed, repeats=Knowledge.REPEATS in granted, **of
-                    )
-                    attacks = [one for one in consumers if one.kind == "attack"]
-                    level = level or reconstruction.attacked_level(
-                        mechanism, release, attacked, attacks
-                    )
-                    rows = reconstruction.attack_rows(consumer, level)
-                tables = {ROWS: rows_table(rows, tracks=tracks)}
-            if sees_release_alone(consumer):
-                alike[digest, consumer.label] = tables
-            yield block.number, mechanism, consumer, tables
+            if consumer.kind not in {"attack", "bound"}:
+                rows = sharing_rows(consumer, release, left, mechanism=mechanism, stages=stages)
+            else:
+                attacked = attacked or reconstruction.attacked_block(
+                    scenes=scenes, sensed=sensed, repeats=Knowledge.REPEATS in granted, **of
+                )
+                attacks = [one for one in consumers if one.kind == "attack"]
+                level = level or reconstruction.attacked_level(
+                    mechanism, release, attacked, attacks
+                )
+                rows = reconstruction.attack_rows(consumer, level)
+            yield block.number, mechanism, consumer, {ROWS: rows_table(rows, tracks=tracks)}
