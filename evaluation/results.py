@@ -19,14 +19,13 @@ from evaluation.analysis.decisions import decisions
 from evaluation.analysis.families import families_in
 from evaluation.analysis.frontier import frontier
 from evaluation.analysis.galleries import TPR, galleries
-from evaluation.analysis.keys import AS_SHARED, Source
+from evaluation.analysis.keys import AS_SHARED, Key, Source
 from evaluation.analysis.linked_people import read_probes
 from evaluation.analysis.matching import Sweeps, matched
 from evaluation.analysis.metrics import ACHIEVED, EXPOSURE, SUCCESS, SUCCESS_OF_100
 from evaluation.analysis.pooled import Answered, answered, answers_of, to_frame
 from evaluation.analysis.strongest import cross_fitted, strongest
 from evaluation.experiment.constants import BLOCK_SCENES, MOST_SCENES, WORLDS
-from evaluation.experiment.fingerprint import has_strangers
 from evaluation.experiment.plan import Plan, plan
 from evaluation.experiment.settings import Settings, check_drawing
 from evaluation.reporting import page, study_page
@@ -38,14 +37,15 @@ from evaluation.reporting.progress import progress_bar
 from evaluation.reporting.rows import Results
 from evaluation.reporting.tables import write_tex, write_text
 from evaluation.runs import folder
-from evaluation.runs.cell_files import read_gallery
+from evaluation.runs.cell_files import Summed, read_gallery
 from evaluation.runs.execute import execute
 from evaluation.runs.files import FRAMES, check_sound, locked, to_csv, write_whole
 from evaluation.runs.manifest import FAILED_COLUMNS, read_manifest
-from evaluation.runs.workers import ahead, aside, dismiss, given_back
+from evaluation.runs.workers import ahead, aside, given_back
 from evaluation.verdict import sections as verdict
 from isac_track.datasets import Dataset
 from isac_track.errors import DataError, SettingsError
+from isac_track.intervals import Estimate
 
 __all__ = ["Results", "build", "load", "rebuild", "run", "sized", "study"]
 _one_thread = partial(threadpool_limits, limits=1, user_api="blas")
@@ -81,11 +81,12 @@ def run(
     folder.check_folder(ready.out)
     shown = progress_bar([]) if progress is True else contextlib.nullcontext(told)
     numeric = np.errstate(all="warn", under="ignore")  # whatever a plug-in's module set
-    with given_back(), locked(ready.out), _one_thread(), numeric, shown as update, ahead():
-        execute(ready, update)
-        # One helps: no one that may not be as it was, since strangers' plug-ins ran in it.
-        dismiss(but=0 if has_strangers(ready.axes) else 1)
-        return build(ready.out, pictures=pictures)
+    with given_back(), locked(ready.out), _one_thread(), numeric, shown as update:
+        with ahead():
+            execute(ready, update)
+        # One helps that is new: those of cells hold much, and strangers' plug-ins ran in them.
+        with ahead(int(ready.jobs > 1), (__name__,)):
+            return build(ready.out, pictures=pictures)
 
 
 def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> Settings:
@@ -156,11 +157,9 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     manifest = read_manifest(out)
     dataset, seed = manifest["dataset"]["name"], manifest["identity"]["seed"]
     predictors, known = manifest["settings"]["predictors"], families_in(manifest["cells"])
-    with aside(partial(_of_scenes, out, manifest)) as of_scenes:
-        read = linkability.cards(out, manifest, drawn=_DRAWN)
-        linked, sums = summary.linkage_estimates(read), summary.linkage_sums(read)
-        table = linkability.linkability(read, dataset=dataset)
-        found, attacked, (curves, decided, at_raw_alarms), worlds = of_scenes()
+    with aside(partial(_of_links, out, manifest)) as of_links:
+        found, attacked, (curves, decided, at_raw_alarms), worlds = _of_scenes(out, manifest)
+        linked, sums, table = of_links()
     flagged, looked = weak_attacks.flags(found, slow=weak_attacks.slow_attacks(manifest))
     sweeps = Sweeps({**found, **at_raw_alarms, **linked}, known)
     best = strongest(sweeps.found, known)
@@ -195,6 +194,15 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     )
     told = [one.sentence for one in answers(results)]
     return replace(results, verdict={"answer": told, **said}), looked
+
+
+def _of_links(
+    out: Path, manifest: Mapping[str, Any]
+) -> tuple[dict[Key, Estimate], dict[Key, Summed], pd.DataFrame]:
+    """Return what the cells of linkage tell: estimates and sums, and `linkability.csv`."""
+    read = linkability.cards(out, manifest, drawn=_DRAWN)
+    table = linkability.linkability(read, dataset=manifest["dataset"]["name"])
+    return summary.linkage_estimates(read), summary.linkage_sums(read), table
 
 
 def _of_scenes(out: Path, manifest: Mapping[str, Any]) -> tuple[Any, ...]:

@@ -41,9 +41,10 @@ _COLUMNS_OF = {
         *("separation_m", "predicted_separation_m", "probability", OF_ROBOT),
     ],
 }
+_DECIDED = ("conflict", "predicted_separation_m", "probability")
 Scored: TypeAlias = "tuple[Mapping[str, Any], Ints, Mapping[str, Any]]"
 """What a predictor said of every scene of one mechanism level: the cell's entry in the manifest,
-the scenes' clusters, (S,), and its columns as in `_COLUMNS_OF`."""
+the scenes' clusters, (S,), and its columns `_DECIDED`."""
 
 
 def estimates(
@@ -70,7 +71,7 @@ def estimates(
             table = read_rows(out, entry, columns=columns, beside=every)
             cluster = clusters(table, manifest)
             if entry["kind"] == "predictor":
-                told = {name: table[name].to_numpy() for name in columns[1:]}
+                told = {name: table[name].to_numpy() for name in _DECIDED}
                 scored.append((entry, cluster, told))
             for metric, ratio in ratios(entry["kind"], table).items():
                 keys.append(key_of(entry, metric))

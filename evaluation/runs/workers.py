@@ -22,7 +22,7 @@ from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 import numpy as np
 import pyarrow as pa
-from cloudpickle import dumps
+from cloudpickle import dumps, loads
 from threadpoolctl import threadpool_limits
 
 from evaluation.cells.where import Failed, here, note
@@ -53,7 +53,7 @@ from evaluation.runs.workers import serve
 serve(pipe, parent=int(sys.argv[2]))
 """
 _waiting: Final["list[_Worker]"] = []  # With nothing to do: who spreads work takes them first.
-_IMPORTED: Final = ("evaluation.runs.pieces", "evaluation.cells.sample_tracks", "numba")
+_CELLS_NEED: Final = ("evaluation.runs.pieces", "evaluation.cells.sample_tracks", "numba")
 _heard: Final[dict[int, int]] = {}  # Output and errors of this process, as it began.
 _M_ARENA_MAX: Final = -8  # Of glibc's malloc.h.
 
@@ -106,12 +106,12 @@ def spread(
 
 
 @contextlib.contextmanager
-def ahead(n_workers: int = 0) -> Iterator[None]:
-    """Start workers that import what cells need meanwhile; at the end dismiss all that wait."""
+def ahead(n_workers: int = 0, needed: Sequence[str] = _CELLS_NEED) -> Iterator[None]:
+    """Start workers that import what is needed meanwhile; at the end dismiss all that wait."""
     try:
         for _ in range(n_workers):
             _waiting.append(_started())
-            _waiting[-1].tell("import", _IMPORTED)
+            _waiting[-1].tell("import", needed)
         yield
     finally:
         dismiss()
@@ -274,7 +274,7 @@ class _Lane(Generic[W, R]):
         is_gone = self._worker is None or not self._worker.is_alive()
         try:
             while self.is_busy and self.pipe.poll():
-                kind, said = self.pipe.recv()
+                kind, said = _received(self.pipe)
                 if kind == "at":
                     self._at, self._since_s = said, time.monotonic()
                 elif kind == "item":
@@ -316,7 +316,7 @@ def serve(pipe: Any, *, parent: int) -> None:  # noqa: ANN401 - a connection, un
     """Do what comes through a pipe, and tell where that is and what came of it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # one here is a plug-in's: the user's goes above
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
-    here.tell = lambda at: pipe.send(("at", at))
+    here.tell = lambda at: pipe.send_bytes(*_packed("at", at))
     # What was imported stays, and arrays form no circles: to look for them takes one second of 20.
     gc.disable()
     libc = _glibc()
@@ -328,7 +328,9 @@ def serve(pipe: Any, *, parent: int) -> None:  # noqa: ANN401 - a connection, un
                 function = said
             elif kind == "work":
                 for answer in _answers(function, said):
-                    pipe.send_bytes(answer)
+                    for part in answer:
+                        pipe.send_bytes(part)
+                    del answer, part  # of a result that is large nothing stays
                 said = None
                 _give_back(libc)
                 gc.freeze()
@@ -346,22 +348,34 @@ def _end_with(parent: int) -> None:
     os._exit(1)
 
 
-def _answers(function: Callable[[W], Iterable[R]], work: W) -> Iterator[bytes]:
+def _answers(function: Callable[[W], Iterable[R]], work: W) -> Iterator[list[Any]]:
     """Yield messages: each item as it comes, and at last that this was all, or what was raised."""
     undo = _as_it_is()
     try:
         note()
         for item in function(work):
             undo()
-            yield dumps(("item", item))
-        yield dumps(("done", None))
+            yield _packed("item", item)
+        yield _packed("done", None)
     except BaseException as error:  # noqa: BLE001 - whatever it is, it is the parent's to tell
         undo()
         error.add_note(traceback.format_exc())
         try:
-            yield dumps(("raised", error))
+            yield _packed("raised", error)
         except Exception:  # noqa: BLE001 - a stranger's error may not be sendable
-            yield dumps(("raised", RuntimeError(told(error))))
+            yield _packed("raised", RuntimeError(told(error)))
+
+
+def _packed(kind: str, said: object) -> list[Any]:
+    """Return a message for `_received`; its arrays are sent from where they are, each by itself."""
+    arrays: list[Any] = []
+    content = dumps((kind, said), protocol=5, buffer_callback=arrays.append)
+    return [dumps((content, len(arrays))), *(one.raw() for one in arrays)]
+
+
+def _received(pipe: Any) -> Any:  # noqa: ANN401 - a connection, untyped
+    content, n_arrays = pipe.recv()
+    return loads(content, buffers=[pipe.recv_bytes() for _ in range(n_arrays)])
 
 
 def _as_it_is() -> Callable[[], None]:

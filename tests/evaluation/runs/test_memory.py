@@ -3,6 +3,8 @@
 import os
 from functools import partial
 
+import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pytest
 
@@ -34,3 +36,16 @@ def test_a_call_is_made_by_a_worker_if_one_waits_and_here_if_it_dies(n_workers):
             answer()
         with aside(partial(process_unless, os.getpid())) as answer:
             assert answer() == os.getpid()
+
+
+def test_what_a_worker_finds_comes_back_as_it_was():
+    table = pa.table({"a": [1.0, None], "b": ["x", "y"]})
+    grid = np.arange(12.0).reshape(3, 4)
+    found = {"whole": grid, "columns": np.asfortranarray(grid), "some": grid[:, ::2]}
+    found |= {"none": np.zeros((0, 3)), "objects": np.array(["a", None], dtype=object)}
+    with ahead(1), aside(partial(dict, **found, table=table, frame=pd.DataFrame(grid))) as answer:
+        back = answer()
+    assert back.pop("table").equals(table)
+    pd.testing.assert_frame_equal(back.pop("frame"), pd.DataFrame(grid))
+    for name, values in found.items():
+        np.testing.assert_array_equal(back[name], values, strict=True)
