@@ -92,9 +92,11 @@ def _heard() -> Iterator[None]:
         return
     _asked.clear()
     signal.signal(signal.SIGINT, _remember)
+    unheard, sys.unraisablehook = sys.unraisablehook, _unless_interrupted
     try:
         yield
     finally:
+        sys.unraisablehook = unheard
         signal.signal(signal.SIGINT, signal.default_int_handler)
         _asked.clear()
 
@@ -102,3 +104,8 @@ def _heard() -> Iterator[None]:
 def _remember(_signal: int, _frame: FrameType | None) -> None:
     _asked.set()
     raise KeyboardInterrupt
+
+
+def _unless_interrupted(lost: Any) -> None:  # noqa: ANN401 - typed in stubs alone
+    if not issubclass(lost.exc_type, KeyboardInterrupt):  # of that `check_interrupt` knows
+        sys.__unraisablehook__(lost)

@@ -1,7 +1,10 @@
 """Plug-ins whose numbers or errors nobody can compute with: each fails alone and by name."""
 
 import json
+import os
+import signal
 import sys
+import time
 from contextlib import nullcontext
 
 import numpy as np
@@ -13,6 +16,7 @@ from helpers.walkers import walkers
 
 from evaluation import matrix
 from evaluation.cells.sharing import guarded
+from isac_track.command_line import check_interrupt, exit_code
 from isac_track.types import ESTIMATE_LIMIT_M, SHARED_LIMIT_M
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -310,6 +314,21 @@ def test_a_ctrl_c_while_a_plugin_runs_is_the_users(tmp_path, arguments, capsys, 
     options = ("--out", tmp_path / "run", "--mechanism", "raw", *named(predictor=[name]))
     assert matrix.main(arguments(*options, *ALONE)) == 130
     assert "interrupted; finished cells are kept" in capsys.readouterr().err
+
+
+def test_a_ctrl_c_that_python_cannot_raise_is_heard_and_told_in_one_line(capsys):
+    class Ends:
+        def __del__(self):
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0)  # the signal is handled here, where nothing can be raised
+
+    def command():
+        Ends()
+        check_interrupt()
+        return 0
+
+    assert exit_code(command) == 130
+    assert capsys.readouterr().err == "interrupted\n"
 
 
 def test_what_spoils_its_process_spoils_no_run(tmp_path, arguments, capsys, monkeypatch):
