@@ -199,7 +199,7 @@ def _read_config(path: Path, stage_values: dict[str, Any]) -> argparse.Namespace
     """Return the options of a file as if they had been typed; add its stage settings to others."""
     words = []
     try:
-        for key, value in tomllib.loads(path.read_text(encoding="utf-8")).items():
+        for key, value in tomllib.loads(path.read_text(encoding="utf-8-sig")).items():
             if isinstance(value, dict):
                 stage_values |= {f"{key}.{name}": inner for name, inner in value.items()}
             else:

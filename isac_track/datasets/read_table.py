@@ -110,6 +110,8 @@ def _csv_header(*, header: str, path: str) -> tuple[str, ...]:
         names = tuple(name.strip() for name in next(csv.reader([header]), []))
     except csv.Error as error:
         raise DataError(f"{where}: the header cannot be read: {error}") from None
+    if header.lstrip().startswith("#"):
+        raise DataError(f"{where}: a comment; the first line of csv names the columns, id,t,x,y")
     for separator, name in ((";", "semicolons"), ("\t", "tabs"), (" ", "spaces")):
         if len(names) == 1 and separator in header.strip():
             message = f"{name} between the columns; csv has commas (and decimal points)"
@@ -149,7 +151,7 @@ def _csv_fault(line: str, names: tuple[str, ...]) -> str:
     for name, unit in _UNITS.items():
         field = fields[names.index(name)]
         try:
-            float(field or "nan")
+            float(field.replace("_", "?").encode("ascii", "replace") or "nan")  # as arrow has it
         except ValueError:
             hint = " (a decimal comma?)" if "," in field else ""
             return f"{name} {field[:40]!r} is not a number of {unit}{hint}"

@@ -117,7 +117,7 @@ def test_a_file_gives_the_same_keys_and_the_command_line_wins(tmp_path):
     path.write_text(
         'preset = "smoke"\nseed = 5\nscenes = 30\nmechanism = ["raw", "fid:1"]\n'
         'predictor = "least_squares"\n[privacy]\nepsilon_m = 0.4\n[sensing]\nlaw = "isotropic"\n',
-        encoding="utf-8",
+        encoding="utf-8-sig",  # some editors put a mark in front
     )
     settings = settings_of("--config", path, "--seed", "7", "--set", "privacy.epsilon_m=0.2")
     assert (settings.preset, settings.seed, settings.n_scenes) == ("smoke", 7, 30)
