@@ -216,6 +216,7 @@ def read_outcomes(
         with _readable(path):
             asked = [(one, _held(path, index, one).tables) for one in mine]
             found += _outcomes(whole, asked, drawn)
+    _weights.cache_clear()  # the next run has others
     return found
 
 
