@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from isac_track.plugins import Plugin
 
 CELL_NAME: Final = re.compile(r"[A-Za-z0-9.=-]{1,80}_[0-9]{5}_[0-9a-f]{16}\.parquet")
-LAYOUT: Final = 3  # Another one wherever readers would miss or mistake a value.
+LAYOUT: Final = 4  # Another one wherever readers would miss or mistake a value.
 FAILED_COLUMNS: Final = ("spec", "kind", "consumer", "knowledge", "block", "why")
 _OF_LEVEL: Final = ("mechanism", "level", "family", "adding", "spec", "files")
 _OF_CONSUMER: Final = ("kind", "consumer", "knowledge", "slow", "world")
