@@ -20,6 +20,7 @@ from evaluation.experiment.constants import OTHER_LAW_WORLD
 from evaluation.reporting import table as make
 from evaluation.reporting.rows import HEADLINE, estimates, short_name, spoken
 from evaluation.reporting.table import Cell, Column, Table
+from isac_track.config import PrivacySettings
 from isac_track.intervals import Estimate
 from isac_track.linkability import GALLERY
 
@@ -40,7 +41,7 @@ TASKS: Final = {
 }
 """Tasks that are shown if a run has them: over a column, of the last three, and in a sentence."""
 MOST_LEVELS: Final = 14
-_MISSED, _KNOWN, _FOUND = "missed", "known in 0.3 m", "found again"
+_MISSED, _FOUND = "missed", "found again"
 _METRICS = (MISSED_RATE, EXPOSURE, WORST_TENTH, SUCCESS, SUCCESS_OF_100, "chance")
 
 
@@ -69,6 +70,7 @@ class Headline:
     worst: Shown | None  # The same of the most exposed tenth of the people.
     linked: Sequence[Shown]  # By the strongest linker of each task.
     wheres: Sequence[Where]  # All levels of the run: the ceiling comes last.
+    epsilon_m: float  # A position that is closer to the truth is known.
 
     @property
     def columns(self) -> list[Shown]:
@@ -100,8 +102,12 @@ def headline(
     *,
     attacks: Mapping[str, Source] | None = None,
     linkability: pd.DataFrame | None = None,
+    epsilon_m: float = PrivacySettings().epsilon_m,
 ) -> Headline:
-    """Return what comes first of a summary; `attacks` are the strongest, by default of its own."""
+    """Return what comes first of a summary; `attacks` are the strongest, by default of its own.
+
+    `epsilon_m` is the run's `privacy.epsilon_m`.
+    """
     rows = summary[summary["metric"].isin(_METRICS)]
     world = worlds_of(rows)
     own = rows[world == ""]
@@ -109,6 +115,7 @@ def headline(
     if attacks is None:
         attacks = {task: one.attack for task, one in strongest(found, known).items()}
     able = own.loc[own["metric"] == MISSED_RATE, "consumer"].unique().tolist()
+    known_in = f"known in {epsilon_m:g} m"
     best, wheres = attacks.get(""), dict.fromkeys(key.where for key in found)
     return Headline(
         known=known,
@@ -116,11 +123,12 @@ def headline(
         other_law=estimates(rows[world == OTHER_LAW_WORLD]),
         gaps=gaps(summary),
         robots=_robots(able),
-        shared=Shown(_KNOWN, "shared", AS_SHARED.measure(EXPOSURE)),
-        attacked=Shown(_KNOWN, "attack", best.measure(EXPOSURE)) if best else None,
-        worst=Shown(_KNOWN, "worst tenth", best.measure(WORST_TENTH)) if best else None,
+        shared=Shown(known_in, "shared", AS_SHARED.measure(EXPOSURE)),
+        attacked=Shown(known_in, "attack", best.measure(EXPOSURE)) if best else None,
+        worst=Shown(known_in, "worst tenth", best.measure(WORST_TENTH)) if best else None,
         linked=_linked(attacks, found, linkability),
         wheres=sorted(wheres, key=lambda where: known[where[0]].family == CLEAN),
+        epsilon_m=epsilon_m,
     )
 
 

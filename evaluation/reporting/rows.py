@@ -220,6 +220,12 @@ class Results:
         return str(self.manifest["dataset"]["name"])
 
     @cached_property
+    def n_reports(self) -> int:
+        """Samples of a track's history, on average."""
+        points: float = self.manifest["history"]["points"]
+        return round(points)
+
+    @cached_property
     def ours(self) -> pd.DataFrame:
         """The summary without the tasks that have a data set of their own."""
         return self.summary[self.summary["dataset"] == self.dataset]
