@@ -1,8 +1,9 @@
-"""Does a sentence hold for other draws? `python -m benchmarks.three_seeds OUT OUT OUT`.
+"""What do runs of several seeds say as one? `python -m benchmarks.three_seeds OUT OUT OUT`.
 
-Of finished runs that differ in their seed alone: each number of the README's table as the median
-over the runs, and the least and the most, with levels of both adding rules; and each item of the
-verdict with what the runs decide, and its effect.
+Of finished runs that differ in their seed alone: each number of the README's table as its mean over
+the seeds with a 95 % interval (people clustered, the variance between seeds included), and the runs
+behind it, with levels of both adding rules; and each item of the verdict with its mean effect and
+what the runs decide.
 """
 
 from __future__ import annotations
@@ -10,17 +11,46 @@ from __future__ import annotations
 import json
 import math
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pandas as pd
 
-from evaluation.reporting.headline import headline, levels_of
+from evaluation.analysis.families import CLEAN, SWEPT
+from evaluation.analysis.keys import Source, worlds_of
+from evaluation.analysis.metrics import EXPOSURE, METRICS, SUCCESS
+from evaluation.analysis.seeds import by_intervals, over_seeds, read_sums, sums_of
+from evaluation.analysis.strongest import against_each, by_task
+from evaluation.reporting.headline import Headline, Shown, headline, levels_of
+from evaluation.reporting.rows import estimates
+from evaluation.runs.manifest import read_manifest
 from isac_track.command_line import DONE, Parser, exit_code
+from isac_track.errors import DataError
+from isac_track.intervals import Estimate
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Mapping, Sequence
+
+    from evaluation.analysis.keys import Where
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Run:
+    """A finished run: its first table, and who is strongest against each mechanism."""
+
+    out: Path
+    table: Headline
+    entries: Mapping[tuple[Where, Source], Mapping[str, Any]]  # Of the cells.
+    strongest: Mapping[tuple[str, str], Source]  # By task ("": who rebuilds) and mechanism.
+
+    def entry(self, where: Where, column: Shown) -> Mapping[str, Any] | None:
+        """Return the cell that a number of the first table is of."""
+        source = column.measure.source
+        is_attack = bool(source.knowledge)
+        if is_attack and self.table.known[where[0]].family not in (*SWEPT, CLEAN):
+            source = self.strongest.get((source.task, where[0]), source)
+        return self.entries.get((where, source))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -30,35 +60,104 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return exit_code(lambda: _show(command.parse_args(arguments).out))
 
 
+def read(out: Path) -> Run:
+    """Return a finished run; DataError if its manifest or its tables cannot be read."""
+    manifest, summary = read_manifest(out), pd.read_csv(out / "summary.csv")
+    found = estimates(summary[worlds_of(summary) == ""])
+    strongest = {
+        (task, mechanism): source
+        for metric in (EXPOSURE, SUCCESS)
+        for task, levels in by_task(found, metric=metric).items()
+        for mechanism, source in against_each(levels).items()
+    }
+    epsilon_m = float(manifest["settings"]["stages"]["privacy.epsilon_m"])
+    entries = {
+        ((one["mechanism"], one["level"]), Source(one["consumer"], one["knowledge"])): one
+        for one in manifest["cells"]
+        if not one.get("world")
+    }
+    return Run(out, headline(summary, epsilon_m=epsilon_m), entries, strongest)
+
+
+def check_alike(outs: Sequence[Path]) -> None:
+    """Raise DataError if runs differ in more than their seeds."""
+    told = [
+        {name: value for name, value in read_manifest(out)["identity"].items() if name != "seed"}
+        for out in outs
+    ]
+    for out, other in zip(outs[1:], told[1:], strict=True):
+        if other != told[0]:
+            keys = sorted(
+                key for key in other.keys() | told[0] if other.get(key) != told[0].get(key)
+            )
+            raise DataError(
+                f"{out} and {outs[0]} differ in {', '.join(keys)}, not in the seed alone"
+            )
+
+
+def pooled(runs: Sequence[Run], where: Where, number: int) -> tuple[Estimate, list[float]] | None:
+    """Return a column of the first table at a level over all runs, and each run's value."""
+    columns = [run.table.columns[number] for run in runs]
+    known = [run.table.at(where, one) for run, one in zip(runs, columns, strict=True)]
+    each = [one for one in known if one is not None]
+    if len(each) < len(runs):
+        return None
+    sums = []
+    for run, column in zip(runs, columns, strict=True):
+        entry = run.entry(where, column)
+        sums.append(read_sums(run.out, entry, column.measure.metric) if entry else None)
+    counted = [one for one in sums if one is not None]
+    is_share = METRICS[columns[0].measure.metric].is_share
+    whole = len(counted) == len(runs)
+    one = over_seeds(sums_of(counted), is_share=is_share) if whole else by_intervals(each)
+    return one, [one.value for one in each]
+
+
 def _show(outs: Sequence[Path]) -> int:
-    runs = [headline(pd.read_csv(out / "summary.csv")) for out in outs]
-    first = runs[0]
+    check_alike(outs)
+    runs = [read(out) for out in outs]
+    first = runs[0].table
     # The levels of the first table, under both adding rules.
     tabled = {(first.known[name].name, level) for name, level in levels_of(first)[0]}
     for where in first.wheres:
         if (first.known[where[0]].name, where[1]) not in tabled:
             continue
         for number, column in enumerate(first.columns):
-            values = [run.at(where, run.columns[number]) for run in runs]
-            found = [100 * one.value for one in values if one is not None]
-            if found:
-                print(f"{first.name(where):24} {column.measure.source.label:44} {_range(found)}")
-    verdicts = [json.loads((out / "verdict.json").read_text())["items"] for out in outs]
-    items: dict[str, list[dict[str, Any]]] = {}
-    for item in (item for verdict in verdicts for item in verdict):
-        if item["section"] != "inflation":  # its unit is another
-            items.setdefault(item["id"], []).append(item)
-    for name, of in items.items():
+            if found := pooled(runs, where, number):
+                name = f"{column.above}, {column.name}"
+                print(f"{first.name(where):24} {name:34} {_told(*found)}")
+    for name, of in _items(outs).items():
         decided = ", ".join(sorted({str(one["decision"]) for one in of}))
-        effects = [one.get("spread", one.get("effect")) for one in of]
-        print(f"{name:60} {_range([100 * one for one in effects if one is not None])} {decided}")
+        effects = [one for one in map(_effect, of) if one is not None]
+        shown = _told(by_intervals(effects), [one.value for one in effects]) if effects else ""
+        print(f"{name:60} {shown} {decided}")
     return DONE
 
 
-def _range(values: Iterable[float]) -> str:
-    """Return the median of some numbers with the least and the most."""
-    known = [one for one in values if math.isfinite(one)]
-    return f"{np.median(known):6.1f} [{min(known):.1f}, {max(known):.1f}]" if known else ""
+def _items(outs: Sequence[Path]) -> dict[str, list[dict[str, Any]]]:
+    """Return the items of the verdicts by what they are about."""
+    items: dict[str, list[dict[str, Any]]] = {}
+    for out in outs:
+        for item in json.loads((out / "verdict.json").read_text())["items"]:
+            if item["section"] != "inflation":  # its unit is another
+                items.setdefault(item["id"], []).append(item)
+    return items
+
+
+def _effect(item: Mapping[str, Any]) -> Estimate | None:
+    """Return the effect of an item, or its spread, where it has one."""
+    names = ("effect", "ci_low", "ci_high")
+    if item.get("spread") is not None:
+        names = ("spread", "spread_low", "spread_high")
+    value, low, high = (math.nan if item.get(one) is None else float(item[one]) for one in names)
+    return Estimate(value, low, high, int(item["n"] or 0)) if math.isfinite(value) else None
+
+
+def _told(one: Estimate, each: Sequence[float]) -> str:
+    """Return a share in %, its interval, and the runs' own values."""
+    value, low, high = (100.0 * number for number in (one.value, one.ci_low, one.ci_high))
+    ends = f"[{low:.1f}, {high:.1f}]" if math.isfinite(low) else "(no interval)"
+    return f"{value:6.1f} {ends:14} of {', '.join(f'{100.0 * other:.1f}' for other in each)}"
 
 
 if __name__ == "__main__":

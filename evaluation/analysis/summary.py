@@ -171,6 +171,11 @@ def to_frame(
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
+def columns_of(kind: str) -> list[str]:
+    """Return the columns of a cell of scenes that its metrics are made of."""
+    return _COLUMNS_OF[kind]
+
+
 def ratios(kind: str, table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
     """Return numerator and denominator of each metric, (R,), of the R rows of a cell of this kind.
 
