@@ -2,8 +2,8 @@
 
 Of finished runs that differ in their seed alone: each number of the README's table as its mean over
 the seeds with a 95 % interval (people clustered, the variance between seeds included), and the runs
-behind it, with levels of both adding rules; and each item of the verdict with its mean effect and
-what the runs decide.
+behind it, with levels of both adding rules; and each item of the verdict with its mean effect, its
+error of prediction, its contrasts, and what the runs decide.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from isac_track.errors import DataError
 from isac_track.intervals import Estimate
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from evaluation.analysis.keys import Where
 
@@ -43,6 +43,11 @@ class Run:
     table: Headline
     entries: Mapping[tuple[Where, Source], Mapping[str, Any]]  # Of the cells.
     strongest: Mapping[tuple[str, str], Source]  # By task ("": who rebuilds) and mechanism.
+
+    @property
+    def columns(self) -> list[Shown]:
+        """What is told of every level: the first table, and the worst-off tenth of the people."""
+        return [*self.table.columns, *filter(None, [self.table.worst])]
 
     def entry(self, where: Where, column: Shown) -> Mapping[str, Any] | None:
         """Return the cell that a number of the first table is of."""
@@ -97,7 +102,7 @@ def check_alike(outs: Sequence[Path]) -> None:
 
 def pooled(runs: Sequence[Run], where: Where, number: int) -> tuple[Estimate, list[float]] | None:
     """Return a column of the first table at a level over all runs, and each run's value."""
-    columns = [run.table.columns[number] for run in runs]
+    columns = [run.columns[number] for run in runs]
     known = [run.table.at(where, one) for run, one in zip(runs, columns, strict=True)]
     each = [one for one in known if one is not None]
     if len(each) < len(runs):
@@ -122,35 +127,59 @@ def _show(outs: Sequence[Path]) -> int:
     for where in first.wheres:
         if (first.known[where[0]].name, where[1]) not in tabled:
             continue
-        for number, column in enumerate(first.columns):
+        for number, column in enumerate(runs[0].columns):
             if found := pooled(runs, where, number):
                 name = f"{column.above}, {column.name}"
                 print(f"{first.name(where):24} {name:34} {_told(*found)}")
     for name, of in _items(outs).items():
-        decided = ", ".join(sorted({str(one["decision"]) for one in of}))
-        effects = [one for one in map(_effect, of) if one is not None]
-        shown = _told(by_intervals(effects), [one.value for one in effects]) if effects else ""
-        print(f"{name:60} {shown} {decided}")
+        decided = ", ".join(sorted({one.decision for one in of}))
+        effects = [one.effect for one in of]
+        shown = _told(by_intervals(effects), [one.value for one in effects])
+        print(f"{name:76} {shown} {decided}")
     return DONE
 
 
-def _items(outs: Sequence[Path]) -> dict[str, list[dict[str, Any]]]:
-    """Return the items of the verdicts by what they are about."""
-    items: dict[str, list[dict[str, Any]]] = {}
+@dataclass(frozen=True, slots=True)
+class Decided:
+    """A number of a run's verdict, and what is decided by it."""
+
+    name: str
+    effect: Estimate
+    decision: str = ""
+
+
+def _items(outs: Sequence[Path]) -> dict[str, list[Decided]]:
+    """Return the numbers of the verdicts by name: of items, and of what they rest on."""
+    found: dict[str, list[Decided]] = {}
     for out in outs:
         for item in json.loads((out / "verdict.json").read_text())["items"]:
             if item["section"] != "inflation":  # its unit is another
-                items.setdefault(item["id"], []).append(item)
-    return items
+                for one in _decided(item):
+                    if math.isfinite(one.effect.value):
+                        found.setdefault(one.name, []).append(one)
+    return found
 
 
-def _effect(item: Mapping[str, Any]) -> Estimate | None:
-    """Return the effect of an item, or its spread, where it has one."""
-    names = ("effect", "ci_low", "ci_high")
-    if item.get("spread") is not None:
-        names = ("spread", "spread_low", "spread_high")
-    value, low, high = (math.nan if item.get(one) is None else float(item[one]) for one in names)
-    return Estimate(value, low, high, int(item["n"] or 0)) if math.isfinite(value) else None
+def _decided(item: Mapping[str, Any]) -> Iterator[Decided]:
+    """Yield the effect of an item, or its spread, its error of prediction, and its contrasts."""
+    name, n = str(item["id"]), int(item["n"] or 0)
+    has_spread = item.get("spread") is not None
+    effect = _number(item, "spread", n=n) if has_spread else _number(item, "effect", n=n)
+    yield Decided(name, effect, str(item["decision"]))
+    if item.get("prediction_error") is not None:
+        yield Decided(f"{name}, prediction error", _number(item, "prediction_error", n=n))
+    for one in item.get("contrasts", ()):
+        levels = (one.get("level"), one.get("quartile"))
+        told = " ".join(f"{at:g}" for at in levels if at is not None)
+        yield Decided(f"{name}, {one['mechanism']} {told}", _number(one, "effect", n=int(one["n"])))
+
+
+def _number(of: Mapping[str, Any], name: str, *, n: int) -> Estimate:
+    """Return a number of the verdict with its interval; NaN where there is none."""
+    prefix = "ci" if name == "effect" else name
+    names = (name, f"{prefix}_low", f"{prefix}_high")
+    value, low, high = (math.nan if of.get(one) is None else float(of[one]) for one in names)
+    return Estimate(value, low, high, n)
 
 
 def _told(one: Estimate, each: Sequence[float]) -> str:

@@ -68,16 +68,20 @@ def over_seeds(sums: Floats, *, is_share: bool = True) -> Estimate:
 def by_intervals(of: Sequence[Estimate]) -> Estimate:
     """Return the mean over runs of a number that is no ratio of sums over people.
 
-    Its variance is the mean of those that the intervals have, for the people are the same, and the
-    variance between the runs over their number: too large by what a person's own draws differ,
-    which is in both. NaN where a run has no interval.
+    Either end is as far off as those of the runs (root mean square), for the people are the same,
+    and as the variance between the runs over their number makes it: too far by what a person's own
+    draws differ, which is in both. NaN where a run has no interval.
     """
     values = np.array([one.value for one in of])
-    errors = np.array([one.ci_high - one.ci_low for one in of]) / (2.0 * float(ndtri(_TAIL)))
+    below = np.array([one.value - one.ci_low for one in of])
+    above = np.array([one.ci_high - one.value for one in of])
     between = float(values.var(ddof=1)) / values.size if values.size > 1 else 0.0
-    half = float(ndtri(_TAIL)) * math.sqrt(float((errors**2).mean()) + between)
-    value, n = float(values.mean()), min(one.n for one in of)
-    return Estimate(value, value - half, value + half, n)
+    low, high = (
+        math.sqrt(float((one**2).mean()) + float(ndtri(_TAIL)) ** 2 * between)
+        for one in (below, above)
+    )
+    value = float(values.mean())
+    return Estimate(value, value - low, value + high, min(one.n for one in of))
 
 
 def _jackknife_variance(values: Floats) -> float:

@@ -94,6 +94,8 @@ def test_without_sums_the_ends_of_intervals_are_taken():
     assert wide.value == pytest.approx(0.5)
     assert wide.ci_high - wide.ci_low > 0.2
     assert wide.n == 30
+    lopsided = by_intervals([Estimate(0.1, 0.0, 0.4, n=20)])
+    assert (lopsided.ci_low, lopsided.ci_high) == pytest.approx((0.0, 0.4))
 
 
 def test_who_is_not_in_a_run_has_nothing_there():
@@ -125,7 +127,7 @@ class TestRuns:
         first = read(outs[0])
         seen = 0
         for where in first.table.wheres:
-            for number, column in enumerate(first.table.columns):
+            for number, column in enumerate(first.columns):
                 known = first.table.at(where, column)
                 if known is not None:
                     one, (value,) = pooled([first], where, number)
