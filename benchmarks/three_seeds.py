@@ -20,7 +20,7 @@ import pandas as pd
 from evaluation.analysis.families import CLEAN, SWEPT
 from evaluation.analysis.keys import Source, worlds_of
 from evaluation.analysis.metrics import EXPOSURE, METRICS, SUCCESS
-from evaluation.analysis.seeds import by_intervals, over_seeds, read_sums, sums_of
+from evaluation.analysis.seeds import by_intervals, over_seeds, read_sums, stacked_sums
 from evaluation.analysis.strongest import against_each, by_task
 from evaluation.reporting.headline import Headline, Shown, headline, levels_of
 from evaluation.reporting.rows import estimates
@@ -68,32 +68,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def read(out: Path) -> Run:
     """Return a finished run; DataError if its manifest or its tables cannot be read."""
     manifest, summary = read_manifest(out), pd.read_csv(out / "summary.csv")
-    found = estimates(summary[worlds_of(summary) == ""])
+    results = estimates(summary[worlds_of(summary) == ""])
     strongest = {
         (task, mechanism): source
         for metric in (EXPOSURE, SUCCESS)
-        for task, levels in by_task(found, metric=metric).items()
+        for task, levels in by_task(results, metric=metric).items()
         for mechanism, source in against_each(levels).items()
     }
     epsilon_m = float(manifest["settings"]["stages"]["privacy.epsilon_m"])
     entries = {
-        ((one["mechanism"], one["level"]), Source(one["consumer"], one["knowledge"])): one
-        for one in manifest["cells"]
-        if not one.get("world")
+        ((cell["mechanism"], cell["level"]), Source(cell["consumer"], cell["knowledge"])): cell
+        for cell in manifest["cells"]
+        if not cell.get("world")
     }
     return Run(out, headline(summary, epsilon_m=epsilon_m), entries, strongest)
 
 
-def check_alike(outs: Sequence[Path]) -> None:
+def check_seed_alone(outs: Sequence[Path]) -> None:
     """Raise DataError if runs differ in more than their seeds."""
-    told = [
+    identities = [
         {name: value for name, value in read_manifest(out)["identity"].items() if name != "seed"}
         for out in outs
     ]
-    for out, other in zip(outs[1:], told[1:], strict=True):
-        if other != told[0]:
+    for out, other in zip(outs[1:], identities[1:], strict=True):
+        if other != identities[0]:
             keys = sorted(
-                key for key in other.keys() | told[0] if other.get(key) != told[0].get(key)
+                key
+                for key in other.keys() | identities[0]
+                if other.get(key) != identities[0].get(key)
             )
             raise DataError(
                 f"{out} and {outs[0]} differ in {', '.join(keys)}, not in the seed alone"
@@ -103,23 +105,23 @@ def check_alike(outs: Sequence[Path]) -> None:
 def pooled(runs: Sequence[Run], where: Where, number: int) -> tuple[Estimate, list[float]] | None:
     """Return a column of the first table at a level over all runs, and each run's value."""
     columns = [run.columns[number] for run in runs]
-    known = [run.table.at(where, one) for run, one in zip(runs, columns, strict=True)]
-    each = [one for one in known if one is not None]
+    known = [run.table.at(where, column) for run, column in zip(runs, columns, strict=True)]
+    each = [estimate for estimate in known if estimate is not None]
     if len(each) < len(runs):
         return None
     sums = []
     for run, column in zip(runs, columns, strict=True):
         entry = run.entry(where, column)
         sums.append(read_sums(run.out, entry, column.measure.metric) if entry else None)
-    counted = [one for one in sums if one is not None]
+    counted = [run_sums for run_sums in sums if run_sums is not None]
     is_share = METRICS[columns[0].measure.metric].is_share
     whole = len(counted) == len(runs)
-    one = over_seeds(sums_of(counted), is_share=is_share) if whole else by_intervals(each)
-    return one, [one.value for one in each]
+    mean = over_seeds(stacked_sums(counted), is_share=is_share) if whole else by_intervals(each)
+    return mean, [estimate.value for estimate in each]
 
 
 def _show(outs: Sequence[Path]) -> int:
-    check_alike(outs)
+    check_seed_alone(outs)
     runs = [read(out) for out in outs]
     first = runs[0].table
     # The levels of the first table, under both adding rules.
@@ -128,13 +130,13 @@ def _show(outs: Sequence[Path]) -> int:
         if (first.known[where[0]].name, where[1]) not in tabled:
             continue
         for number, column in enumerate(runs[0].columns):
-            if found := pooled(runs, where, number):
+            if results := pooled(runs, where, number):
                 name = f"{column.above}, {column.name}"
-                print(f"{first.name(where):24} {name:34} {_told(*found)}")
-    for name, of in _items(outs).items():
-        decided = ", ".join(sorted({one.decision for one in of}))
-        effects = [one.effect for one in of]
-        shown = _told(by_intervals(effects), [one.value for one in effects])
+                print(f"{first.name(where):24} {name:34} {_text(*results)}")
+    for name, numbers in _items(outs).items():
+        decided = ", ".join(sorted({number.decision for number in numbers}))
+        effects = [number.effect for number in numbers]
+        shown = _text(by_intervals(effects), [effect.value for effect in effects])
         print(f"{name:76} {shown} {decided}")
     return DONE
 
@@ -150,14 +152,14 @@ class Decided:
 
 def _items(outs: Sequence[Path]) -> dict[str, list[Decided]]:
     """Return the numbers of the verdicts by name: of items, and of what they rest on."""
-    found: dict[str, list[Decided]] = {}
+    results: dict[str, list[Decided]] = {}
     for out in outs:
         for item in json.loads((out / "verdict.json").read_text())["items"]:
             if item["section"] != "inflation":  # its unit is another
-                for one in _decided(item):
-                    if math.isfinite(one.effect.value):
-                        found.setdefault(one.name, []).append(one)
-    return found
+                for number in _decided(item):
+                    if math.isfinite(number.effect.value):
+                        results.setdefault(number.name, []).append(number)
+    return results
 
 
 def _decided(item: Mapping[str, Any]) -> Iterator[Decided]:
@@ -168,23 +170,26 @@ def _decided(item: Mapping[str, Any]) -> Iterator[Decided]:
     yield Decided(name, effect, str(item["decision"]))
     if item.get("prediction_error") is not None:
         yield Decided(f"{name}, prediction error", _number(item, "prediction_error", n=n))
-    for one in item.get("contrasts", ()):
-        levels = (one.get("level"), one.get("quartile"))
-        told = " ".join(f"{at:g}" for at in levels if at is not None)
-        yield Decided(f"{name}, {one['mechanism']} {told}", _number(one, "effect", n=int(one["n"])))
+    for contrast in item.get("contrasts", ()):
+        levels = (contrast.get("level"), contrast.get("quartile"))
+        place = " ".join(f"{at:g}" for at in levels if at is not None)
+        label = f"{name}, {contrast['mechanism']} {place}"
+        yield Decided(label, _number(contrast, "effect", n=int(contrast["n"])))
 
 
-def _number(of: Mapping[str, Any], name: str, *, n: int) -> Estimate:
+def _number(record: Mapping[str, Any], name: str, *, n: int) -> Estimate:
     """Return a number of the verdict with its interval; NaN where there is none."""
     prefix = "ci" if name == "effect" else name
     names = (name, f"{prefix}_low", f"{prefix}_high")
-    value, low, high = (math.nan if of.get(one) is None else float(of[one]) for one in names)
+    value, low, high = (
+        math.nan if record.get(key) is None else float(record[key]) for key in names
+    )
     return Estimate(value, low, high, n)
 
 
-def _told(one: Estimate, each: Sequence[float]) -> str:
+def _text(mean: Estimate, each: Sequence[float]) -> str:
     """Return a share in %, its interval, and the runs' own values."""
-    value, low, high = (100.0 * number for number in (one.value, one.ci_low, one.ci_high))
+    value, low, high = (100.0 * number for number in (mean.value, mean.ci_low, mean.ci_high))
     ends = f"[{low:.1f}, {high:.1f}]" if math.isfinite(low) else "(no interval)"
     return f"{value:6.1f} {ends:14} of {', '.join(f'{100.0 * other:.1f}' for other in each)}"
 

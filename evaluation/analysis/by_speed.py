@@ -32,7 +32,7 @@ _SPEED: Final = "speed_mps"
 def by_speed(
     out: Path,
     manifest: Mapping[str, Any],
-    found: Found,
+    estimates: Found,
     *,
     known: Mapping[str, Family],
     best: Mapping[str, Source],
@@ -49,20 +49,28 @@ def by_speed(
         for entry in manifest["cells"]
         if entry["kind"] in ("shared", "attack") and not entry.get("world")
     }
-    shown = [where for where, of in entries if of == AS_SHARED and _is_shown(known, where)]
+    shown = [where for where, source in entries if source == AS_SHARED and _is_shown(known, where)]
     if not shown:
         return pd.DataFrame(columns=COLUMNS)
     at_raw = (RAW, None) if (RAW, None) in shown else shown[0]
-    speed_of = _speeds(out, entries[at_raw, AS_SHARED])
-    own = against_each(by_task(found, metric=EXPOSURE).get("", {}))
+    speed_by_source = _speeds(out, entries[at_raw, AS_SHARED])
+    own = against_each(by_task(estimates, metric=EXPOSURE).get("", {}))
     rows = []
     for where in shown:
         attack = best.get("") if known[where[0]].family in SWEPT else own.get(where[0])
-        for of in filter(None, (AS_SHARED, attack)):
-            if entry := entries.get((where, of)):
+        for source in filter(None, (AS_SHARED, attack)):
+            if entry := entries.get((where, source)):
                 level = np.nan if where[1] is None else where[1]
-                about = manifest["dataset"]["name"], where[0], level, of.consumer, of.knowledge
-                rows += [(*about, *numbers) for numbers in _bins(out, manifest, entry, speed_of)]
+                about = (
+                    manifest["dataset"]["name"],
+                    where[0],
+                    level,
+                    source.consumer,
+                    source.knowledge,
+                )
+                rows += [
+                    (*about, *numbers) for numbers in _bins(out, manifest, entry, speed_by_source)
+                ]
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
@@ -77,19 +85,25 @@ def _speeds(out: Path, entry: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _bins(
-    out: Path, manifest: Mapping[str, Any], entry: Mapping[str, Any], speed_of: Mapping[str, float]
+    out: Path,
+    manifest: Mapping[str, Any],
+    entry: Mapping[str, Any],
+    speed_by_source: Mapping[str, float],
 ) -> Iterator[tuple[float, ...]]:
     """Yield ends and mean speed of each bin with its PLR, interval, and people."""
     table = read_rows(out, entry, columns=["source", "group", METRICS[EXPOSURE].column])
-    values, speed_mps = table[METRICS[EXPOSURE].column].to_numpy(), _of_sources(table, speed_of)
+    values, speed_mps = (
+        table[METRICS[EXPOSURE].column].to_numpy(),
+        _row_speeds(table, speed_by_source),
+    )
     cluster, weights = clusters(table, manifest), weights_of(manifest)
     for low, high in pairwise(EDGES_MPS):
         inside = (low <= speed_mps) & (speed_mps < high)
         if not inside.any():
             continue
         sums = [
-            cluster_sums(values=one, cluster=cluster, n_clusters=weights.shape[1])
-            for one in (np.where(inside, values, 0.0), inside.astype(np.float64))
+            cluster_sums(values=part, cluster=cluster, n_clusters=weights.shape[1])
+            for part in (np.where(inside, values, 0.0), inside.astype(np.float64))
         ]
         (plr,) = ratio_estimates(
             numerator=sums[0][None], denominator=sums[1][None], weights=weights, is_share=[True]
@@ -98,8 +112,8 @@ def _bins(
         yield low, high, mean_mps, plr.value, plr.ci_low, plr.ci_high, plr.n
 
 
-def _of_sources(table: pa.Table, speed_of: Mapping[str, float]) -> Floats:
+def _row_speeds(table: pa.Table, speed_by_source: Mapping[str, float]) -> Floats:
     """Return the net speed of each row's source, (R,) m/s; NaN where it is not known."""
     column = table["source"].combine_chunks()
-    speeds = np.array([speed_of.get(one, np.nan) for one in column.dictionary.to_pylist()])
+    speeds = np.array([speed_by_source.get(name, np.nan) for name in column.dictionary.to_pylist()])
     return np.asarray(speeds[column.indices.to_numpy()])

@@ -55,33 +55,33 @@ def over_seeds(sums: Floats, *, is_share: bool = True) -> Estimate:
         return Estimate(value, n=n, effective=effective)
     if is_share and value in (0.0, 1.0):
         return Estimate(value, *wilson(hits=value * effective, n=effective), n, effective=effective)
-    of_people, of_seeds = _jackknife_variance(whole), 0.0
+    people_variance, seed_variance = _jackknife_variance(whole), 0.0
     if n_runs > 1:
         pairs = combinations(each, 2)
-        apart = float(np.mean([_jackknife_variance(one - other) for one, other in pairs]))
-        of_seeds = max(0.0, float(each[:, 0].var(ddof=1)) - 0.5 * apart) / n_runs
-    parts = (of_people, effective - 1.0), (of_seeds, n_runs - 1.0)
+        apart = float(np.mean([_jackknife_variance(first - second) for first, second in pairs]))
+        seed_variance = max(0.0, float(each[:, 0].var(ddof=1)) - 0.5 * apart) / n_runs
+    parts = (people_variance, effective - 1.0), (seed_variance, n_runs - 1.0)
     ends = _interval(value, parts, is_share=is_share)
     return Estimate(value, *ends, n, effective=effective)
 
 
-def by_intervals(of: Sequence[Estimate]) -> Estimate:
+def by_intervals(estimates: Sequence[Estimate]) -> Estimate:
     """Return the mean over runs of a number that is no ratio of sums over people.
 
     Either end is as far off as those of the runs (root mean square), for the people are the same,
     and as the variance between the runs over their number makes it: too far by what a person's own
     draws differ, which is in both. NaN where a run has no interval.
     """
-    values = np.array([one.value for one in of])
-    below = np.array([one.value - one.ci_low for one in of])
-    above = np.array([one.ci_high - one.value for one in of])
+    values = np.array([run.value for run in estimates])
+    below = np.array([run.value - run.ci_low for run in estimates])
+    above = np.array([run.ci_high - run.value for run in estimates])
     between = float(values.var(ddof=1)) / values.size if values.size > 1 else 0.0
     low, high = (
-        math.sqrt(float((one**2).mean()) + float(ndtri(_TAIL)) ** 2 * between)
-        for one in (below, above)
+        math.sqrt(float((distances**2).mean()) + float(ndtri(_TAIL)) ** 2 * between)
+        for distances in (below, above)
     )
     value = float(values.mean())
-    return Estimate(value, value - low, value + high, min(one.n for one in of))
+    return Estimate(value, value - low, value + high, min(run.n for run in estimates))
 
 
 def _jackknife_variance(values: Floats) -> float:
@@ -105,7 +105,7 @@ def _interval(
     return float(expit(centre - half)), float(expit(centre + half))
 
 
-def sums_of(runs: Sequence[Mapping[str, tuple[float, float]]]) -> Floats:
+def stacked_sums(runs: Sequence[Mapping[str, tuple[float, float]]]) -> Floats:
     """Return the sums of people by name as an array, (S, 2, C): who is not in a run has 0 there."""
     names = sorted(set().union(*runs))
     return np.array([np.transpose([run.get(name, (0.0, 0.0)) for name in names]) for run in runs])
@@ -130,9 +130,12 @@ def read_sums(
         return None
     names, cluster = np.unique(table["group"].to_numpy().astype(str), return_inverse=True)
     sums = (
-        cluster_sums(values=one, cluster=cluster, n_clusters=names.size) for one in (over, under)
+        cluster_sums(values=values, cluster=cluster, n_clusters=names.size)
+        for values in (over, under)
     )
-    return dict(zip(names.tolist(), zip(*(one.tolist() for one in sums), strict=True), strict=True))
+    return dict(
+        zip(names.tolist(), zip(*(both.tolist() for both in sums), strict=True), strict=True)
+    )
 
 
 def _hits(counts: Mapping[str, Floats], metric: str) -> tuple[Floats | None, Floats | None]:

@@ -84,7 +84,7 @@ def estimates(
                 told = {name: table[name].to_numpy() for name in _DECIDED}
                 scored.append((entry, cluster, told))
             elif entry["kind"] != "bound":
-                found[key_of(entry, WORST_TENTH)] = _of_worst(table, cluster, weights)
+                found[key_of(entry, WORST_TENTH)] = _worst_tenth(table, cluster, weights)
             for metric, ratio in ratios(entry["kind"], table).items():
                 keys.append(key_of(entry, metric))
                 sums.append([cluster_sums(values=x, cluster=cluster, n_clusters=n) for x in ratio])
@@ -108,7 +108,7 @@ def estimates(
     return found, tuple(scored), attacked
 
 
-def _of_worst(table: pa.Table, cluster: Ints, weights: Floats) -> Estimate:
+def _worst_tenth(table: pa.Table, cluster: Ints, weights: Floats) -> Estimate:
     """Return PLR of the worst-off tenth of the people, of the rows of one consumer at one level."""
     values, scene = (table[name].to_numpy() for name in (METRICS[EXPOSURE].column, "scene"))
     n_clusters = weights.shape[1]

@@ -47,7 +47,7 @@ def person_means(*, values: Floats, scene: Ints, cluster: Ints, n_clusters: int)
     return PersonMeans(enough, *means)
 
 
-def worst_tenth(of: PersonMeans, *, weights: Floats) -> Estimate:
+def worst_tenth(means: PersonMeans, *, weights: Floats) -> Estimate:
     """Return the mean of a share, 0..1, over the most exposed tenth of the people.
 
     Its interval is the delete-one-person jackknife's, which repeats the choice, with as many
@@ -55,24 +55,24 @@ def worst_tenth(of: PersonMeans, *, weights: Floats) -> Estimate:
     fewer than `LEAST_PEOPLE` the value is refused (NaN). `weights`, (B, C), are how often each
     cluster is drawn in a replicate.
     """
-    n = of.person.size
+    n = means.person.size
     if n < LEAST_PEOPLE:
         return Estimate(np.nan, n=n, replicates=np.full(len(weights), np.nan))
     left_out = np.vstack([np.ones(n), 1.0 - np.eye(n)])
-    drawn = weights[:, of.person]
-    values = cross_fitted_tail(of, np.concatenate([left_out, drawn]))
+    drawn = weights[:, means.person]
+    values = cross_fitted_tail(means, np.concatenate([left_out, drawn]))
     jackknifed, replicates = values[: n + 1], values[n + 1 :]
     ends = jackknife_interval(jackknifed, effective=_carriers(jackknifed))
     return Estimate(float(values[0]), *ends, n, replicates)
 
 
-def cross_fitted_tail(of: PersonMeans, weights: Floats) -> Floats:
+def cross_fitted_tail(means: PersonMeans, weights: Floats) -> Floats:
     """Return the mean of the tenth, chosen on either half and taken on the other, averaged, (R,).
 
     `weights`, (R, P), give a result each.
     """
-    first = tail_mean(of.even, chosen_by=of.odd, weights=weights)
-    return 0.5 * (first + tail_mean(of.odd, chosen_by=of.even, weights=weights))
+    first = tail_mean(means.even, chosen_by=means.odd, weights=weights)
+    return 0.5 * (first + tail_mean(means.odd, chosen_by=means.even, weights=weights))
 
 
 def tail_mean(values: Floats, *, chosen_by: Floats, weights: Floats) -> Floats:
@@ -82,10 +82,10 @@ def tail_mean(values: Floats, *, chosen_by: Floats, weights: Floats) -> Floats:
     equals share what is left of the places. `weights`, (R, P), give a result each, (R,).
     """
     order = np.argsort(-chosen_by, kind="stable")
-    ranked, of_each = chosen_by[order], weights[:, order]
+    ranked, ranked_weights = chosen_by[order], weights[:, order]
     starts = np.flatnonzero(np.append(True, ranked[1:] != ranked[:-1]))
-    weight = np.add.reduceat(of_each, starts, axis=1)
-    total = np.add.reduceat(of_each * values[order], starts, axis=1)
+    weight = np.add.reduceat(ranked_weights, starts, axis=1)
+    total = np.add.reduceat(ranked_weights * values[order], starts, axis=1)
     places = SHARE * weights.sum(axis=1, keepdims=True)
     taken = np.clip(places - (np.cumsum(weight, axis=1) - weight), 0.0, weight)
     with np.errstate(divide="ignore", invalid="ignore"):

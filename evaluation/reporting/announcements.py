@@ -217,6 +217,6 @@ def _same_run(manifest: Mapping[str, Any]) -> list[str]:
         # Of one session a run leaves the task of those who come back out by itself.
         if set(used) not in (usually, usually - {"cross_session"}):
             options += [(option, value) for value in used or ["none"]]
-    options += [("set", one) for one in changed_settings(manifest)]
+    options += [("set", setting) for setting in changed_settings(manifest)]
     words = ["--persistent-ids"] * bool(identity.get("persistent_ids"))
     return words + [word for key, at in options if at is not None for word in (f"--{key}", f"{at}")]

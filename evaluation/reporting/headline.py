@@ -228,13 +228,13 @@ def headline_table(of: Headline) -> Table:
     return make.built("headline", "", wheres, columns, notes=_worst_notes(of))
 
 
-def _worst_notes(of: Headline) -> list[str]:
+def _worst_notes(table: Headline) -> list[str]:
     """Return how many people the worst tenth is chosen from, or why there is none."""
-    every = [one for key, one in of.found.items() if of.worst and key.measure == of.worst.measure]
-    if not every:
+    metric = table.worst and table.worst.measure
+    people = [estimate.n for key, estimate in table.found.items() if key.measure == metric]
+    if not people:
         return []
-    n = max(one.n for one in every)
-    enough = f"people with at least {LEAST_RELEASES} releases"
+    n, enough = max(people), f"people with at least {LEAST_RELEASES} releases"
     if n < LEAST_PEOPLE:
         return [f"Worst tenth: refused, since it takes {LEAST_PEOPLE} {enough}; there are {n}."]
     how = "chosen on every other release, PLR of the releases between"

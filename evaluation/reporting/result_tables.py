@@ -140,11 +140,11 @@ def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
     wheres = picked.telling(blocks, known) if only is None else blocks
     told = [row for where in wheres for row in _merged(*where, blocks[where])]
     # What every level refuses, such as the worst tenth of few people, has no column.
-    measured = [one for one in RECONSTRUCTION if any(row[one].text for row in told)]
+    measured = [name for name in RECONSTRUCTION if any(row[name].text for row in told)]
     columns = [
         *picked.mechanism_columns(known),
         *map(make.said, ("positions", "adversary")),
-        *(make.held(METRICS[one].head, one, unit=METRICS[one].unit) for one in measured),
+        *(make.held(METRICS[name].head, name, unit=METRICS[name].unit) for name in measured),
     ]
     return make.built("attacks", f"{title}; 95 % intervals", told, columns, n_headings=3, n_keys=5)
 

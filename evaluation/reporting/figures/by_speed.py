@@ -58,11 +58,11 @@ def _name(run: Results, where: Where) -> str:
     return where_text(family_of(run.families, where[0]).name, where[1])
 
 
-def _curve(look: Look, name: str, of: pd.DataFrame) -> Curve:
+def _curve(look: Look, name: str, rows: pd.DataFrame) -> Curve:
     """Return a level over the mean speed of each bin; its name tells both ends."""
-    rows = of.sort_values("speed_mps")
+    rows = rows.sort_values("speed_mps")
     x, values = rows["speed_mps"].to_numpy(), PERCENT * rows[ENDS].to_numpy(dtype=np.float64).T
     said = [f"{values[0, n]:.1f} % at {x[n]:.2f} m/s" for n in (0, -1)]
-    who = Source(str(rows["consumer"].iloc[0]), str(rows["knowledge"].iloc[0])).label
+    attack = Source(str(rows["consumer"].iloc[0]), str(rows["knowledge"].iloc[0])).label
     ends = " to ".join(dict.fromkeys(said))
-    return Curve(look, f"{name} after {who}: {ends}", x, values)
+    return Curve(look, f"{name} after {attack}: {ends}", x, values)

@@ -33,9 +33,9 @@ def test_every_bin_is_the_mean_of_its_people(finished):
     assert set(speeds["mechanism"]) == {"raw", "fixed"}
     assert set(speeds["level"].dropna()) == {1.0}  # not 0.7
     shared = rows_of(finished.out, "raw", "shared")
-    speed_of = dict(zip(shared["source"], shared["speed_mps"], strict=True))
+    speed_by_source = dict(zip(shared["source"], shared["speed_mps"], strict=True))
     rows = rows_of(finished.out, "fixed:1", *finished.strongest[""])
-    own = rows["source"].map(speed_of).astype(float)
+    own = rows["source"].map(speed_by_source).astype(float)
     known = speeds[(speeds["mechanism"] == "fixed") & (speeds["knowledge"] != "")]
     assert len(known) > 1
     for row in known.itertuples():
@@ -51,8 +51,8 @@ def test_net_speed_is_that_of_the_true_history(finished):
     shared = rows_of(finished.out, "raw", "shared")
     noisy = rows_of(finished.out, "fixed:1", "shared")
     assert np.allclose(shared["speed_mps"], noisy["speed_mps"], rtol=1e-5)
-    of = shared.groupby("source")["speed_mps"]
-    assert np.allclose(of.min(), of.max(), rtol=1e-4)  # wherever a scene places it
+    speeds = shared.groupby("source")["speed_mps"]
+    assert np.allclose(speeds.min(), speeds.max(), rtol=1e-4)  # wherever a scene places it
     assert shared["speed_mps"].between(0.0, 1.4).all()  # the walks' own steps
 
 
@@ -63,12 +63,12 @@ def test_a_finished_run_has_the_table_again(finished):
 
 
 def test_a_run_without_these_levels_has_no_row(finished):
-    found = tested.by_speed(
+    table = tested.by_speed(
         finished.out,
         read_manifest(finished.out) | {"cells": []},
         {},
         known=finished.families,
         best={},
     )
-    assert found.empty
-    assert list(found.columns) == tested.COLUMNS
+    assert table.empty
+    assert list(table.columns) == tested.COLUMNS

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from helpers.small_runs import smoke, write_walks
 
-from benchmarks.three_seeds import check_alike, pooled, read
-from evaluation.analysis.seeds import by_intervals, over_seeds, sums_of
+from benchmarks.three_seeds import check_seed_alone, pooled, read
+from evaluation.analysis.seeds import by_intervals, over_seeds, stacked_sums
 from evaluation.results import run
 from isac_track.errors import DataError
 from isac_track.intervals import Estimate, jackknife_interval
@@ -16,11 +16,11 @@ from isac_track.rng import stream
 N_PEOPLE, N_TRIALS = 40, 10
 
 
-def world(number, *, n_seeds=3, of_people=0.6, of_seeds=0.0):
+def world(number, *, n_seeds=3, people_spread=0.6, seed_spread=0.0):
     """Hits and trials of people with shares of their own, under seeds that shift all of them."""
     rng = stream(number, "world")
-    people = of_people * rng.standard_normal(N_PEOPLE)
-    seeds = of_seeds * rng.standard_normal((n_seeds, 1))
+    people = people_spread * rng.standard_normal(N_PEOPLE)
+    seeds = seed_spread * rng.standard_normal((n_seeds, 1))
     shares = 1.0 / (1.0 + np.exp(0.5 + people + seeds))
     hits = rng.binomial(N_TRIALS, shares).astype(float)
     return np.stack([hits, np.full_like(hits, N_TRIALS)], axis=1)
@@ -28,41 +28,41 @@ def world(number, *, n_seeds=3, of_people=0.6, of_seeds=0.0):
 
 def leave_one_out(values, n):
     """Variance of the delete-one jackknife of numbers without each in turn, and with all first."""
-    return (n - 1) / n * sum((one - values[0]) ** 2 for one in values[1:])
+    return (n - 1) / n * sum((value - values[0]) ** 2 for value in values[1:])
 
 
 def test_variance_is_that_of_leaving_each_person_out_of_every_run():
-    sums = world(3, of_seeds=0.3)
+    sums = world(3, seed_spread=0.3)
     sums[1, :, :5] = 0.0  # who is not in one of the runs
     people = range(N_PEOPLE)
 
     def ratio(runs, left):
-        some = [one for one in people if one != left]
+        some = [person for person in people if person != left]
         return sums[runs][:, 0, some].sum() / sums[runs][:, 1, some].sum()
 
     each = [[ratio([run], left) for left in (None, *people)] for run in range(3)]
     whole = [ratio([0, 1, 2], left) for left in (None, *people)]
     apart = [
-        leave_one_out([a - b for a, b in zip(one, other, strict=True)], N_PEOPLE)
-        for one, other in combinations(each, 2)
+        leave_one_out([a - b for a, b in zip(first, second, strict=True)], N_PEOPLE)
+        for first, second in combinations(each, 2)
     ]
-    between = np.var([one[0] for one in each], ddof=1) - 0.5 * np.mean(apart)
+    between = np.var([run[0] for run in each], ddof=1) - 0.5 * np.mean(apart)
     assert between > 0.0
     expected = leave_one_out(whole, N_PEOPLE) + between / 3
-    found = over_seeds(sums, is_share=False)
-    assert found.value == pytest.approx(whole[0])
+    result = over_seeds(sums, is_share=False)
+    assert result.value == pytest.approx(whole[0])
     # Student's t of so few degrees of freedom is wider than of many.
-    half = (found.ci_high - found.ci_low) / 2.0
+    half = (result.ci_high - result.ci_low) / 2.0
     assert 1.96 < half / np.sqrt(expected) < 4.31
-    assert found.n == N_PEOPLE
+    assert result.n == N_PEOPLE
 
 
 def test_one_run_has_the_jackknife_of_its_people():
     (sums,) = world(5, n_seeds=1)
     values = (sums[0].sum() - np.append(0.0, sums[0])) / (sums[1].sum() - np.append(0.0, sums[1]))
-    found = over_seeds(sums[None])
+    result = over_seeds(sums[None])
     low, high = jackknife_interval(values, effective=N_PEOPLE)
-    assert (found.value, found.ci_low, found.ci_high) == pytest.approx((values[0], low, high))
+    assert (result.value, result.ci_low, result.ci_high) == pytest.approx((values[0], low, high))
 
 
 def test_the_same_run_thrice_is_no_more_than_once():
@@ -72,25 +72,27 @@ def test_the_same_run_thrice_is_no_more_than_once():
     assert (thrice.value, thrice.ci_low, thrice.ci_high) == pytest.approx(ends)
 
 
-@pytest.mark.parametrize("of_seeds", [0.0, 0.4])
-def test_interval_covers_the_mean_over_people_and_seeds(of_seeds):
+@pytest.mark.parametrize("seed_spread", [0.0, 0.4])
+def test_interval_covers_the_mean_over_people_and_seeds(seed_spread):
     truth = over_seeds(
-        np.concatenate([world(number, n_seeds=50, of_seeds=of_seeds) for number in range(40)], 2)
+        np.concatenate(
+            [world(number, n_seeds=50, seed_spread=seed_spread) for number in range(40)], 2
+        )
     ).value
-    found = [over_seeds(world(1000 + number, of_seeds=of_seeds)) for number in range(200)]
-    assert np.mean([one.ci_low <= truth <= one.ci_high for one in found]) >= 0.91
+    results = [over_seeds(world(1000 + number, seed_spread=seed_spread)) for number in range(200)]
+    assert np.mean([estimate.ci_low <= truth <= estimate.ci_high for estimate in results]) >= 0.91
 
 
 def test_between_seeds_what_differs_makes_the_interval_wider():
-    alike, apart = (over_seeds(world(8, of_seeds=one)) for one in (0.0, 0.6))
-    assert apart.ci_high - apart.ci_low > 2.0 * (alike.ci_high - alike.ci_low)
+    same, apart = (over_seeds(world(8, seed_spread=spread)) for spread in (0.0, 0.6))
+    assert apart.ci_high - apart.ci_low > 2.0 * (same.ci_high - same.ci_low)
 
 
 def test_without_sums_the_ends_of_intervals_are_taken():
-    one = Estimate(0.4, 0.3, 0.5, n=40)
-    same = by_intervals([one, one, one])
+    estimate = Estimate(0.4, 0.3, 0.5, n=40)
+    same = by_intervals([estimate, estimate, estimate])
     assert (same.value, same.ci_low, same.ci_high) == pytest.approx((0.4, 0.3, 0.5))
-    wide = by_intervals([one, Estimate(0.6, 0.5, 0.7, n=30)])
+    wide = by_intervals([estimate, Estimate(0.6, 0.5, 0.7, n=30)])
     assert wide.value == pytest.approx(0.5)
     assert wide.ci_high - wide.ci_low > 0.2
     assert wide.n == 30
@@ -99,7 +101,7 @@ def test_without_sums_the_ends_of_intervals_are_taken():
 
 
 def test_who_is_not_in_a_run_has_nothing_there():
-    sums = sums_of([{"a": (1.0, 2.0)}, {"b": (3.0, 4.0), "a": (5.0, 6.0)}])
+    sums = stacked_sums([{"a": (1.0, 2.0)}, {"b": (3.0, 4.0), "a": (5.0, 6.0)}])
     assert sums.tolist() == [[[1.0, 0.0], [2.0, 0.0]], [[5.0, 3.0], [6.0, 4.0]]]
 
 
@@ -130,21 +132,21 @@ class TestRuns:
             for number, column in enumerate(first.columns):
                 known = first.table.at(where, column)
                 if known is not None:
-                    one, (value,) = pooled([first], where, number)
-                    assert one.value == pytest.approx(known.value, abs=1e-9)
+                    estimate, (value,) = pooled([first], where, number)
+                    assert estimate.value == pytest.approx(known.value, abs=1e-9)
                     assert value == known.value
                     seen += 1
         assert seen > 8
 
     def test_two_runs_lie_between_both(self, outs):
         runs = [read(out) for out in outs]
-        one, each = pooled(runs, ("fid", 1.0), 1)  # as shared: as many samples in both
-        assert min(each) <= one.value <= max(each)
-        assert one.value == pytest.approx(np.mean(each), abs=0.01)
+        estimate, each = pooled(runs, ("fid", 1.0), 1)  # as shared: as many samples in both
+        assert min(each) <= estimate.value <= max(each)
+        assert estimate.value == pytest.approx(np.mean(each), abs=0.01)
 
     def test_runs_that_differ_in_more_than_the_seed_are_refused(self, outs, tmp_path):
-        check_alike(outs)
+        check_seed_alone(outs)
         walks = write_walks(tmp_path / "walks.csv", n_people=24)
         run(smoke(walks, tmp_path / "run", scenes=10), progress=False, pictures=False)
         with pytest.raises(DataError, match=r"differ in .*scenes"):
-            check_alike([outs[0], tmp_path / "run"])
+            check_seed_alone([outs[0], tmp_path / "run"])

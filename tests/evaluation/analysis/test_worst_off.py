@@ -51,11 +51,11 @@ def slow_value(rows, people):
     """The cross-fitted mean of some people by loops over their releases."""
     odd, even = [], []
     for person in people:
-        of = {}
+        by_scene = {}
         for value, scene, cluster in zip(*rows.values(), strict=True):
             if cluster == person:
-                of.setdefault(scene, []).append(value)
-        releases = [of[scene] for scene in sorted(of)]
+                by_scene.setdefault(scene, []).append(value)
+        releases = [by_scene[scene] for scene in sorted(by_scene)]
         odd.append(np.mean([value for some in releases[::2] for value in some]))
         even.append(np.mean([value for some in releases[1::2] for value in some]))
     return 0.5 * (slow_tail(even, odd) + slow_tail(odd, even))
@@ -63,9 +63,9 @@ def slow_value(rows, people):
 
 def test_the_tenth_of_equals_is_as_exposed_as_all():
     rows = planted(np.full(N_PEOPLE, 0.3))
-    found, mean = estimated(rows), rows["values"].mean()
-    assert found.ci_low < mean < found.ci_high
-    assert abs(found.value - mean) < 0.03
+    result, mean = estimated(rows), rows["values"].mean()
+    assert result.ci_low < mean < result.ci_high
+    assert abs(result.value - mean) < 0.03
     # What is read off the people's own means is not.
     own = np.sort(rows["values"].reshape(N_RELEASES, N_PEOPLE).mean(axis=0))
     assert own[-N_PEOPLE // 10 :].mean() > mean + 0.07
@@ -74,11 +74,11 @@ def test_the_tenth_of_equals_is_as_exposed_as_all():
 def test_a_tenth_that_is_exposed_is_found():
     shares = np.where(np.arange(N_PEOPLE) % 10 == 3, 0.8, 0.3)
     rows = planted(shares)
-    found = estimated(rows)
+    result = estimated(rows)
     exposed = rows["values"][shares[rows["cluster"]] == 0.8].mean()
-    assert found.value == pytest.approx(exposed, abs=0.02)
-    assert found.ci_low < 0.8 < found.ci_high
-    assert found.n == N_PEOPLE
+    assert result.value == pytest.approx(exposed, abs=0.02)
+    assert result.ci_low < 0.8 < result.ci_high
+    assert result.n == N_PEOPLE
 
 
 @pytest.mark.parametrize("decimals", [16, 1])  # to a tenth: many are equal
@@ -86,34 +86,38 @@ def test_interval_is_that_of_leaving_out_each_person_by_hand(decimals):
     rows = planted(np.linspace(0.1, 0.6, 23), n_releases=9)
     rows["values"] = rows["values"].round(decimals)
     people = range(23)
-    found = estimated(rows, n_clusters=23)
+    result = estimated(rows, n_clusters=23)
     values = [slow_value(rows, people)]
-    values += [slow_value(rows, [one for one in people if one != out]) for out in people]
-    assert found.value == pytest.approx(values[0], abs=1e-12)
+    values += [slow_value(rows, [person for person in people if person != out]) for out in people]
+    assert result.value == pytest.approx(values[0], abs=1e-12)
     squares = (np.array(values[1:]) - values[0]) ** 2
     effective = max(3.3, squares.sum() ** 2 / (squares**2).sum())
     ends = jackknife_interval(np.array(values), effective=effective)
-    assert (found.ci_low, found.ci_high) == pytest.approx(ends, abs=1e-9)
+    assert (result.ci_low, result.ci_high) == pytest.approx(ends, abs=1e-9)
 
 
 def test_a_replicate_is_of_the_people_drawn_as_often():
     rng = stream(1, "replicates")
     values, by = rng.random(30), rng.random(30).round(1)
     weights = cluster_weights(n_clusters=30, n_replicates=20, seed=2)
-    for drawn, found in zip(weights, tail_mean(values, chosen_by=by, weights=weights), strict=True):
+    for drawn, result in zip(
+        weights, tail_mean(values, chosen_by=by, weights=weights), strict=True
+    ):
         people = np.repeat(np.arange(30), drawn.astype(int))
-        assert found == pytest.approx(slow_tail(values[people], by[people]), abs=1e-12)
+        assert result == pytest.approx(slow_tail(values[people], by[people]), abs=1e-12)
 
 
 def test_order_of_rows_and_of_people_does_not_matter():
     rows = planted(np.linspace(0.1, 0.6, N_PEOPLE))
     order = stream(2, "order").permutation(rows["values"].size)
     first = person_means(**rows, n_clusters=N_PEOPLE)
-    other = person_means(**{name: one[order] for name, one in rows.items()}, n_clusters=N_PEOPLE)
+    other = person_means(
+        **{name: column[order] for name, column in rows.items()}, n_clusters=N_PEOPLE
+    )
     assert np.allclose([first.odd, first.even], [other.odd, other.even], rtol=1e-12)
     turned = PersonMeans(first.person, first.odd[::-1], first.even[::-1])
-    one = np.ones((1, N_PEOPLE))
-    assert cross_fitted_tail(first, one) == pytest.approx(cross_fitted_tail(turned, one))
+    once = np.ones((1, N_PEOPLE))
+    assert cross_fitted_tail(first, once) == pytest.approx(cross_fitted_tail(turned, once))
 
 
 def test_a_release_is_a_scene_and_some_people_have_too_few():
@@ -122,19 +126,19 @@ def test_a_release_is_a_scene_and_some_people_have_too_few():
     cluster = np.array([0] * (LEAST_RELEASES + 1) + [1] * (LEAST_RELEASES - 1))
     values = (scene % 4 == 1) * 1.0  # of person 0 every other release
     values[LEAST_RELEASES] = 0.0
-    found = person_means(values=values, scene=scene, cluster=cluster, n_clusters=3)
-    assert found.person.tolist() == [0]
+    result = person_means(values=values, scene=scene, cluster=cluster, n_clusters=3)
+    assert result.person.tolist() == [0]
     n_odd = LEAST_RELEASES // 2 + 1  # tracks in the odd releases
-    assert found.odd.tolist() == [(n_odd - 1) / n_odd]
-    assert found.even.tolist() == [0.0]
+    assert result.odd.tolist() == [(n_odd - 1) / n_odd]
+    assert result.even.tolist() == [0.0]
 
 
 def test_of_too_few_people_nothing_is_said():
     rows = planted(np.full(LEAST_PEOPLE - 1, 0.3))
-    found = estimated(rows, n_clusters=N_PEOPLE)
-    assert math.isnan(found.value)
-    assert math.isnan(found.ci_low)
-    assert found.n == LEAST_PEOPLE - 1
+    result = estimated(rows, n_clusters=N_PEOPLE)
+    assert math.isnan(result.value)
+    assert math.isnan(result.ci_low)
+    assert result.n == LEAST_PEOPLE - 1
     few = estimated(planted(np.full(N_PEOPLE, 0.3), n_releases=LEAST_RELEASES - 1))
     assert math.isnan(few.value)
     assert few.n == 0
@@ -144,9 +148,9 @@ def test_of_too_few_people_nothing_is_said():
 def test_a_tenth_that_is_all_known_or_not_at_all_has_the_interval_of_so_few(share):
     rows = planted(np.full(N_PEOPLE, 0.5))
     rows["values"] = np.full_like(rows["values"], share)
-    found = estimated(rows)
-    assert found.value == share
-    assert 0.2 < found.ci_high - found.ci_low < 0.5  # Wilson's of six people
+    result = estimated(rows)
+    assert result.value == share
+    assert 0.2 < result.ci_high - result.ci_low < 0.5  # Wilson's of six people
 
 
 def test_interval_covers_what_many_people_have():
@@ -159,8 +163,8 @@ def test_interval_covers_what_many_people_have():
     many = world(100_000, 999)
     truth = cross_fitted_tail(many, np.ones((1, 100_000)))[0]
     covered = [
-        found.ci_low <= truth <= found.ci_high
+        result.ci_low <= truth <= result.ci_high
         for number in range(200)
-        for found in [worst_tenth(world(40, number), weights=np.ones((1, 40)))]
+        for result in [worst_tenth(world(40, number), weights=np.ones((1, 40)))]
     ]
     assert 0.93 <= np.mean(covered) <= 1.0

@@ -48,7 +48,7 @@ def other(key):
     if key in OWN:
         return OWN[key]
     if choices:
-        return next(one for one in choices if one != usual)
+        return next(choice for choice in choices if choice != usual)
     if isinstance(usual, int):
         return usual + usual // 4 + 1
     return float(f"{1.25 * usual:.4g}") if isinstance(usual, float) else usual
@@ -71,22 +71,22 @@ def texts(tmp_path_factory):
         tasks=("rerelease", "split", "handover-2s"),
         stages=StageSettings().changed(CHANGED),
     )
-    found = run(settings, progress=False)
-    found = replace(found, manifest=found.manifest | {"wall_time_s": 77.0})
-    told = {
-        "first screen": "\n".join(first_screen(found)),
-        "page": page.render(found, figures=figures_of(found)),
-        "tables": (found.out / "tables.txt").read_text("utf-8"),
-        "verdict": (found.out / "verdict.json").read_text("utf-8"),
+    results = run(settings, progress=False)
+    results = replace(results, manifest=results.manifest | {"wall_time_s": 77.0})
+    texts = {
+        "first screen": "\n".join(first_screen(results)),
+        "page": page.render(results, figures=figures_of(results)),
+        "tables": (results.out / "tables.txt").read_text("utf-8"),
+        "verdict": (results.out / "verdict.json").read_text("utf-8"),
     }
     for name, more in (("design", ()), ("design as shared", ("--as-shared",))):
         asked = ("--max-missed", "0.9", "--max-plr", "0.5", "--adding", "linear", *more)
         with redirect_stdout(StringIO()) as sink:
-            design.main([*asked, str(found.out)])
-        told[name] = sink.getvalue()
+            design.main([*asked, str(results.out)])
+        texts[name] = sink.getvalue()
     # How long the lines below a walk are, and the gap in a task's name, no setting says.
-    told["page"] = re.sub(r'<svg class="track".*?</svg>', "", told["page"])
-    return {name: text.replace("after 2 s of silence", "") for name, text in told.items()}
+    texts["page"] = re.sub(r'<svg class="track".*?</svg>', "", texts["page"])
+    return {name: text.replace("after 2 s of silence", "") for name, text in texts.items()}
 
 
 @pytest.mark.parametrize("key", [*CHANGED])
@@ -95,8 +95,11 @@ def test_no_text_has_the_default_of_a_setting_that_is_another(texts, key):
     for where, text in texts.items():
         assert not re.search(re.escape(f"{key}={usual}") + r"(?![\d.])", text), where
         if unit is not None:
-            told = rf"(?<![\d.^]){re.escape(f'{usual:g}')}[ \u00a0]({unit})(?![\w/])"
-            assert not re.search(told, text), (where, re.search(f".{{0,60}}{told}.{{0,20}}", text))
+            phrase = rf"(?<![\d.^]){re.escape(f'{usual:g}')}[ \u00a0]({unit})(?![\w/])"
+            assert not re.search(phrase, text), (
+                where,
+                re.search(f".{{0,60}}{phrase}.{{0,20}}", text),
+            )
 
 
 @pytest.mark.parametrize("key", [*CHANGED])
@@ -105,9 +108,9 @@ def test_the_page_and_the_tables_name_every_setting_that_is_another(texts, key):
         assert f"{key}={CHANGED[key]}" in texts[where]
 
 
-@pytest.mark.parametrize("told", DERIVED)
-def test_what_follows_from_settings_is_not_spelled_out_either(texts, told):
-    assert not any(told in text for text in texts.values())
+@pytest.mark.parametrize("phrase", DERIVED)
+def test_what_follows_from_settings_is_not_spelled_out_either(texts, phrase):
+    assert not any(phrase in text for text in texts.values())
 
 
 def test_epsilon_is_that_of_the_run_wherever_it_is_named(texts):
