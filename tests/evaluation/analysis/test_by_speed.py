@@ -72,3 +72,30 @@ def test_a_run_without_these_levels_has_no_row(finished):
     )
     assert table.empty
     assert list(table.columns) == tested.COLUMNS
+
+
+def test_the_summary_has_the_worst_off_tenth_of_what_was_shared_and_attacked(finished):
+    summary = finished.summary[finished.summary["metric"] == "plr_worst_tenth"]
+    cells = {("shared", ""), ("radial_rts", "blind"), ("radial_rts", "informed")}
+    assert set(zip(summary["consumer"], summary["knowledge"], strict=True)) >= cells
+    rows = rows_of(finished.out, "fixed:1", *finished.strongest[""])
+    halves = []
+    for _, releases in rows.groupby("source", observed=True):
+        by_scene = releases.sort_values("scene")["plr"].to_numpy()
+        assert by_scene.size == 10  # of 24 people in 60 scenes of 4
+        halves.append((by_scene[::2].mean(), by_scene[1::2].mean()))
+    odd, even = np.array(halves).T
+    expected = []
+    for chosen, values in ((odd, even), (even, odd)):
+        first, second, third = np.argsort(-chosen)[:3]  # 2.4 people
+        expected.append((values[first] + values[second] + 0.4 * values[third]) / 2.4)
+    row = summary[
+        (summary["mechanism"] == "fixed")
+        & (summary["level"] == 1.0)
+        & (summary["consumer"] == finished.strongest[""].consumer)
+        & (summary["knowledge"] == finished.strongest[""].knowledge)
+    ]
+    assert row["value"].item() == pytest.approx(np.mean(expected), abs=1e-6)
+    assert row["ci_low"].item() < row["value"].item() < row["ci_high"].item()
+    assert row["n"].item() == 24
+    assert row["unit"].item() == "fraction"
