@@ -58,12 +58,12 @@ def worst_tenth(means: PersonMeans, *, weights: Floats) -> Estimate:
     n = means.person.size
     if n < LEAST_PEOPLE:
         return Estimate(np.nan, n=n, replicates=np.full(len(weights), np.nan))
-    left_out = np.vstack([np.ones(n), 1.0 - np.eye(n)])
-    drawn = weights[:, means.person]
-    values = cross_fitted_tail(means, np.concatenate([left_out, drawn]))
-    jackknifed, replicates = values[: n + 1], values[n + 1 :]
+    left_out = np.ones((n + 1, n))
+    np.fill_diagonal(left_out[1:], 0.0)
+    jackknifed = cross_fitted_tail(means, left_out)
+    replicates = cross_fitted_tail(means, weights[:, means.person])
     ends = jackknife_interval(jackknifed, effective=_carriers(jackknifed))
-    return Estimate(float(values[0]), *ends, n, replicates)
+    return Estimate(float(jackknifed[0]), *ends, n, replicates)
 
 
 def cross_fitted_tail(means: PersonMeans, weights: Floats) -> Floats:
@@ -81,16 +81,29 @@ def tail_mean(values: Floats, *, chosen_by: Floats, weights: Floats) -> Floats:
     They are so many that their weights make `SHARE` of all: the last of them counts in part, and
     equals share what is left of the places. `weights`, (R, P), give a result each, (R,).
     """
+    places = SHARE * weights.sum(axis=1, keepdims=True)
     order = np.argsort(-chosen_by, kind="stable")
+    order = order[: _n_needed(chosen_by, order, weights, places)]
     ranked, ranked_weights = chosen_by[order], weights[:, order]
     starts = np.flatnonzero(np.append(True, ranked[1:] != ranked[:-1]))
     weight = np.add.reduceat(ranked_weights, starts, axis=1)
     total = np.add.reduceat(ranked_weights * values[order], starts, axis=1)
-    places = SHARE * weights.sum(axis=1, keepdims=True)
     taken = np.clip(places - (np.cumsum(weight, axis=1) - weight), 0.0, weight)
     with np.errstate(divide="ignore", invalid="ignore"):
         mean = np.where(weight > 0.0, total / weight, 0.0)
         return np.asarray((taken * mean).sum(axis=1) / places[:, 0])
+
+
+def _n_needed(chosen_by: Floats, order: Ints, weights: Floats, places: Floats) -> int:
+    """Return how many of the first in an order fill all places, equals of the last among them.
+
+    Of a thousand people a sixth is enough, which saves most of the time.
+    """
+    n, usual = order.size, SHARE * order.size
+    m = min(n, int(usual + 6.0 * np.sqrt(usual)) + 2)
+    while m < n and (weights[:, order[:m]].sum(axis=1, keepdims=True) < places).any():
+        m = min(n, 2 * m)
+    return int((chosen_by >= chosen_by[order[m - 1]]).sum())
 
 
 def _carriers(jackknifed: Floats) -> float:
