@@ -1,4 +1,4 @@
-"""PLR over how fast people get on: whom a slow walk exposes; `by_speed.csv`."""
+"""PLR over net speed: whom a slow walk exposes; `by_speed.csv`."""
 
 from collections.abc import Iterator, Mapping
 from itertools import pairwise
@@ -20,7 +20,7 @@ from isac_track.types import Floats
 
 SHOWN: Final = ((RAW, None), (FID, 1.0), (FIXED, 1.0), ("ou", 0.4))
 """Mechanisms, without their adding rule, and levels."""
-EDGES_MPS: Final = (0.0, 0.1, 0.5, 1.0, 1.5, np.inf)
+EDGES_MPS: Final = (0.0, 0.05, 0.5, 1.0, 1.5, np.inf)
 """Of the bins: below the first inner edge people stand. Finer ones hold too few for an interval."""
 COLUMNS: Final = [
     *("dataset", "mechanism", "level", "consumer", "knowledge"),

@@ -33,7 +33,7 @@ def figures(run: Results) -> Iterator[Figure]:
         if drawn:
             x, y = Axis("net speed (m/s)"), Axis("PLR after attack (%)")
             panels.append((f"{rule} adding", curves_chart(drawn, x=x, y=y)))
-    title = "PLR after attack over how fast people get on"
+    title = "PLR after attack over net speed"
     yield Figure("by_speed", "after", title, panels, len(ADDING_RULES), key, _SAID)
 
 
