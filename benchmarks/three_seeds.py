@@ -1,8 +1,9 @@
-"""Does a sentence hold for other draws? `python -m benchmarks.three_seeds OUT OUT OUT`.
+"""What do runs of several seeds say as one? `python -m benchmarks.three_seeds OUT OUT OUT`.
 
-Of finished runs that differ in their seed alone: each number of the README's table as the median
-over the runs, and the least and the most, with levels of both adding rules; and each item of the
-verdict with what the runs decide, and its effect.
+Of finished runs that differ in their seed alone: each number of the README's table as its mean over
+the seeds with a 95 % interval (people clustered, the variance between seeds included), and the runs
+behind it, with levels of both adding rules; and each item of the verdict with its mean effect, its
+error of prediction, its contrasts, and what the runs decide.
 """
 
 from __future__ import annotations
@@ -10,17 +11,51 @@ from __future__ import annotations
 import json
 import math
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pandas as pd
 
-from evaluation.reporting.headline import headline, levels_of
+from evaluation.analysis.families import CLEAN, SWEPT
+from evaluation.analysis.keys import Source, worlds_of
+from evaluation.analysis.metrics import EXPOSURE, METRICS, SUCCESS
+from evaluation.analysis.seeds import by_intervals, over_seeds, read_sums, stacked_sums
+from evaluation.analysis.strongest import against_each, by_task
+from evaluation.reporting.headline import Headline, Shown, headline, levels_of
+from evaluation.reporting.rows import estimates
+from evaluation.runs.manifest import read_manifest
 from isac_track.command_line import DONE, Parser, exit_code
+from isac_track.errors import DataError
+from isac_track.intervals import Estimate
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from evaluation.analysis.keys import Where
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Run:
+    """A finished run: its first table, and who is strongest against each mechanism."""
+
+    out: Path
+    table: Headline
+    entries: Mapping[tuple[Where, Source], Mapping[str, Any]]  # Of the cells.
+    strongest: Mapping[tuple[str, str], Source]  # By task ("": who rebuilds) and mechanism.
+
+    @property
+    def columns(self) -> list[Shown]:
+        """What is told of every level: the first table, and the worst-off tenth of the people."""
+        return [*self.table.columns, *filter(None, [self.table.worst])]
+
+    def entry(self, where: Where, column: Shown) -> Mapping[str, Any] | None:
+        """Return the cell that a number of the first table is of."""
+        source = column.measure.source
+        is_attack = bool(source.knowledge)
+        if is_attack and self.table.known[where[0]].family not in (*SWEPT, CLEAN):
+            source = self.strongest.get((source.task, where[0]), source)
+        return self.entries.get((where, source))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -30,35 +65,133 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return exit_code(lambda: _show(command.parse_args(arguments).out))
 
 
+def read(out: Path) -> Run:
+    """Return a finished run; DataError if its manifest or its tables cannot be read."""
+    manifest, summary = read_manifest(out), pd.read_csv(out / "summary.csv")
+    results = estimates(summary[worlds_of(summary) == ""])
+    strongest = {
+        (task, mechanism): source
+        for metric in (EXPOSURE, SUCCESS)
+        for task, levels in by_task(results, metric=metric).items()
+        for mechanism, source in against_each(levels).items()
+    }
+    epsilon_m = float(manifest["settings"]["stages"]["privacy.epsilon_m"])
+    entries = {
+        ((cell["mechanism"], cell["level"]), Source(cell["consumer"], cell["knowledge"])): cell
+        for cell in manifest["cells"]
+        if not cell.get("world")
+    }
+    return Run(out, headline(summary, epsilon_m=epsilon_m), entries, strongest)
+
+
+def check_seed_alone(outs: Sequence[Path]) -> None:
+    """Raise DataError if runs differ in more than their seeds."""
+    identities = [
+        {name: value for name, value in read_manifest(out)["identity"].items() if name != "seed"}
+        for out in outs
+    ]
+    for out, other in zip(outs[1:], identities[1:], strict=True):
+        if other != identities[0]:
+            keys = sorted(
+                key
+                for key in other.keys() | identities[0]
+                if other.get(key) != identities[0].get(key)
+            )
+            raise DataError(
+                f"{out} and {outs[0]} differ in {', '.join(keys)}, not in the seed alone"
+            )
+
+
+def pooled(runs: Sequence[Run], where: Where, number: int) -> tuple[Estimate, list[float]] | None:
+    """Return a column of the first table at a level over all runs, and each run's value."""
+    columns = [run.columns[number] for run in runs]
+    known = [run.table.at(where, column) for run, column in zip(runs, columns, strict=True)]
+    each = [estimate for estimate in known if estimate is not None]
+    if len(each) < len(runs):
+        return None
+    sums = []
+    for run, column in zip(runs, columns, strict=True):
+        entry = run.entry(where, column)
+        sums.append(read_sums(run.out, entry, column.measure.metric) if entry else None)
+    counted = [run_sums for run_sums in sums if run_sums is not None]
+    is_share = METRICS[columns[0].measure.metric].is_share
+    whole = len(counted) == len(runs)
+    mean = over_seeds(stacked_sums(counted), is_share=is_share) if whole else by_intervals(each)
+    return mean, [estimate.value for estimate in each]
+
+
 def _show(outs: Sequence[Path]) -> int:
-    runs = [headline(pd.read_csv(out / "summary.csv")) for out in outs]
-    first = runs[0]
+    check_seed_alone(outs)
+    runs = [read(out) for out in outs]
+    first = runs[0].table
     # The levels of the first table, under both adding rules.
     tabled = {(first.known[name].name, level) for name, level in levels_of(first)[0]}
     for where in first.wheres:
         if (first.known[where[0]].name, where[1]) not in tabled:
             continue
-        for number, column in enumerate(first.columns):
-            values = [run.at(where, run.columns[number]) for run in runs]
-            found = [100 * one.value for one in values if one is not None]
-            if found:
-                print(f"{first.name(where):24} {column.measure.source.label:44} {_range(found)}")
-    verdicts = [json.loads((out / "verdict.json").read_text())["items"] for out in outs]
-    items: dict[str, list[dict[str, Any]]] = {}
-    for item in (item for verdict in verdicts for item in verdict):
-        if item["section"] != "inflation":  # its unit is another
-            items.setdefault(item["id"], []).append(item)
-    for name, of in items.items():
-        decided = ", ".join(sorted({str(one["decision"]) for one in of}))
-        effects = [one.get("spread", one.get("effect")) for one in of]
-        print(f"{name:60} {_range([100 * one for one in effects if one is not None])} {decided}")
+        for number, column in enumerate(runs[0].columns):
+            if results := pooled(runs, where, number):
+                name = f"{column.above}, {column.name}"
+                print(f"{first.name(where):24} {name:34} {_text(*results)}")
+    for name, numbers in _items(outs).items():
+        decided = ", ".join(sorted({number.decision for number in numbers}))
+        effects = [number.effect for number in numbers]
+        shown = _text(by_intervals(effects), [effect.value for effect in effects])
+        print(f"{name:76} {shown} {decided}")
     return DONE
 
 
-def _range(values: Iterable[float]) -> str:
-    """Return the median of some numbers with the least and the most."""
-    known = [one for one in values if math.isfinite(one)]
-    return f"{np.median(known):6.1f} [{min(known):.1f}, {max(known):.1f}]" if known else ""
+@dataclass(frozen=True, slots=True)
+class Decided:
+    """A number of a run's verdict, and what is decided by it."""
+
+    name: str
+    effect: Estimate
+    decision: str = ""
+
+
+def _items(outs: Sequence[Path]) -> dict[str, list[Decided]]:
+    """Return the numbers of the verdicts by name: of items, and of what they rest on."""
+    results: dict[str, list[Decided]] = {}
+    for out in outs:
+        for item in json.loads((out / "verdict.json").read_text())["items"]:
+            if item["section"] != "inflation":  # its unit is another
+                for number in _decided(item):
+                    if math.isfinite(number.effect.value):
+                        results.setdefault(number.name, []).append(number)
+    return results
+
+
+def _decided(item: Mapping[str, Any]) -> Iterator[Decided]:
+    """Yield the effect of an item, or its spread, its error of prediction, and its contrasts."""
+    name, n = str(item["id"]), int(item["n"] or 0)
+    has_spread = item.get("spread") is not None
+    effect = _number(item, "spread", n=n) if has_spread else _number(item, "effect", n=n)
+    yield Decided(name, effect, str(item["decision"]))
+    if item.get("prediction_error") is not None:
+        yield Decided(f"{name}, prediction error", _number(item, "prediction_error", n=n))
+    for contrast in item.get("contrasts", ()):
+        levels = (contrast.get("level"), contrast.get("quartile"))
+        place = " ".join(f"{at:g}" for at in levels if at is not None)
+        label = f"{name}, {contrast['mechanism']} {place}"
+        yield Decided(label, _number(contrast, "effect", n=int(contrast["n"])))
+
+
+def _number(record: Mapping[str, Any], name: str, *, n: int) -> Estimate:
+    """Return a number of the verdict with its interval; NaN where there is none."""
+    prefix = "ci" if name == "effect" else name
+    names = (name, f"{prefix}_low", f"{prefix}_high")
+    value, low, high = (
+        math.nan if record.get(key) is None else float(record[key]) for key in names
+    )
+    return Estimate(value, low, high, n)
+
+
+def _text(mean: Estimate, each: Sequence[float]) -> str:
+    """Return a share in %, its interval, and the runs' own values."""
+    value, low, high = (100.0 * number for number in (mean.value, mean.ci_low, mean.ci_high))
+    ends = f"[{low:.1f}, {high:.1f}]" if math.isfinite(low) else "(no interval)"
+    return f"{value:6.1f} {ends:14} of {', '.join(f'{100.0 * other:.1f}' for other in each)}"
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from evaluation.analysis import linkability, paper, summary, weak_attacks
 from evaluation.analysis.bounds import gaps, linked_gaps
+from evaluation.analysis.by_speed import by_speed
 from evaluation.analysis.decisions import decisions
 from evaluation.analysis.families import families_in
 from evaluation.analysis.frontier import frontier
@@ -171,6 +172,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         frontiers = frontier(sweeps, predictors=predictors, dataset=dataset, sums=sums, seed=seed)
         tidy = summary.to_frame({**found, **linked}, worlds=worlds, known=known, dataset=dataset)
         far = weak_attacks.far_from_optimum(gaps(tidy))
+        speeds = by_speed(out, manifest, sweeps.found, known=known, best=best)
         in_galleries, across = of_people()
     judged = Sweeps({**sweeps.found, **crossed}, known) if crossed else sweeps
     said = verdict.verdict(judged, across, strongest=best, scored=halves, manifest=manifest)
@@ -187,6 +189,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         flags=pd.concat([flagged, far], ignore_index=True) if len(far) else flagged,
         linkability=table,
         galleries=in_galleries,
+        speeds=speeds,
         verdict=said,
         failed=pd.DataFrame(manifest.get("failed", []), columns=list(FAILED_COLUMNS)),
         strongest={task: source.attack for task, source in best.items()},

@@ -55,7 +55,7 @@ TASKS: Final[Mapping[str, Task]] = {
     for task in (
         Task(
             "rerelease",
-            "one walk sensed and shared twice, at least 50 % of it the same steps: an upper bound",
+            "one walk sensed and shared twice, in part the same steps: an upper bound",
             is_one_stretch=True,
         ),
         Task("split", "two windows of one walk that do not touch: behaviour only"),

@@ -67,6 +67,7 @@ _ROWS: Final = (
     Metric("plr", "PLR", "descriptor", column="plr", is_headline=True),
     Metric("ael", "AEL", "descriptor", "s", digits=3, column="ael_s", is_headline=True),
     Metric("mel", "MEL", "descriptor", "s", digits=3, column="mel_s", is_headline=True),
+    Metric("plr_worst_tenth", "PLR, worst tenth", "reconstruction"),
     Metric("rmse", "RMSE", "reconstruction", "m", digits=3, column="mse_m2", is_root=True),
     Metric(
         *("rmse_over_benchmark", "RMSE ratio", "reconstruction", "ratio"),
@@ -124,6 +125,7 @@ EQUAL_ALARMS: Final = "missed_at_equal_false_alarms"
 ERROR: Final = "distance_mae"  # How far off the separation is that a robot foresees.
 OF_ROBOT: Final = "plr_robot"  # What a robot itself knows of where somebody was.
 ROBOTS_OWN: Final = (ERROR, OF_ROBOT)  # What is told of a robot at a price.
+WORST_TENTH: Final = "plr_worst_tenth"  # PLR of the most exposed tenth of the people.
 EXPOSURE: Final = "plr"  # The descriptor that reconstructions are ranked by.
 SUCCESS: Final = "rank1"  # What linkers are ranked by.
 SUCCESS_OF_100: Final = "rank1_g100"  # The same in a gallery of 100: what compares over runs.

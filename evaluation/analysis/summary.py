@@ -18,7 +18,17 @@ import pyarrow as pa
 from evaluation.analysis.families import Family
 from evaluation.analysis.keys import Found, Key
 from evaluation.analysis.linkability import Cards, dataset_of
-from evaluation.analysis.metrics import BOUNDS, DESCRIPTORS, GAP, METRICS, OF_ROBOT, RECONSTRUCTION
+from evaluation.analysis.metrics import (
+    BOUNDS,
+    DESCRIPTORS,
+    EXPOSURE,
+    GAP,
+    METRICS,
+    OF_ROBOT,
+    RECONSTRUCTION,
+    WORST_TENTH,
+)
+from evaluation.analysis.worst_off import person_means, worst_tenth
 from evaluation.experiment.constants import MODEL
 from evaluation.runs.cell_files import Summed, read_rows
 from isac_track.intervals import Estimate, cluster_sums, cluster_weights, ratio_estimates
@@ -29,8 +39,8 @@ COLUMNS = [
     *("dataset", "mechanism", "level", "consumer", "knowledge", "metric"),
     *("value", "ci_low", "ci_high", "n", "unit", "family", "adding"),
 ]
-_POSITIONS = [METRICS[name] for name in RECONSTRUCTION]
-_SHARED = ["group", *(one.column for one in _POSITIONS if not one.over)]
+_POSITIONS = [METRICS[name] for name in RECONSTRUCTION if METRICS[name].column]
+_SHARED = ["group", "scene", *(one.column for one in _POSITIONS if not one.over)]
 _BOUNDS = [METRICS[name] for name in BOUNDS]
 _COLUMNS_OF = {
     "shared": _SHARED,
@@ -73,6 +83,8 @@ def estimates(
             if entry["kind"] == "predictor":
                 told = {name: table[name].to_numpy() for name in _DECIDED}
                 scored.append((entry, cluster, told))
+            elif entry["kind"] != "bound":
+                found[key_of(entry, WORST_TENTH)] = _worst_tenth(table, cluster, weights)
             for metric, ratio in ratios(entry["kind"], table).items():
                 keys.append(key_of(entry, metric))
                 sums.append([cluster_sums(values=x, cluster=cluster, n_clusters=n) for x in ratio])
@@ -94,6 +106,14 @@ def estimates(
             if key.knowledge and key.metric in DESCRIPTORS
         }
     return found, tuple(scored), attacked
+
+
+def _worst_tenth(table: pa.Table, cluster: Ints, weights: Floats) -> Estimate:
+    """Return PLR of the worst-off tenth of the people, of the rows of one consumer at one level."""
+    values, scene = (table[name].to_numpy() for name in (METRICS[EXPOSURE].column, "scene"))
+    n_clusters = weights.shape[1]
+    means = person_means(values=values, scene=scene, cluster=cluster, n_clusters=n_clusters)
+    return worst_tenth(means, weights=weights)
 
 
 def key_of(entry: Mapping[str, Any], metric: str) -> Key:
@@ -149,6 +169,11 @@ def to_frame(
         for key, one in of.items()
     ]
     return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def columns_of(kind: str) -> list[str]:
+    """Return the columns of a cell of scenes that its metrics are made of."""
+    return _COLUMNS_OF[kind]
 
 
 def ratios(kind: str, table: pa.Table) -> dict[str, tuple[Floats, Floats]]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from evaluation.cells.sharing import guarded, handed, samples_of, showing
-from evaluation.cells.tables import Rows, descriptors, track_columns, track_means
+from evaluation.cells.tables import Rows, descriptors, net_speeds, track_columns, track_means
 from isac_track.conflict import conflict_probability, is_conflict, minimum_separation
 from isac_track.errors import PluginError, SettingsError
 from isac_track.privacy import leakage_indicator
@@ -41,6 +41,7 @@ def sharing_rows(
     if predictor is None:
         return {
             **track_columns(scenes, np.arange(scenes.track.size)),
+            "speed_mps": net_speeds(scenes),
             **descriptors(release, truth=scenes.xy, settings=stages.privacy),
         }
     who = f"predictor {predictor.spec!r}"

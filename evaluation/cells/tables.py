@@ -9,7 +9,7 @@ import pyarrow as pa
 
 from isac_track import privacy
 from isac_track.config import PrivacySettings
-from isac_track.types import Floats, Ints, Release, Scenes, Tracks
+from isac_track.types import Floats, Ints, Release, Scenes, Tracks, squared_lengths
 
 Rows: TypeAlias = dict[str, np.ndarray[Any, np.dtype[Any]]]
 Tables: TypeAlias = "dict[str, pa.Table]"
@@ -76,6 +76,19 @@ def track_columns(scenes: Scenes, rows: Ints) -> Rows:
         "track": scenes.track[rows],
         "n_samples": np.diff(scenes.offsets)[rows],
     }
+
+
+def net_speeds(batch: Tracks | Scenes) -> Floats:
+    """Return how far each track gets from its first to its last sample, (N,) m/s.
+
+    NaN for a track of one sample.
+    """
+    first, last = batch.offsets[:-1], batch.offsets[1:] - 1
+    way_m = np.sqrt(squared_lengths(batch.xy[last] - batch.xy[first]))
+    duration_s = batch.t[last] - batch.t[first]
+    speed_mps = np.full(first.size, np.nan)
+    np.divide(way_m, duration_s, out=speed_mps, where=duration_s > 0.0)
+    return speed_mps
 
 
 def descriptors(release: Release, *, truth: Floats, settings: PrivacySettings) -> Rows:

@@ -33,6 +33,7 @@ _SHORT: Final = {"law": "sensing.law", "epsilon": "privacy.epsilon_m"}
 _USUAL: Final = (
     *("law=isotropic", "law=fixed_direction"),
     *("epsilon=0.1", "epsilon=0.2", "epsilon=0.5", "epsilon=1"),
+    "resample.min_duration_s=6",  # The default leaves those who stay, who are slower.
     *(f"ridge {point}" for point in RIDGE),
     *("recording=students03", "recording=zara01", "recording=plaza"),
     *("predictor=kalman_cv", "predictor=least_squares"),

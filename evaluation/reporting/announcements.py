@@ -140,6 +140,25 @@ def data_notices(dataset: Mapping[str, Any]) -> list[str]:
     return _said("data_notices", dataset=dataset, counts=counts, details=details)
 
 
+def used_are_slower(manifest: Mapping[str, Any], *, least: float = 0.0) -> str:
+    """Return how fast the tracks used are beside all; empty where they differ by less than `least`.
+
+    `least` is a share of the mean speed of all.
+    """
+    speeds = manifest["dataset"].get("speed_mps")
+    if speeds is None or not abs(speeds["used"] - speeds["recorded"]) > least * speeds["recorded"]:
+        return ""
+    min_s = manifest["settings"]["stages"]["resample.min_duration_s"]
+    return _said("used_are_slower", min_s=min_s, **speeds)[0]
+
+
+def changed_settings(manifest: Mapping[str, Any]) -> list[str]:
+    """Return the settings of a run's stages that are not the usual ones, as they are typed."""
+    usual = StageSettings().flat()
+    stages = manifest["settings"].get("stages", {}).items()
+    return [f"{key}={at}" for key, at in stages if usual.get(key, at) != at]
+
+
 def notices(manifest: Mapping[str, Any]) -> list[str]:
     """Return what a reader of a finished run must know."""
     tasks = (manifest.get("linkage") or {}).get("tasks", {})
@@ -179,7 +198,7 @@ def _same_run(manifest: Mapping[str, Any]) -> list[str]:
     from isac_track.datasets.registry import KNOWN  # noqa: PLC0415 - names alone need none
 
     identity, settings, dataset = (manifest[key] for key in ("identity", "settings", "dataset"))
-    name, usual_stages = settings["preset"], StageSettings().flat()
+    name = settings["preset"]
     usual = PRESETS.get(name, PRESETS["paper"])
     known = dataset["name"] in KNOWN
     scenes = identity["scenes"]
@@ -198,7 +217,6 @@ def _same_run(manifest: Mapping[str, Any]) -> list[str]:
         # Of one session a run leaves the task of those who come back out by itself.
         if set(used) not in (usually, usually - {"cross_session"}):
             options += [(option, value) for value in used or ["none"]]
-    stages = settings.get("stages", {}).items()
-    options += [("set", f"{key}={at}") for key, at in stages if usual_stages.get(key, at) != at]
+    options += [("set", setting) for setting in changed_settings(manifest)]
     words = ["--persistent-ids"] * bool(identity.get("persistent_ids"))
     return words + [word for key, at in options if at is not None for word in (f"--{key}", f"{at}")]

@@ -131,7 +131,7 @@ def frontier_table(run: Results) -> Table:
         "No interval: fewer than 4 levels within 3 points, or too few people.",
         "Beaten: another is surely better by over 2 points in attacked PLR or linkage, it in none.",
         "An error that is constant over a track is drawn once a person: 5 seeds tell more.",
-        *laplace_notes(of.round({"level": 2})),
+        *laplace_notes(of.round({"level": 2}), n_reports=run.n_reports),
     ]
     return make.built("frontier", title, records.values(), columns, notes=notes, n_keys=4)
 

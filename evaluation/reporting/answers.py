@@ -65,6 +65,7 @@ def answers(run: Results, of: Headline | None = None) -> tuple[Answer, ...]:
         shared=_both(of, where, of.shared),
         attacked=of.attacked and _both(of, where, of.attacked),
         other_law=of.attacked and of.at(where, of.attacked, other_law=True),
+        worst=of.worst and of.at(where, of.worst),
         who=who if is_headline else "the strongest attack on it",
         near=gap_text(of.gaps, where),
         linked=[(one, found[one]) for one in of.linked if one in found],
@@ -81,7 +82,12 @@ def answers(run: Results, of: Headline | None = None) -> tuple[Answer, ...]:
 
 def headline_of(run: Results) -> Headline:
     """Return what the first table of a run shows."""
-    return headline(run.summary, attacks=run.strongest, linkability=run.linkability)
+    return headline(
+        run.summary,
+        attacks=run.strongest,
+        linkability=run.linkability,
+        epsilon_m=float(run.manifest["settings"]["stages"]["privacy.epsilon_m"]),
+    )
 
 
 def reference(of: Headline) -> Where:

@@ -190,8 +190,9 @@ def notes(choice: design.Choice) -> list[str]:
     """Return what else is to be known of the run and of the question."""
     schemes, limit, closed = choice.schemes, choice.limits.given.get(EXPOSURE, 0.0), list[str]()
     if 0.0 < limit < 1.0 and not choice.limits.as_shared:
-        usual = {"q": steady.Q_M2_PER_S3, "dt_s": steady.INTERVAL_S}
-        closed = told(plr=limit, epsilon_m=steady.EPSILON_M, **usual)[:2]
+        epsilon_m = float(choice.manifest["settings"]["stages"]["privacy.epsilon_m"])
+        dt_s = float(choice.manifest["history"]["interval_s"])
+        closed = told(plr=limit, epsilon_m=epsilon_m, q=steady.Q_M2_PER_S3, dt_s=dt_s)[:2]
     raw_misses = [reason(one) for one in choice.raw_checks if one.status == "not met"]
     crowds = [one.task for one in choice.tasks if not one.limited]
     return _said(

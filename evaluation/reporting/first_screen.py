@@ -8,7 +8,14 @@ from typing import Any, Final
 
 from evaluation.analysis import weak_attacks
 from evaluation.analysis.families import RAW
-from evaluation.reporting.announcements import WIDTH, near, notices, scenes_text, wrapped
+from evaluation.reporting.announcements import (
+    WIDTH,
+    near,
+    notices,
+    scenes_text,
+    used_are_slower,
+    wrapped,
+)
 from evaluation.reporting.answers import LIMIT, answers, chosen_levels, headline_of
 from evaluation.reporting.headline import MOST_LEVELS, Headline, levels_of, screen_table
 from evaluation.reporting.markup import paragraphs
@@ -27,6 +34,7 @@ TABLES: Final = "tables.txt"
 _LEAST_LEVELS: Final = 5
 _MANY: Final = 99  # Mechanisms: room for their number.
 _LABEL, _HEADS = 28, (16, 12, 8)  # Characters of a level; over a column, the widest that fits.
+_MUCH: Final = 0.2  # Of the mean speed of all tracks: by so much those used differ worth a doubt.
 _SLACK: Final = 0.05  # Of missed conflicts, above what raw costs: what the next question allows.
 
 
@@ -109,6 +117,7 @@ def _doubts(run: Results, of: Headline) -> list[str]:
         level=LEVEL,
         n_controls=sum(one["decision"] == DOES_NOT for one in run.verdict.get("controls", ())),
         n_frozen=max((one.get("frozen", 0) for one in tasks), default=0),
+        slower=used_are_slower(run.manifest, least=_MUCH),
         skipped=[*linkage.get("skipped", ())],
         n_notices=len(notices(run.manifest)),
     )

@@ -13,12 +13,14 @@ import pandas as pd
 from evaluation.analysis.bounds import Gap, gaps
 from evaluation.analysis.families import CLEAN, SWEPT, Family, families_in
 from evaluation.analysis.keys import AS_SHARED, Key, Measure, Source, Where, worlds_of
-from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE, SUCCESS, SUCCESS_OF_100
+from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE, SUCCESS, SUCCESS_OF_100, WORST_TENTH
 from evaluation.analysis.strongest import against_each, by_task, strongest
+from evaluation.analysis.worst_off import LEAST_PEOPLE, LEAST_RELEASES
 from evaluation.experiment.constants import OTHER_LAW_WORLD
 from evaluation.reporting import table as make
 from evaluation.reporting.rows import HEADLINE, estimates, short_name, spoken
 from evaluation.reporting.table import Cell, Column, Table
+from isac_track.config import PrivacySettings
 from isac_track.intervals import Estimate
 from isac_track.linkability import GALLERY
 
@@ -39,8 +41,8 @@ TASKS: Final = {
 }
 """Tasks that are shown if a run has them: over a column, of the last three, and in a sentence."""
 MOST_LEVELS: Final = 14
-_MISSED, _KNOWN, _FOUND = "missed", "known in 0.3 m", "found again"
-_METRICS = (MISSED_RATE, EXPOSURE, SUCCESS, SUCCESS_OF_100, "chance")
+_MISSED, _FOUND = "missed", "found again"
+_METRICS = (MISSED_RATE, EXPOSURE, WORST_TENTH, SUCCESS, SUCCESS_OF_100, "chance")
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +67,10 @@ class Headline:
     robots: Sequence[Shown]
     shared: Shown
     attacked: Shown | None  # After the strongest reconstruction.
+    worst: Shown | None  # The same of the most exposed tenth of the people.
     linked: Sequence[Shown]  # By the strongest linker of each task.
     wheres: Sequence[Where]  # All levels of the run: the ceiling comes last.
+    epsilon_m: float  # A position that is closer to the truth is known.
 
     @property
     def columns(self) -> list[Shown]:
@@ -98,8 +102,12 @@ def headline(
     *,
     attacks: Mapping[str, Source] | None = None,
     linkability: pd.DataFrame | None = None,
+    epsilon_m: float = PrivacySettings().epsilon_m,
 ) -> Headline:
-    """Return what comes first of a summary; `attacks` are the strongest, by default of its own."""
+    """Return what comes first of a summary; `attacks` are the strongest, by default of its own.
+
+    `epsilon_m` is the run's `privacy.epsilon_m`.
+    """
     rows = summary[summary["metric"].isin(_METRICS)]
     world = worlds_of(rows)
     own = rows[world == ""]
@@ -107,6 +115,7 @@ def headline(
     if attacks is None:
         attacks = {task: one.attack for task, one in strongest(found, known).items()}
     able = own.loc[own["metric"] == MISSED_RATE, "consumer"].unique().tolist()
+    known_in = f"known in {epsilon_m:g} m"
     best, wheres = attacks.get(""), dict.fromkeys(key.where for key in found)
     return Headline(
         known=known,
@@ -114,10 +123,12 @@ def headline(
         other_law=estimates(rows[world == OTHER_LAW_WORLD]),
         gaps=gaps(summary),
         robots=_robots(able),
-        shared=Shown(_KNOWN, "shared", AS_SHARED.measure(EXPOSURE)),
-        attacked=Shown(_KNOWN, "attack", best.measure(EXPOSURE)) if best else None,
+        shared=Shown(known_in, "shared", AS_SHARED.measure(EXPOSURE)),
+        attacked=Shown(known_in, "attack", best.measure(EXPOSURE)) if best else None,
+        worst=Shown(known_in, "worst tenth", best.measure(WORST_TENTH)) if best else None,
         linked=_linked(attacks, found, linkability),
         wheres=sorted(wheres, key=lambda where: known[where[0]].family == CLEAN),
+        epsilon_m=epsilon_m,
     )
 
 
@@ -136,7 +147,7 @@ def _own_strongest(
     """Return, under the headline's name, who is strongest against each other mechanism."""
     # The headline is chosen over raw, fixed noise and FID: others it would flatter.
     mine: dict[Key, Estimate] = {}
-    for by, metrics in ((EXPOSURE, (EXPOSURE,)), (SUCCESS, (SUCCESS, SUCCESS_OF_100))):
+    for by, metrics in ((EXPOSURE, (EXPOSURE, WORST_TENTH)), (SUCCESS, (SUCCESS, SUCCESS_OF_100))):
         for task, blocks in by_task(found, metric=by).items():
             best = against_each(blocks)
             for name in dict.fromkeys(name for name, _ in blocks):
@@ -210,7 +221,24 @@ def headline_table(of: Headline) -> Table:
         if one is of.attacked and of.other_law:
             isotropic = partial(_cell, of, one, other_law=True)
             columns.append(Column(f"{one.above}, attack, isotropic error", isotropic, "%"))
-    return make.built("headline", "", levels_of(of, most=len(of.wheres))[0], columns)
+        if one is of.attacked and of.worst and any(of.at(where, of.worst) for where in of.wheres):
+            name = f"{one.above}, attack, worst tenth of people"
+            columns.append(Column(name, partial(_cell, of, of.worst), "%"))
+    wheres = levels_of(of, most=len(of.wheres))[0]
+    return make.built("headline", "", wheres, columns, notes=_worst_notes(of))
+
+
+def _worst_notes(table: Headline) -> list[str]:
+    """Return how many people the worst tenth is chosen from, or why there is none."""
+    metric = table.worst and table.worst.measure
+    people = [estimate.n for key, estimate in table.found.items() if key.measure == metric]
+    if not people:
+        return []
+    n, enough = max(people), f"people with at least {LEAST_RELEASES} releases"
+    if n < LEAST_PEOPLE:
+        return [f"Worst tenth: refused, since it takes {LEAST_PEOPLE} {enough}; there are {n}."]
+    how = "chosen on every other release, PLR of the releases between"
+    return [f"Worst tenth: the most exposed tenth of {n} {enough}, {how}."]
 
 
 def screen_table(of: Headline, levels: Sequence[Where]) -> Table:

@@ -46,7 +46,9 @@ def pictures(of: Headline) -> list[Picture | None]:
         chosen = _plane(of, of.robots[0], of.attacked, about, among=among, limit=LIMIT)
     return [
         _levels(of, "Conflicts that a robot misses", missed, _MISSED),
-        _levels(of, "Positions known to 0.3 m", known, "positions known (%)", of.attacked),
+        _levels(
+            of, f"Positions known to {of.epsilon_m:g} m", known, "positions known (%)", of.attacked
+        ),
         _levels(of, "People found again by the strongest attack", found, "found again (rank 1, %)"),
         telling,
         chosen,

@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping
 from functools import partial
 from operator import itemgetter
-from typing import Any
+from typing import Any, Final
 
 import pandas as pd
 
@@ -32,7 +32,7 @@ from evaluation.reporting.table import Cell, Column, Table
 from isac_track.linkability import LEVEL
 from isac_track.protection import Laplace
 
-_REPORTS = 366  # Of a track of the paper.
+PAPER_REPORTS: Final = 366  # Of a track of the paper.
 MARKS = dict(zip(REMARKS, "~^!", strict=True))
 """Of what is to be said of a cell that does not simply link."""
 MEANING = {mark: REMARKS[remark] for remark, mark in MARKS.items()}
@@ -41,19 +41,25 @@ _USUAL = "informed"
 _LABEL_WIDTH = 30
 
 
-def laplace_notes(rows: pd.DataFrame) -> list[str]:
-    """Return what planar Laplace noise promises at each of its levels: a report, and a track."""
+def laplace_notes(rows: pd.DataFrame, *, n_reports: int = PAPER_REPORTS) -> list[str]:
+    """Return what planar Laplace noise promises at each of its levels: a report, and a track.
+
+    A track has `n_reports` samples.
+    """
     levels = rows.loc[rows["family"] == "laplace", "level"].dropna().unique()
     known = [Laplace(float(level)) for level in sorted(levels) if level > 0]
     return [
         f"{where_text('laplace', one.std_m)}: epsilon {one.epsilon_per_m:.2f} 1/m a report, "
-        f"{one.epsilon_over(_REPORTS):.0f} 1/m over {_REPORTS}."
+        f"{one.epsilon_over(n_reports):.0f} 1/m over {n_reports}."
         for one in known
     ]
 
 
-def sweep_tables(summary: pd.DataFrame) -> list[Table]:
-    """Return every level: descriptors as shared with the first predictor, then the others'."""
+def sweep_tables(summary: pd.DataFrame, *, n_reports: int = PAPER_REPORTS) -> list[Table]:
+    """Return every level: descriptors as shared with the first predictor, then the others'.
+
+    A track has `n_reports` samples on average.
+    """
     is_shown = summary["metric"].isin([*UTILITY, *DESCRIPTORS])  # a control of linkage has neither
     others = summary[is_shown & ~is_attack(summary)]
     predictors = list(others.loc[others["consumer"] != SHARED, "consumer"].unique())
@@ -75,7 +81,7 @@ def sweep_tables(summary: pd.DataFrame) -> list[Table]:
         name, title = (f"sweep-{place}", "") if place else ("sweep", " as shared")
         title += f", predictor {predictor}" if predictor != SHARED else ""
         units = "; ".join(f"{family}: {unit}" for family, unit in LEVEL_UNITS.items())
-        notes = [] if place else [f"Levels: {units}.", *laplace_notes(rows)]
+        notes = [] if place else [f"Levels: {units}.", *laplace_notes(rows, n_reports=n_reports)]
         found.append(_by_level(name, f"All levels{title}", rows, columns, notes=notes))
     return [one for one in found if one.rows]
 
@@ -133,10 +139,12 @@ def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
     title = "As shared" if only == AS_SHARED else title
     wheres = picked.telling(blocks, known) if only is None else blocks
     told = [row for where in wheres for row in _merged(*where, blocks[where])]
+    # What every level refuses, such as the worst tenth of few people, has no column.
+    measured = [name for name in RECONSTRUCTION if any(row[name].text for row in told)]
     columns = [
         *picked.mechanism_columns(known),
         *map(make.said, ("positions", "adversary")),
-        *(make.held(METRICS[one].head, one, unit=METRICS[one].unit) for one in RECONSTRUCTION),
+        *(make.held(METRICS[name].head, name, unit=METRICS[name].unit) for name in measured),
     ]
     return make.built("attacks", f"{title}; 95 % intervals", told, columns, n_headings=3, n_keys=5)
 

@@ -65,6 +65,7 @@ class Results:
     flags: pd.DataFrame
     linkability: pd.DataFrame
     galleries: pd.DataFrame  # Rank 1 and expected rank over the number of candidates.
+    speeds: pd.DataFrame  # PLR over net speed.
     verdict: dict[str, Any]  # As in `verdict.json`.
     failed: pd.DataFrame  # Cells that could not be computed, and why; no other table holds them.
     strongest: Mapping[str, Source] = field(default_factory=dict)
@@ -219,6 +220,12 @@ class Results:
         return str(self.manifest["dataset"]["name"])
 
     @cached_property
+    def n_reports(self) -> int:
+        """Samples of a track's history, on average."""
+        points: float = self.manifest["history"]["points"]
+        return round(points)
+
+    @cached_property
     def ours(self) -> pd.DataFrame:
         """The summary without the tasks that have a data set of their own."""
         return self.summary[self.summary["dataset"] == self.dataset]
@@ -274,7 +281,9 @@ def estimates(rows: pd.DataFrame) -> dict[Key, Estimate]:
     """Return the rows of a summary by what they are about."""
     from isac_track.intervals import Estimate  # noqa: PLC0415 - see `load`
 
-    return dict(zip(keys_of(rows), map(Estimate, *(rows[one] for one in ENDS)), strict=True))
+    return dict(
+        zip(keys_of(rows), map(Estimate, *(rows[one] for one in (*ENDS, "n"))), strict=True)
+    )
 
 
 def by_level(frame: pd.DataFrame) -> dict[Where, dict[Source, dict[str, Estimate]]]:

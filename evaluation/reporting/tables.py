@@ -24,7 +24,13 @@ from evaluation.analysis.metrics import RECONSTRUCTION, SUCCESS, SUCCESS_OF_100,
 from evaluation.reporting import answer_tables as answers
 from evaluation.reporting import result_tables as measured
 from evaluation.reporting import terminal
-from evaluation.reporting.announcements import data_notices, notices, who_is_linked
+from evaluation.reporting.announcements import (
+    changed_settings,
+    data_notices,
+    notices,
+    used_are_slower,
+    who_is_linked,
+)
 from evaluation.reporting.answers import headline_of
 from evaluation.reporting.bounds import bound_table, linked_bound_table
 from evaluation.reporting.first_screen import TABLES, data_line, first_screen
@@ -62,11 +68,15 @@ def write_text(run: Results) -> None:
 
 def _everything(run: Results) -> Iterator[Part]:
     yield data_line(run.manifest), "bold"
+    if changed := changed_settings(run.manifest):
+        yield f"settings changed: {' '.join(changed)}"
+    if slower := used_are_slower(run.manifest):
+        yield slower
     data = run.manifest["dataset"]
     for notice in filter(None, [data.get("notice"), *data_notices(data), *notices(run.manifest)]):
         yield f"NOTICE: {notice}", "yellow"
     yield from who_is_linked(run.manifest)
-    yield from measured.sweep_tables(run.ours)
+    yield from measured.sweep_tables(run.ours, n_reports=run.n_reports)
     yield measured.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest))
     yield measured.attack_table(run.ours)
     yield from (bound_table(run), linked_bound_table(run))
@@ -95,7 +105,7 @@ def page_tables(run: Results) -> dict[str, Table]:
         replace(headline_table(headline_of(run)), title=title),
         answers.paper_table(run),
         answers.claims_table(run),
-        *measured.sweep_tables(run.ours)[:1],
+        *measured.sweep_tables(run.ours, n_reports=run.n_reports)[:1],
         answers.frontier_table(run),
         measured.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest)),
         bound_table(run),
@@ -116,7 +126,7 @@ def write_tex(run: Results, *, folder: Path) -> None:
     attacked = measured.after_attack(run.ours)
     sources = measured.sources_of(attacked)
     files = {
-        "sweep": measured.sweep_tables(run.ours),
+        "sweep": measured.sweep_tables(run.ours, n_reports=run.n_reports),
         "attacks": [measured.attack_table(attacked, only=source) for source in sources],
         "paper": [answers.paper_table(run)],
         "linkability": [measured.rank_table(run, task) for task in run.tasks],
@@ -166,22 +176,25 @@ def published(run: Results) -> pd.DataFrame:
 def write_docs(run: Results, *, root: Path) -> list[Path]:
     """Write what is shown of a run into `docs/results`, and all blocks anew; return what changed.
 
-    `root` has README.md and docs/. Raises DataError if there is no README.md, a block names what is
+    `root` has README.md and docs/. Raises DataError if there is no README.md, a setting of the run
+    is not the usual one (the heads of these tables name the usual epsilon), a block names what is
     not there, or a file cannot be written.
     """
+    if changed := changed_settings(run.manifest):
+        raise DataError(f"docs show runs of the usual settings; this one has {' '.join(changed)}")
     if not (root / "README.md").is_file():
         raise DataError(f"{root} has no README.md: run this in the repository")
     settings, results = run.manifest["settings"], root / "docs" / "results"
     results.mkdir(parents=True, exist_ok=True)
     path = results / f"{run.dataset}-{settings['preset']}-{settings['seed']}.csv"
     write_whole(path, to_csv(published(run)))
-    changed = [path]
+    written = [path]
     for page in (root / "README.md", *sorted((root / "docs").glob("*.md"))):
         text = page.read_text(encoding="utf-8")
         if (new := filled(text, results=results)) != text:
             write_whole(page, new.encode())
-            changed.append(page)
-    return changed
+            written.append(page)
+    return written
 
 
 def filled(text: str, *, results: Path) -> str:

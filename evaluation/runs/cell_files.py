@@ -51,7 +51,10 @@ _NAMED, _COUNTED = ("metric", "group", "assigned"), ("above", "tied", "chance", 
 _OUTCOME: Final = (*_NAMED, *_COUNTED, "about", "value", "ci_low", "ci_high", "n")
 """Columns of a linkage cell beside its replicates."""
 _NONE: Final = np.zeros(0, dtype=np.float32)
-_ALIKE: Final = {"plr", "plr_gap", "plr_attacked", "separation_m", "tpr_at_fpr_1pct", "chance"}
+_ALIKE: Final = {
+    *("plr", "plr_gap", "plr_attacked", "separation_m", "speed_mps"),
+    *("tpr_at_fpr_1pct", "chance"),
+}
 """Numbers that occur again and again, in other rows or for other consumers: whole they compress."""
 _SINGLE: Final = {
     *DESCRIPTORS,

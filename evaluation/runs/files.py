@@ -49,6 +49,7 @@ FRAMES: Final = {  # By the names of `Results`.
     "curves": "curves.csv",
     "linkability": "linkability.csv",
     "galleries": "gallery.csv",
+    "speeds": "by_speed.csv",
     "failed": "failed.csv",
 }
 PLUGIN_ERROR: Final = "plugin-error.txt"  # Why a plug-in failed before there is a run.

@@ -15,7 +15,7 @@ import shutil
 import subprocess
 import sys
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from itertools import groupby
@@ -35,9 +35,10 @@ if TYPE_CHECKING:
     from evaluation.experiment.plan import Plan, Unit
     from evaluation.runs.cell_files import Index
     from isac_track.plugins import Plugin
+    from isac_track.types import Tracks
 
 CELL_NAME: Final = re.compile(r"[A-Za-z0-9.=-]{1,80}_[0-9]{5}_[0-9a-f]{16}\.parquet")
-LAYOUT: Final = 3  # Another one wherever readers would miss or mistake a value.
+LAYOUT: Final = 4  # Another one wherever readers would miss or mistake a value.
 FAILED_COLUMNS: Final = ("spec", "kind", "consumer", "knowledge", "block", "why")
 _OF_LEVEL: Final = ("mechanism", "level", "family", "adding", "spec", "files")
 _OF_CONSUMER: Final = ("kind", "consumer", "knowledge", "slow", "world")
@@ -131,6 +132,20 @@ def with_ceiling(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
+def mean_speeds(recorded: Tracks, *, used: Sequence[str]) -> dict[str, float]:
+    """Return the mean speed of the tracks that are `used` and of all recorded ones, m/s.
+
+    A track's speed is the length of its recorded path over its duration; each counts once, one of a
+    single sample not at all.
+    """
+    from isac_track.datasets import summarise  # noqa: PLC0415 - a reader needs none
+
+    speeds = summarise(recorded)["speed_mean_mps"].to_numpy()
+    is_used = np.isin(np.array(recorded.source), np.array(used))
+    known = np.isfinite(speeds)
+    return {"used": float(speeds[is_used & known].mean()), "recorded": float(speeds[known].mean())}
+
+
 def about_data(ready: Plan) -> dict[str, Any]:
     """Return what was read, mended and left out, and what would help if too little is left."""
     from isac_track.scenes import FEW_PEOPLE, what_would_help  # noqa: PLC0415 - as below
@@ -144,6 +159,7 @@ def about_data(ready: Plan) -> dict[str, Any]:
         "tracks_used": len(tracks),
         "too_short": tracks.too_short,
         "no_future": tracks.no_future,
+        "speed_mps": mean_speeds(dataset.tracks, used=tracks.source),
         "repairs": [asdict(repair) for repair in dataset.repairs],
     }
     if dataset.sessions:

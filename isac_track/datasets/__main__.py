@@ -3,17 +3,21 @@
 import sys
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
+from typing import Final
 
 import numpy as np
 
 from isac_track import datasets
 from isac_track.command_line import DONE, WRONG, Parser, exit_code
+from isac_track.config import StageSettings
 from isac_track.datasets import registry
 from isac_track.datasets.recording import listed
 from isac_track.datasets.registry import KNOWN, shown
 from isac_track.errors import IsacTrackError
 
-_LONG_S = (12.0, 21.6)  # Durations of interest: 21.6 s are the tracks that scenes are made of.
+_USUAL: Final = StageSettings()
+_LONG_S: Final = (_USUAL.linkage.window_s, _USUAL.resample.min_duration_s)
+"""Durations of interest: a release that is linked, and the tracks that scenes are made of."""
 _FROZEN = f"{datasets.FROZEN_SHARE:.0%}"
 
 

@@ -66,6 +66,7 @@ class TestNames:
             "base",
             *("law=isotropic", "law=fixed_direction"),
             *("epsilon=0.1", "epsilon=0.2", "epsilon=0.5", "epsilon=1"),
+            "resample.min_duration_s=6",
             *("ridge cap=1.5", "ridge cap=3", "ridge beam=4"),
             *("ridge exponent=2", "ridge exponent=3.5"),
             *("recording=students03", "recording=zara01", "recording=plaza"),

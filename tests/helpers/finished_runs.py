@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis import decisions, frontier, linkability, matching, paper, summary
+from evaluation.analysis import by_speed, decisions, frontier, linkability, matching, paper, summary
 from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.keys import Source
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, OF_ROBOT, UTILITY
@@ -20,6 +20,7 @@ from isac_track.config import StageSettings
 MADE = json.loads(Path(__file__).with_name("finished_run.json").read_text(encoding="utf-8"))
 MANIFEST, VERDICT = MADE["manifest"], MADE["verdict"]
 MANIFEST["settings"]["stages"] = StageSettings().flat()
+MANIFEST["history"] = {"points": 366.4, "interval_s": 0.0836}
 ITEM = VERDICT["items"][0]
 INDEPENDENT = ":adding=independent"
 BOTH_RULES = ("", INDEPENDENT)
@@ -160,6 +161,22 @@ def make_frontier(*, dataset="students03"):
     return pd.DataFrame(rows, columns=frontier.COLUMNS)
 
 
+def make_speeds(*, dataset="students03"):
+    """As `by_speed.csv`: who stands is known better, at two levels of either rule."""
+    rows = [
+        {
+            "dataset": dataset, "mechanism": mechanism, "level": level, "consumer": consumer,
+            "knowledge": knows, "speed_low_mps": 0.5 * n, "speed_high_mps": 0.5 * n + 0.5,
+            "speed_mps": 0.5 * n + 0.2, "value": lift / (1.0 + n), "ci_low": 0.9 * lift / (1.0 + n),
+            "ci_high": 1.1 * lift / (1.0 + n), "n": 20,
+        }
+        for mechanism, level in (("raw", np.nan), ("fid", 1.0), (f"fid{INDEPENDENT}", 1.0))
+        for consumer, knows, lift in (("shared", "", 0.3), ("radial_rts", "informed", 0.6))
+        for n in range(3)
+    ]  # fmt: skip
+    return pd.DataFrame(rows, columns=by_speed.COLUMNS)
+
+
 def make_curves(at=None, *, dataset="students03"):
     """As `curves.csv`: two scores of one predictor."""
     rows = [
@@ -217,6 +234,7 @@ def make_run(out=Path(), dataset="students03", *, at=None, **changes):
         "verdict": VERDICT,
         "failed": pd.DataFrame(columns=list(FAILED_COLUMNS)),
         "galleries": pd.DataFrame(),
+        "speeds": make_speeds(dataset=dataset),
         "strongest": STRONGEST,
     }
     return Results(out=out, **(parts | changes))

@@ -109,6 +109,7 @@ def write_run(out, rates=USUAL, *, half=HALF, cells=ATTACKS, **dataset):
     content = {
         "identity": {"scenes": 500, "scenes_utility": 2000, "seed": 0, "fps": None, **stages},
         "cells": [],
+        "history": {"points": 366.0, "interval_s": 0.0836},
         "code": code_hash(),
         "settings": {
             "preset": "paper",

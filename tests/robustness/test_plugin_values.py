@@ -300,7 +300,7 @@ def test_each_fails_alone_by_name_and_on_one_line(tmp_path, arguments, capsys, j
     assert {"shared", "kalman_cv", "moving_average", "rerelease/shape"} <= computed
     assert sum(name.startswith("odd:Predicted") for name in computed) == 2
     # Too few people for these, or no calibration.
-    refused = ["cllr", "rank1_g100", "tpr_at_fpr_1pct", "tpr_at_fpr_01pct"]
+    refused = ["cllr", "rank1_g100", "tpr_at_fpr_1pct", "tpr_at_fpr_01pct", "plr_worst_tenth"]
     own = summary[at_edge & ~summary["metric"].isin(refused)]
     assert np.isfinite(own["value"]).all()
     ends = own[["ci_low", "ci_high"]].to_numpy()

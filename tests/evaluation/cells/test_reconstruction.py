@@ -111,6 +111,7 @@ class TestIdentity:
         for spec in specs:
             (shared,), (attacked,) = found[spec, "shared", ""], found[spec, "identity", "blind"]
             assert {"plr", "ael_s", "mse_m2", "track", "scene"} <= shared.keys()
+            assert shared.pop("speed_mps").shape == shared["plr"].shape  # of the truth
             assert_same(attacked, shared)
 
 
@@ -464,7 +465,7 @@ class TestRuns:
             for name in ("shared", "identity")
         )
         numbers = ["value", "ci_low", "ci_high", "n"]
-        assert len(shared) == 3 * 4
+        assert len(shared) == 3 * 5
         assert attacked.loc[shared.index, numbers].equals(shared[numbers])
         entries = [one for one in results.manifest["cells"] if one["kind"] == "attack"]
         assert len(entries) == 3 * (1 + 3 + 1)

@@ -197,3 +197,22 @@ def test_what_leaks_is_told_under_both_error_laws_and_tabled():
     own = [column.name for column in headline_table(headline_of(run)).columns]
     assert set(heads) - set(own) == {"known in 0.3 m, attack, isotropic error"}
     assert answers(run)[0] == answers(both)[0]
+
+
+@pytest.mark.parametrize("n", [55, 12])
+def test_the_worst_off_tenth_stands_beside_the_mean_or_says_why_it_does_not(n):
+    run = make_run()
+    is_attack = run.summary["consumer"] == STRONGEST[""].consumer
+    worst = run.summary[is_attack & (run.summary["metric"] == "plr")]
+    numbers = {"value": 0.876, "ci_low": 0.8, "ci_high": 0.92}
+    refused = dict.fromkeys(numbers, np.nan)
+    worst = worst.assign(metric="plr_worst_tenth", n=n, **(numbers if n > 20 else refused))
+    both = make_run(summary=pd.concat([run.summary, worst]))
+    sentence, table = answers(both)[1].sentence, headline_table(headline_of(both))
+    heads = [column.name for column in table.columns]
+    is_told = "(the worst-off tenth of people: 87.6 % [80.0, 92.0])" in sentence
+    assert is_told == (n > 20) == ("known in 0.3 m, attack, worst tenth of people" in heads)
+    (note,) = table.notes
+    expected = "the most exposed tenth of 55 people" if n > 20 else "it takes 20 people"
+    assert expected in note
+    assert "at least 8 releases" in note

@@ -13,7 +13,7 @@ from evaluation.reporting import page
 from evaluation.reporting.announcements import command
 from isac_track.errors import DataError
 
-PANELS = 3 + 3 + 3 + 2 + 2
+PANELS = 3 + 3 + 3 + 2 + 2 + 2
 
 
 @pytest.fixture

@@ -240,6 +240,13 @@ class TestTheDocs:
         with pytest.raises(DataError, match=mark.split()[0]):
             tables.write_docs(make_run(), root=root)
 
+    def test_a_run_of_other_settings_is_none_to_show(self, root):
+        run = make_run()
+        run.manifest["settings"]["stages"]["privacy.epsilon_m"] = 0.4
+        with pytest.raises(DataError, match=r"this one has privacy.epsilon_m=0.4"):
+            tables.write_docs(run, root=root)
+        assert not (root / "docs" / "results").exists()
+
     def test_outside_the_repository_nothing_is_written(self, tmp_path):
         with pytest.raises(DataError, match="no README"):
             tables.write_docs(make_run(), root=tmp_path)

@@ -127,7 +127,7 @@ class TestWhatARunLeaves:
         assert not drawn.summary.duplicated(KEY).any()
         assert set(drawn.summary["metric"]) == {
             *("missed_conflict_rate", "false_alarm_rate", "distance_mae"),
-            *("plr", "ael", "mel", "rmse"),
+            *("plr", "ael", "mel", "plr_worst_tenth", "rmse"),
         }
         assert set(drawn.summary["unit"]) == {"fraction", "s", "m"}
         assert set(drawn.summary["consumer"]) == {"shared", "least_squares"}
@@ -217,7 +217,7 @@ class TestAnotherRunInTheSameFolder:
     def test_with_a_mechanism_more_computes_only_its_cells(self, finished, drawn):
         kept = stamps(finished.out)
         after = run(finished, mechanisms=(*finished.mechanisms, "fixed:0.3", "clean")).summary
-        assert len(after) == len(drawn.summary) + 2 * 7
+        assert len(after) == len(drawn.summary) + 2 * 8
         common = after.merge(drawn.summary, on=list(drawn.summary.columns))
         assert len(common) == len(drawn.summary)
         assert_kept(kept)
@@ -426,4 +426,4 @@ def test_intervals_cluster_by_group(settings, tmp_path, csv_recording):
     path.write_text("\n".join(grouped) + "\n", encoding="utf-8")
     results = run(settings, dataset=str(path))
     assert set(results.summary["n"]) == {2}
-    assert len(summary.estimates(settings.out, results.manifest)[0]) == 3 * 7
+    assert len(summary.estimates(settings.out, results.manifest)[0]) == 3 * 8

@@ -15,6 +15,7 @@ from helpers.finished_runs import (
     levels,
     make_frontier,
     make_run,
+    make_speeds,
     make_summary,
     with_links,
 )
@@ -31,6 +32,7 @@ STRANGERS = [*LINEAR, *(("ou", at) for at in (0.2, 0.4, 0.8))]
 STRANGERS += [("mine", at) for at in (1.0, 10.0, 1000.0)]
 ODD_NAMES = ["<script>", "a_$b^{c}$ & \\d", "広場 & 'x'", "line\nbreak\x1b[31m", "x" * 300, ""]
 NAMES = ("fid_threshold", "fixed_error", "operating_points", "after_attack", "linkability")
+NAMES += ("by_speed",)
 
 
 def drawn(**changes):
@@ -93,6 +95,23 @@ def test_the_paper_is_marked_on_its_own_recording_under_linear_adding_only():
 
     assert papers("students03") == [3, 0, 3, 0, 4, 0]
     assert not any(papers("plaza") + papers("students03", "sweep-ou", STRANGERS))
+
+
+def test_plr_over_speed_has_a_curve_a_level_under_its_rules():
+    speeds = make_speeds()
+    figure = drawn(speeds=speeds)["by_speed"]
+    headings = [heading for heading, _ in figure.panels]
+    assert headings == ["linear adding", "independent adding"]
+    for rule, (_, chart) in zip(("", INDEPENDENT), figure.panels, strict=True):
+        assert [name for *_, name in chart.marks] == [
+            "raw after radial_rts (informed): 60.0 % at 0.20 m/s to 20.0 % at 1.20 m/s",
+            "fid 1 after radial_rts (informed): 60.0 % at 0.20 m/s to 20.0 % at 1.20 m/s",
+        ]
+        of = speeds[(speeds["mechanism"] == f"fid{rule}") & (speeds["consumer"] != "shared")]
+        expected = of[["speed_mps", "value"]].to_numpy() * [1.0, 100.0]
+        found = values(chart.marks[1][1], chart, log=(False, False))
+        np.testing.assert_allclose(found, expected, rtol=0.03, atol=0.4)
+    assert "by_speed" not in drawn(speeds=speeds.head(0))
 
 
 class TestFiles:
