@@ -70,7 +70,13 @@ def test_one_label_alone_has_no_curve_and_nan_is_refused():
 
 def test_a_run_leaves_curves_and_compares_with_the_first_predictor(csv_recording, tmp_path):
     two = ("least_squares", "least_squares:4")
-    settings = smoke(csv_recording, tmp_path / "run", scenes=40, predictors=two)
+    settings = smoke(
+        csv_recording,
+        tmp_path / "run",
+        scenes=40,
+        predictors=two,
+        stages={"conflict.horizons_s": 3},
+    )
     results = evaluation.run(settings, pictures=False)
     own = results.decisions[results.decisions["dataset"] == results.dataset]
     rows = own.set_index(["mechanism", "consumer"])
