@@ -22,15 +22,16 @@ from isac_track.intervals import (
 )
 
 N_TIMES: Final = 25  # Of a distribution, from now to its last conflict.
-TIME_COLUMNS: Final = ["dataset", "by_s", "share", "ci_low", "ci_high", "n"]
+TIME_COLUMNS: Final = ["dataset", "by_s", "value", "ci_low", "ci_high", "n"]
 _COLUMNS: Final = ["group", "conflict", "time_to_conflict_s"]
 
 
 def conflict_times(out: Path, manifest: Mapping[str, Any]) -> pd.DataFrame:
     """Return the share of conflicts in which somebody is inside by a time, at every horizon.
 
-    `TIME_COLUMNS`: `by_s` is the time from now in s, 0 tells who is inside already. The scenes are
-    one for all predictors and levels: those of the first are read. Raises DataError as `read_rows`.
+    `TIME_COLUMNS`: `by_s` is the time from now in s, 0 tells who is inside already; `value` is the
+    share. The scenes are one for all predictors and levels: the first ones are read. Raises
+    DataError as `read_rows`.
     """
     frames = [pd.DataFrame(columns=TIME_COLUMNS, dtype=float)]
     name, robots = manifest["dataset"]["name"], dict[str, Mapping[str, Any]]()
@@ -65,6 +66,7 @@ def _distribution(out: Path, entry: Mapping[str, Any], manifest: Mapping[str, An
         [time, share.value, share.ci_low, share.ci_high, share.n]
         for time, share in zip(by_s, shares, strict=True)
     ]
+    rows[-1][2:4] = [np.nan, np.nan]  # by then all have come, by construction
     return pd.DataFrame(rows, columns=TIME_COLUMNS[1:])
 
 
