@@ -21,7 +21,7 @@ from evaluation.analysis.frontier import frontier
 from evaluation.analysis.galleries import TPR, galleries
 from evaluation.analysis.keys import AS_SHARED, Key, Source, horizons_in, judged_at
 from evaluation.analysis.linked_people import read_probes
-from evaluation.analysis.matching import Sweeps, matched
+from evaluation.analysis.matching import FUTURE, Sweeps, matched
 from evaluation.analysis.metrics import ACHIEVED, EXPOSURE, SUCCESS, SUCCESS_OF_100
 from evaluation.analysis.pooled import Answered, answered, answers_of, to_frame
 from evaluation.analysis.strongest import cross_fitted, strongest
@@ -166,15 +166,18 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     best = strongest(sweeps.found, known)
     few = {key: one for key, one in sweeps.found.items() if key.metric in (EXPOSURE, SUCCESS, TPR)}
     with aside(partial(_of_people, out, manifest, Sweeps(few, known), best)) as of_people:
-        at_equal = matched(sweeps, predictors=predictors, dataset=dataset)
+        at_equal = [matched(sweeps, predictors=predictors, dataset=dataset)]
         crossed, halves = cross_fitted(attacked, known, best.get("", AS_SHARED), seed=seed)
         sums |= attacked
         frontiers = [frontier(sweeps, predictors=predictors, dataset=dataset, sums=sums, seed=seed)]
         for horizon_s, robots in scenes.later.items():
             at_horizon = Sweeps(judged_at(sweeps.found, robots.every), known)
-            name = f"{dataset}:{horizon_world(horizon_s)}"
+            about: dict[str, Any] = {"dataset": dataset, "world": horizon_world(horizon_s)}
             frontiers.append(
-                frontier(at_horizon, predictors=predictors, dataset=name, sums=sums, seed=seed)
+                frontier(at_horizon, predictors=predictors, sums=sums, seed=seed, **about)
+            )
+            at_equal.append(
+                matched(at_horizon, predictors=predictors[:1], criteria=(FUTURE,), **about)
             )
         tidy = summary.to_frame(
             {**found, **linked}, worlds=scenes.worlds, known=known, dataset=dataset
@@ -190,13 +193,14 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         judged, across, strongest=best, scored=halves, later=later, manifest=manifest
     )
     said["robots"] = horizons.beaten_by_standing_still(found, scenes.found_later)
+    every_match = pd.concat(at_equal, ignore_index=True)
     results = Results(
         out=out,
         manifest=manifest,
         summary=tidy,
         paper_table=paper.paper_table(sweeps, dataset=dataset),
-        claims=paper.claims(sweeps, at_equal, dataset=dataset, history=manifest["history"]),
-        matched=at_equal,
+        claims=paper.claims(sweeps, every_match, dataset=dataset, history=manifest["history"]),
+        matched=every_match,
         frontier=pd.concat(frontiers, ignore_index=True),
         decisions=pd.concat([one.decided for one in scenes.judged], ignore_index=True),
         curves=pd.concat([one.curves for one in scenes.judged], ignore_index=True),
