@@ -6,6 +6,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from evaluation.analysis import paper
 from evaluation.analysis.frontier import GAP, LEVEL_READ, VALUE, usual_price
