@@ -160,7 +160,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     with aside(partial(_of_links, out, manifest)) as of_links:
         scenes = _of_scenes(out, manifest)
         linked, sums, table = of_links()
-    found, attacked = scenes.found, scenes.attacked
+    found, attacked = scenes.estimates, scenes.attacked
     flagged, looked = weak_attacks.flags(found, slow=weak_attacks.slow_attacks(manifest))
     sweeps = Sweeps({**found, **scenes.own.at_raw_alarms, **linked}, known)
     best = strongest(sweeps.found, known)
@@ -192,7 +192,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     said = verdict.verdict(
         judged, across, strongest=best, scored=halves, later=later, manifest=manifest
     )
-    said["robots"] = horizons.beaten_by_standing_still(found, scenes.found_later)
+    said["robots"] = horizons.beaten_by_standing_still(found, scenes.estimates_later)
     every_match = pd.concat(at_equal, ignore_index=True)
     results = Results(
         out=out,
@@ -202,8 +202,8 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         claims=paper.claims(sweeps, every_match, dataset=dataset, history=manifest["history"]),
         matched=every_match,
         frontier=pd.concat(frontiers, ignore_index=True),
-        decisions=pd.concat([one.decided for one in scenes.judged], ignore_index=True),
-        curves=pd.concat([one.curves for one in scenes.judged], ignore_index=True),
+        decisions=pd.concat([robots.decided for robots in scenes.judged], ignore_index=True),
+        curves=pd.concat([robots.curves for robots in scenes.judged], ignore_index=True),
         flags=pd.concat([flagged, far], ignore_index=True) if len(far) else flagged,
         linkability=table,
         galleries=in_galleries,
@@ -230,7 +230,7 @@ def _of_links(
 class _Judged:
     """Robots judged at a horizon: what each metric is, and how misses trade for false alarms."""
 
-    found: Mapping[Key, Estimate]
+    estimates: Mapping[Key, Estimate]
     at_raw_alarms: Mapping[Key, Estimate]
     curves: pd.DataFrame
     decided: pd.DataFrame
@@ -238,23 +238,23 @@ class _Judged:
     @property
     def every(self) -> dict[Key, Estimate]:
         """All estimates, those at raw's false-alarm rate among them."""
-        return {**self.found, **self.at_raw_alarms}
+        return {**self.estimates, **self.at_raw_alarms}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Scenes:
     """What the cells of scenes tell."""
 
-    found: Mapping[Key, Estimate]
+    estimates: Mapping[Key, Estimate]
     attacked: dict[Key, Summed]
     worlds: Mapping[str, Mapping[Key, Estimate]]  # Others, further horizons among them.
     own: _Judged  # At the run's own horizon.
     later: Mapping[float, _Judged]  # At further ones, s, ascending.
 
     @property
-    def found_later(self) -> dict[float, Mapping[Key, Estimate]]:
+    def estimates_later(self) -> dict[float, Mapping[Key, Estimate]]:
         """The metrics at further horizons."""
-        return {horizon_s: robots.found for horizon_s, robots in self.later.items()}
+        return {horizon_s: robots.estimates for horizon_s, robots in self.later.items()}
 
     @property
     def judged(self) -> list[_Judged]:
@@ -284,12 +284,12 @@ def _of_scenes(out: Path, manifest: Mapping[str, Any]) -> _Scenes:
 def _judged(
     scored: Sequence[summary.Scored],
     manifest: Mapping[str, Any],
-    found: Mapping[Key, Estimate],
+    estimates: Mapping[Key, Estimate],
     *,
     dataset: str,
 ) -> _Judged:
-    curves, decided, at_raw_alarms = decisions(scored, manifest, found, dataset=dataset)
-    return _Judged(found, at_raw_alarms, curves, decided)
+    curves, decided, at_raw_alarms = decisions(scored, manifest, estimates, dataset=dataset)
+    return _Judged(estimates, at_raw_alarms, curves, decided)
 
 
 def _of_people(

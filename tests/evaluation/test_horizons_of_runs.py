@@ -66,8 +66,8 @@ def test_nothing_of_the_papers_horizon_changes(made):
 def test_rates_are_those_that_counting_gives(made, world):
     run = made["both"]
     name = f"{run.dataset}:{world}" if world else run.dataset
-    entries = [one for one in run.manifest["cells"] if one["kind"] == "predictor"]
-    entries = [one for one in entries if (one["world"] or "") == world]
+    entries = [entry for entry in run.manifest["cells"] if entry["kind"] == "predictor"]
+    entries = [entry for entry in entries if (entry["world"] or "") == world]
     assert len(entries) == 6 * len(ROBOTS)
     for entry in entries:
         columns = ["conflict", "predicted", "inside_now", "time_to_conflict_s", "separation_m"]
@@ -102,7 +102,7 @@ def test_a_longer_horizon_has_more_conflicts_to_come(made):
 
 def test_decisions_hold_future_conflicts_at_the_same_false_alarms(made):
     run = made["both"]
-    entry = next(one for one in run.manifest["cells"] if one.get("world") == WORLD)
+    entry = next(entry for entry in run.manifest["cells"] if entry.get("world") == WORLD)
     columns = ["group", "conflict", "inside_now", "predicted_separation_m"]
     table = read_rows(run.out, entry, columns=columns)
     rows = table.to_pandas()
@@ -114,10 +114,10 @@ def test_decisions_hold_future_conflicts_at_the_same_false_alarms(made):
         cluster=rows["cluster"].to_numpy(),
         weights=weights_of(run.manifest),
     )
-    told = run.decisions[run.decisions["dataset"] == f"{run.dataset}:{WORLD}"]
-    told = told[(told["mechanism"] == "raw") & (told["consumer"] == entry["consumer"])].iloc[0]
-    at = np.full(1001, told["false_alarm_rate"])
-    assert told["missed_future_rate"] == pytest.approx(of_scenes.missed_at(at)[0])
+    shown = run.decisions[run.decisions["dataset"] == f"{run.dataset}:{WORLD}"]
+    shown = shown[(shown["mechanism"] == "raw") & (shown["consumer"] == entry["consumer"])].iloc[0]
+    at = np.full(1001, shown["false_alarm_rate"])
+    assert shown["missed_future_rate"] == pytest.approx(of_scenes.missed_at(at)[0])
 
 
 def test_the_frontier_holds_each_criterion_at_each_horizon(made):
@@ -136,17 +136,17 @@ def test_the_frontier_holds_each_criterion_at_each_horizon(made):
 
 def test_the_claim_is_stated_with_future_conflicts_at_both_horizons(made):
     items = made["both"].verdict["items"]
-    claims = [one for one in items if one["section"] == "claim"]
-    asked = {(one["criterion"], one.get("horizon_s")) for one in claims}
+    claims = [entry for entry in items if entry["section"] == "claim"]
+    asked = {(entry["criterion"], entry.get("horizon_s")) for entry in claims}
     assert asked == {
         ("missed", None),
         ("missed_at_equal_false_alarms", None),
         ("missed_future", None),
         ("missed_future", 3.0),
     }
-    assert len({one["id"] for one in claims}) == len(claims)
-    said = {one["sentence"] for one in claims if one.get("horizon_s")}
-    assert all(" (3 s ahead, " in one for one in said)
+    assert len({entry["id"] for entry in claims}) == len(claims)
+    said = {entry["sentence"] for entry in claims if entry.get("horizon_s")}
+    assert all(" (3 s ahead, " in entry for entry in said)
 
 
 def test_every_preset_compares_its_robots_with_nobody_moving_on():
@@ -182,20 +182,20 @@ class TestTimesToConflict:
         for world in ("", WORLD):
             name = f"{run.dataset}:{world}" if world else run.dataset
             entry = next(
-                one
-                for one in run.manifest["cells"]
-                if one["kind"] == "predictor" and (one.get("world") or "") == world
+                entry
+                for entry in run.manifest["cells"]
+                if entry["kind"] == "predictor" and (entry.get("world") or "") == world
             )
             times = read_rows(run.out, entry, columns=["time_to_conflict_s"]).to_pandas()
             times = times["time_to_conflict_s"].dropna().to_numpy()
-            told = run.conflict_times[run.conflict_times["dataset"] == name]
-            expected = [(times <= by_s + 1e-9).mean() for by_s in told["by_s"]]
-            assert told["value"].to_numpy() == pytest.approx(expected)
-            assert told["by_s"].iloc[0] == 0.0
-            assert told["by_s"].iloc[-1] == times.max()
-            assert told["value"].iloc[-1] == 1.0
-            assert np.isnan(told["ci_low"].iloc[-1])  # by construction
-            assert (np.diff(told["value"]) >= 0).all()
+            shown = run.conflict_times[run.conflict_times["dataset"] == name]
+            expected = [(times <= by_s + 1e-9).mean() for by_s in shown["by_s"]]
+            assert shown["value"].to_numpy() == pytest.approx(expected)
+            assert shown["by_s"].iloc[0] == 0.0
+            assert shown["by_s"].iloc[-1] == times.max()
+            assert shown["value"].iloc[-1] == 1.0
+            assert np.isnan(shown["ci_low"].iloc[-1])  # by construction
+            assert (np.diff(shown["value"]) >= 0).all()
 
     def test_are_a_figure_with_a_panel_for_each_horizon(self, made):
         (figure,) = figures(made["both"])
@@ -210,7 +210,7 @@ class TestTimesToConflict:
 class TestStandingStill:
     WHERE = ("fixed", 0.7)
 
-    def found(self, missed, *, robot="least_squares", clusters=40):
+    def robots(self, missed, *, robot="least_squares", clusters=40):
         """A robot's misses and those of standing still, in replicates that differ alike."""
         noise = stream(0, "test", "standing").normal(0.0, 0.01, 400)
         ends = {"n": clusters, "effective": float(clusters)}
@@ -224,7 +224,7 @@ class TestStandingStill:
         }
 
     def test_a_robot_that_surely_misses_more_is_told_so(self):
-        own, later = self.found(0.29), {3.0: self.found(0.31)}
+        own, later = self.robots(0.29), {3.0: self.robots(0.31)}
         first, second = beaten_by_standing_still(own, later)
         assert (first["robot"], first["horizon_s"], first["levels"]) == ("least_squares", None, 1)
         assert first["loses"] == []
@@ -236,7 +236,7 @@ class TestStandingStill:
         assert 0.0 < level["ci_low"] < 0.01 < level["ci_high"] < 0.02
 
     def test_few_people_tell_nothing_and_standing_still_is_no_robot(self):
-        (record,) = beaten_by_standing_still(self.found(0.5, clusters=19), {})
+        (record,) = beaten_by_standing_still(self.robots(0.5, clusters=19), {})
         assert record["loses"] == []
         assert record["robot"] == "least_squares"
         assert beaten_by_standing_still({}, {3.0: {}}) == []
@@ -249,11 +249,11 @@ class TestStandingStill:
             {"robot": "least_squares", "horizon_s": 3.0, "levels": 6, "loses": loses},
             {"robot": "kalman_cv", "horizon_s": 3.0, "levels": 6, "loses": []},
         ]
-        told = answers(replace(run, verdict=run.verdict | {"robots": robots}))[0].sentence
-        assert told.endswith(
+        shown = answers(replace(run, verdict=run.verdict | {"robots": robots}))[0].sentence
+        assert shown.endswith(
             "Standing still misses fewer than the paper's line at 2 of 6 levels (3 s ahead)."
         )
-        assert "Future conflicts, 3 s ahead: the paper's line " in told
+        assert "Future conflicts, 3 s ahead: the paper's line " in shown
         alone = answers(replace(made["alone"], verdict={}))[0].sentence
         assert "ahead" not in alone
         assert "Standing still" not in alone
@@ -271,15 +271,15 @@ def test_the_first_table_shows_future_conflicts_and_fits(made):
 
 @pytest.mark.parametrize("n_linked", [0, 1, 2, 3])
 def test_columns_give_way_where_there_is_no_room(n_linked):
-    of = headline(make_summary(predictors=("least_squares", "kalman_cv")))
-    robots = of.robots
+    first = headline(make_summary(predictors=("least_squares", "kalman_cv")))
+    robots = first.robots
     linked = [Shown("found again", f"task-{n}", Measure(f"t{n}", "rank1")) for n in range(n_linked)]
     later = {
         robot.measure._replace(metric=MISSED_FUTURE).at(*where): Estimate(0.5, 0.4, 0.6)
         for robot in robots
-        for where in of.wheres
+        for where in first.wheres
     }
-    wide = replace(of, linked=linked, horizon_s=3.0, later=later)
+    wide = replace(first, linked=linked, horizon_s=3.0, later=later)
     choices = [[shown.name for shown in columns] for columns in wide.column_choices]
     assert len(choices) == 1 + max(n_linked - 1, 0) + 2
     assert choices[0][:4] == ["line", "Kalman", "line", "Kalman"]
@@ -307,14 +307,14 @@ def test_the_frontier_is_read_at_the_price_of_future_conflicts_at_the_longest_ho
 
 
 def test_tables_of_a_run_hold_each_horizon(made):
-    found = tables.page_tables(made["both"])
-    table = found["horizon-3s"]
+    pages = tables.page_tables(made["both"])
+    table = pages["horizon-3s"]
     names = [column.name for column in table.columns]
     assert "missed future, constant_position" in names
     assert len(table.rows) == 6
     assert "horizon-3s" not in tables.page_tables(made["alone"])
-    told = (made["both"].out / "tables.txt").read_text("utf-8")
-    assert "Conflicts made for 3 s ahead" in told
+    shown = (made["both"].out / "tables.txt").read_text("utf-8")
+    assert "Conflicts made for 3 s ahead" in shown
 
 
 def test_the_papers_claim_is_stated_with_future_conflicts(made):
@@ -331,7 +331,7 @@ def test_tracks_that_end_before_the_horizon_are_said(made):
     }
     assert made["alone"].manifest["horizons"] == {}
     few = {"3": {"tracks_used": used - 2, "no_future": 2, "exhausted_redraws": 1}}
-    told = notices(manifest | {"horizons": few | {"9": {"tracks_used": 0, "no_future": used}}})
-    assert "3 s ahead: 2 tracks end before that and are not used there" in told
-    assert "no conflicts 9 s ahead: too few recordings last so long after the history" in told
-    assert any(line.startswith("3 s ahead: 1 background agents found no place") for line in told)
+    shown = notices(manifest | {"horizons": few | {"9": {"tracks_used": 0, "no_future": used}}})
+    assert "3 s ahead: 2 tracks end before that and are not used there" in shown
+    assert "no conflicts 9 s ahead: too few recordings last so long after the history" in shown
+    assert any(line.startswith("3 s ahead: 1 background agents found no place") for line in shown)
