@@ -284,6 +284,7 @@ def test_columns_give_way_where_there_is_no_room(n_linked):
     assert len(choices) == 1 + max(n_linked - 1, 0) + 2
     assert choices[0][:4] == ["line", "Kalman", "line", "Kalman"]
     assert all(len(more) == len(less) + 1 for more, less in pairwise(choices))
+    assert choices[-2][:3] == ["line", "Kalman", "Kalman"]  # the better robot's stay longer
     # The missed conflicts of the paper, and the first task, stay.
     assert choices[-1][:2] == ["line", "Kalman"]
     assert choices[-1][-1:] == (["task-0"] if n_linked else ["attack"])
