@@ -102,11 +102,12 @@ def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> S
     if not usual.axes.predictors:
         raise SettingsError("--precision is that of missed-conflict rates: name a --predictor")
     out = usual.out.with_name(f"{usual.out.name}-pilot")
-    alone = {"precision": None, "scenes": BLOCK_SCENES, "attacks": (), "tasks": ()}
+    alone: dict[str, Any] = {"precision": None, "scenes": BLOCK_SCENES, "attacks": (), "tasks": ()}
+    alone["stages"] = settings.stages.changed({"conflict.horizons_s": ()})
     ready = plan(settings.changed(**alone, out=out))
     done = None if settings.fresh else _finished(ready)
     pilot = done or run(ready=ready, progress=progress, pictures=False)
-    missed = pilot.summary[pilot.summary["metric"] == "missed_conflict_rate"]
+    missed = pilot.measured[pilot.measured["metric"] == "missed_conflict_rate"]
     half = float((missed["ci_high"] - missed["ci_low"]).max()) / 2.0
     if not half > 0.0:
         raise DataError("250 scenes show no interval of a missed-conflict rate: name --scenes")

@@ -116,10 +116,14 @@ class Scenes:
     robot_destination: Floats  # (S, 2) m
     separation: Floats  # (S,) m, true minimum separation between robot and agents over the horizon.
     conflict: Bools  # (S,) ground-truth label c (eq. conflict_rule on the true future).
-    time_to_conflict_s: Floats  # (S,) s until any agent is inside; 0: is now; NaN: no conflict.
     exhausted: Ints  # (S,) agents whose placement ran out of redraws and kept the last draw.
+    time_to_conflict_s: Floats = field(default_factory=lambda: np.empty(0))
+    """(S,) s until any agent is inside; 0: one is already; NaN: no conflict, or it is not known."""
 
     def __post_init__(self) -> None:
+        if np.size(self.time_to_conflict_s) == 0:
+            unknown = np.full(np.size(self.index), np.nan)
+            object.__setattr__(self, "time_to_conflict_s", unknown)
         _freeze(self, t="M", xy=("M", 2), t_future="NH", xy_future=("N", "H", 2))
         _freeze(self, robot_start=("S", 2), robot_destination=("S", 2), separation="S")
         _freeze(self, time_to_conflict_s="S")

@@ -201,6 +201,7 @@ def test_the_default_falls_back_to_the_simulated_crowd_and_says_so(tmp_path, ran
 def test_what_a_reader_must_know_is_a_notice(csv_recording, tmp_path, ran):
     words = "--scenes 8 --mechanism raw --task none --predictor kalman_cv:noise=declared"
     words += " --set scenes.clearance_m=6.5 --set scenes.max_redraws=2"
+    words += " --set conflict.horizons_s=none"
     shown = ran(matrix, "--dataset", csv_recording, *words.split(), "--out", tmp_path / "run")
     assert "kalman_cv:noise=declared asked for SIGMA, which a robot does not have" in shown.err
     assert "2 notices in full: tables.txt" in shown.err
