@@ -4,7 +4,7 @@ import contextlib
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -13,20 +13,20 @@ import numpy as np
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from evaluation.analysis import linkability, paper, summary, weak_attacks
+from evaluation.analysis import horizons, linkability, paper, summary, weak_attacks
 from evaluation.analysis.bounds import gaps, linked_gaps
 from evaluation.analysis.by_speed import by_speed
 from evaluation.analysis.decisions import decisions
 from evaluation.analysis.families import families_in
 from evaluation.analysis.frontier import frontier
 from evaluation.analysis.galleries import TPR, galleries
-from evaluation.analysis.keys import AS_SHARED, Key, Source
+from evaluation.analysis.keys import AS_SHARED, Key, Source, horizons_in, judged_at
 from evaluation.analysis.linked_people import read_probes
-from evaluation.analysis.matching import Sweeps, matched
+from evaluation.analysis.matching import FUTURE, Sweeps, matched
 from evaluation.analysis.metrics import ACHIEVED, EXPOSURE, SUCCESS, SUCCESS_OF_100
 from evaluation.analysis.pooled import Answered, answered, answers_of, to_frame
 from evaluation.analysis.strongest import cross_fitted, strongest
-from evaluation.experiment.constants import BLOCK_SCENES, MOST_SCENES, WORLDS
+from evaluation.experiment.constants import BLOCK_SCENES, MOST_SCENES, WORLDS, horizon_world
 from evaluation.experiment.plan import Plan, plan
 from evaluation.experiment.settings import Settings, check_drawing
 from evaluation.reporting import page, study_page
@@ -103,11 +103,12 @@ def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> S
     if not usual.axes.predictors:
         raise SettingsError("--precision is that of missed-conflict rates: name a --predictor")
     out = usual.out.with_name(f"{usual.out.name}-pilot")
-    alone = {"precision": None, "scenes": BLOCK_SCENES, "attacks": (), "tasks": ()}
+    alone: dict[str, Any] = {"precision": None, "scenes": BLOCK_SCENES, "attacks": (), "tasks": ()}
+    alone["stages"] = settings.stages.changed({"conflict.horizons_s": ()})
     ready = plan(settings.changed(**alone, out=out))
     done = None if settings.fresh else _finished(ready)
     pilot = done or run(ready=ready, progress=progress, pictures=False)
-    missed = pilot.summary[pilot.summary["metric"] == "missed_conflict_rate"]
+    missed = pilot.measured[pilot.measured["metric"] == "missed_conflict_rate"]
     half = float((missed["ci_high"] - missed["ci_low"]).max()) / 2.0
     if not half > 0.0:
         raise DataError("250 scenes show no interval of a missed-conflict rate: name --scenes")
@@ -159,33 +160,53 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     dataset, seed = manifest["dataset"]["name"], manifest["identity"]["seed"]
     predictors, known = manifest["settings"]["predictors"], families_in(manifest["cells"])
     with aside(partial(_of_links, out, manifest)) as of_links:
-        found, attacked, (curves, decided, at_raw_alarms), worlds = _of_scenes(out, manifest)
+        scenes = _of_scenes(out, manifest)
         linked, sums, table = of_links()
+    found, attacked = scenes.estimates, scenes.attacked
     flagged, looked = weak_attacks.flags(found, slow=weak_attacks.slow_attacks(manifest))
-    sweeps = Sweeps({**found, **at_raw_alarms, **linked}, known)
+    sweeps = Sweeps({**found, **scenes.own.at_raw_alarms, **linked}, known)
     best = strongest(sweeps.found, known)
     few = {key: one for key, one in sweeps.found.items() if key.metric in (EXPOSURE, SUCCESS, TPR)}
     with aside(partial(_of_people, out, manifest, Sweeps(few, known), best)) as of_people:
-        at_equal = matched(sweeps, predictors=predictors, dataset=dataset)
+        at_equal = [matched(sweeps, predictors=predictors, dataset=dataset)]
         crossed, halves = cross_fitted(attacked, known, best.get("", AS_SHARED), seed=seed)
         sums |= attacked
-        frontiers = frontier(sweeps, predictors=predictors, dataset=dataset, sums=sums, seed=seed)
-        tidy = summary.to_frame({**found, **linked}, worlds=worlds, known=known, dataset=dataset)
+        frontiers = [frontier(sweeps, predictors=predictors, dataset=dataset, sums=sums, seed=seed)]
+        for horizon_s, robots in scenes.later.items():
+            at_horizon = Sweeps(judged_at(sweeps.found, robots.every), known)
+            about: dict[str, Any] = {"dataset": dataset, "world": horizon_world(horizon_s)}
+            frontiers.append(
+                frontier(at_horizon, predictors=predictors, sums=sums, seed=seed, **about)
+            )
+            at_equal.append(
+                matched(at_horizon, predictors=predictors[:1], criteria=(FUTURE,), **about)
+            )
+        tidy = summary.to_frame(
+            {**found, **linked}, worlds=scenes.worlds, known=known, dataset=dataset
+        )
         far = weak_attacks.far_from_optimum(gaps(tidy))
         speeds = by_speed(out, manifest, sweeps.found, known=known, best=best)
         in_galleries, across = of_people()
     judged = Sweeps({**sweeps.found, **crossed}, known) if crossed else sweeps
-    said = verdict.verdict(judged, across, strongest=best, scored=halves, manifest=manifest)
+    later = {
+        horizon_s: Sweeps(judged_at(judged.found, robots.every), known)
+        for horizon_s, robots in scenes.later.items()
+    }
+    said = verdict.verdict(
+        judged, across, strongest=best, scored=halves, later=later, manifest=manifest
+    )
+    said["robots"] = horizons.beaten_by_standing_still(found, scenes.estimates_later)
+    every_match = pd.concat(at_equal, ignore_index=True)
     results = Results(
         out=out,
         manifest=manifest,
         summary=tidy,
         paper_table=paper.paper_table(sweeps, dataset=dataset),
-        claims=paper.claims(sweeps, at_equal, dataset=dataset, history=manifest["history"]),
-        matched=at_equal,
-        frontier=frontiers,
-        decisions=decided,
-        curves=curves,
+        claims=paper.claims(sweeps, every_match, dataset=dataset, history=manifest["history"]),
+        matched=every_match,
+        frontier=pd.concat(frontiers, ignore_index=True),
+        decisions=pd.concat([robots.decided for robots in scenes.judged], ignore_index=True),
+        curves=pd.concat([robots.curves for robots in scenes.judged], ignore_index=True),
         flags=pd.concat([flagged, far], ignore_index=True) if len(far) else flagged,
         linkability=table,
         galleries=in_galleries,
@@ -193,6 +214,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         verdict=said,
         failed=pd.DataFrame(manifest.get("failed", []), columns=list(FAILED_COLUMNS)),
         strongest={task: source.attack for task, source in best.items()},
+        conflict_times=horizons.conflict_times(out, manifest),
         gallery=read_gallery(out),
     )
     told = [one.sentence for one in answers(results)]
@@ -208,17 +230,70 @@ def _of_links(
     return summary.linkage_estimates(read), summary.linkage_sums(read), table
 
 
-def _of_scenes(out: Path, manifest: Mapping[str, Any]) -> tuple[Any, ...]:
-    """Return what the cells of scenes tell: estimates and sums, decisions; and other worlds."""
+@dataclass(frozen=True, eq=False, slots=True)
+class _Judged:
+    """Robots judged at a horizon: what each metric is, and how misses trade for false alarms."""
+
+    estimates: Mapping[Key, Estimate]
+    at_raw_alarms: Mapping[Key, Estimate]
+    curves: pd.DataFrame
+    decided: pd.DataFrame
+
+    @property
+    def every(self) -> dict[Key, Estimate]:
+        """All estimates, those at raw's false-alarm rate among them."""
+        return {**self.estimates, **self.at_raw_alarms}
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Scenes:
+    """What the cells of scenes tell."""
+
+    estimates: Mapping[Key, Estimate]
+    attacked: dict[Key, Summed]
+    worlds: Mapping[str, Mapping[Key, Estimate]]  # Others, further horizons among them.
+    own: _Judged  # At the run's own horizon.
+    later: Mapping[float, _Judged]  # At further ones, s, ascending.
+
+    @property
+    def estimates_later(self) -> dict[float, Mapping[Key, Estimate]]:
+        """The metrics at further horizons."""
+        return {horizon_s: robots.estimates for horizon_s, robots in self.later.items()}
+
+    @property
+    def judged(self) -> list[_Judged]:
+        """Robots at every horizon, the run's own first."""
+        return [self.own, *self.later.values()]
+
+
+def _of_scenes(out: Path, manifest: Mapping[str, Any]) -> _Scenes:
     found, scored, attacked = summary.estimates(out, manifest)
-    worlds = {}
+    dataset = manifest["dataset"]["name"]
+    own, later = _judged(scored, manifest, found, dataset=dataset), dict[float, _Judged]()
+    worlds: dict[str, Mapping[Key, Estimate]] = {}
+    for horizon_s in horizons_in(manifest["cells"]):
+        world = horizon_world(horizon_s)
+        worlds[world], scored, _ = summary.estimates(out, manifest, world=world)
+        name = f"{dataset}:{world}"
+        later[horizon_s] = _judged(scored, manifest, worlds[world], dataset=name)
     for world in WORLDS:
         card = linkability.cards(out, manifest, drawn=_DRAWN, world=world)
         of = summary.estimates(out, manifest, world=world)[0]
         of |= linked_gaps(summary.linkage_estimates(card))
         # Nothing is paired with them: their replicates are as large as a run's own.
         worlds[world] = {key: replace(one, replicates=np.zeros(0)) for key, one in of.items()}
-    return found, attacked, decisions(scored, manifest, found), worlds
+    return _Scenes(found, attacked, worlds, own, later)
+
+
+def _judged(
+    scored: Sequence[summary.Scored],
+    manifest: Mapping[str, Any],
+    estimates: Mapping[Key, Estimate],
+    *,
+    dataset: str,
+) -> _Judged:
+    curves, decided, at_raw_alarms = decisions(scored, manifest, estimates, dataset=dataset)
+    return _Judged(estimates, at_raw_alarms, curves, decided)
 
 
 def _of_people(

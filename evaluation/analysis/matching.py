@@ -1,10 +1,11 @@
 """FID, or another mechanism, against fixed noise at equal cost or equal PLR: `matched.csv`.
 
 Operating points are matched at an equal rise of the missed-conflict rate over raw, at an equal rise
-of it while false alarms are held at raw's rate, or at an equal PLR as shared.
+of it while false alarms are held at raw's rate, at the same of conflicts that are still to come, or
+at an equal PLR as shared.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Final, TypeAlias
 
@@ -16,18 +17,22 @@ from evaluation.analysis.keys import AS_SHARED, Found, Measure
 from evaluation.analysis.linkability import dataset_of
 from evaluation.analysis.metrics import (
     ACHIEVED,
+    COSTS,
     DESCRIPTORS,
     EQUAL_ALARMS,
     ERROR,
     EXPOSURE,
+    FUTURE_EQUAL_ALARMS,
     MISSED_RATE,
 )
 from evaluation.experiment.presets import SHARED
 from isac_track.intervals import Estimate, percentile_intervals
 from isac_track.types import Bools, Floats, Ints
 
-MISSED, AT_EQUAL_ALARMS, PLR = "missed", EQUAL_ALARMS, "plr"  # Criteria of matching.
-CRITERIA: Final = {MISSED: MISSED_RATE, AT_EQUAL_ALARMS: EQUAL_ALARMS}  # What noise may cost.
+MISSED, AT_EQUAL_ALARMS, FUTURE, PLR = "missed", EQUAL_ALARMS, "missed_future", "plr"
+"""Criteria of matching."""
+CRITERIA: Final = {MISSED: MISSED_RATE, AT_EQUAL_ALARMS: EQUAL_ALARMS, FUTURE: FUTURE_EQUAL_ALARMS}
+"""What noise may cost: false alarms are held at raw's rate but in the first, the paper's."""
 N_POINTS, N_ATTACK_POINTS = 20, 10  # Of a curve as shared, and of one after an attack.
 MIN_DEFINED = 0.975  # Share of replicates that must reach a point for it to have an interval.
 FEWEST_LEVELS: Final = 2  # Of a curve, beside raw.
@@ -105,7 +110,7 @@ class Sweeps:
             if len(keys) > FEWEST_LEVELS and all(key in self.found for key in keys):
                 found[name] = np.stack([self.found[key].drawn for key in keys], axis=1)
         # What noise costs falls towards raw, what it hides rises.
-        rises = by[RAW].metric not in (MISSED_RATE, EQUAL_ALARMS, ERROR)
+        rises = by[RAW].metric not in (*COSTS, ERROR)
         curves = joined([*found.values()], increasing=rises) if found else []
         return dict(zip(found, curves, strict=True))
 
@@ -122,7 +127,14 @@ class Sweeps:
         return min((self.found[key].n for key in keys if key in self.found), default=0)
 
 
-def matched(sweeps: Sweeps, *, predictors: Sequence[str], dataset: str) -> pd.DataFrame:
+def matched(
+    sweeps: Sweeps,
+    *,
+    predictors: Sequence[str],
+    dataset: str,
+    world: str = "",
+    criteria: Collection[str] = (*CRITERIA, PLR),
+) -> pd.DataFrame:
     """Return every mechanism with levels against fixed noise: every criterion, rule and measure.
 
     Both curves end in one raw; what is matched and what is compared are made monotone over the
@@ -132,7 +144,8 @@ def matched(sweeps: Sweeps, *, predictors: Sequence[str], dataset: str) -> pd.Da
 
     Descriptors as shared are compared for every predictor; the same after each attack, and what
     each linker achieves, for the first one. A mechanism is compared under its own adding rule, one
-    that declares none under both; FID comes first. `sweeps` are of every metric of the run.
+    that declares none under both; FID comes first. `sweeps` are of every metric of the run; `world`
+    is the further horizon, if it is one, at which their robots are judged.
 
     The columns are `COLUMNS`. `at` is the rise of the missed rate over raw, or the PLR as shared;
     `missed_conflict_rate` is that of raw plus the rise. `defined` is the share of replicates that
@@ -145,16 +158,17 @@ def matched(sweeps: Sweeps, *, predictors: Sequence[str], dataset: str) -> pd.Da
     measures = shared + [
         one for one in attacked if one.metric in (ACHIEVED if one.source.task else DESCRIPTORS)
     ]
-    criteria = [
+    matched_by = [
         (criterion, Measure(predictor, metric), predictor, shared if place else measures)
         for place, predictor in enumerate(predictors)
         for criterion, metric in CRITERIA.items()
+        if criterion in criteria
     ]
-    if _SHOWN in shared:
-        criteria.append((PLR, _SHOWN, "", [one for one in measures if one != _SHOWN]))
+    if _SHOWN in shared and PLR in criteria:
+        matched_by.append((PLR, _SHOWN, "", [one for one in measures if one != _SHOWN]))
     parts = [
         {
-            "dataset": dataset_of(measure.consumer, dataset=dataset),
+            "dataset": dataset_of(measure.consumer, dataset=dataset, world=world),
             "criterion": criterion,
             "adding": adding,
             "predictor": predictor,
@@ -168,8 +182,8 @@ def matched(sweeps: Sweeps, *, predictors: Sequence[str], dataset: str) -> pd.Da
         for fixed in [sweeps.named(FIXED, adding=adding)]
         for mechanism in sweeps.swept(adding)
         if mechanism != fixed
-        for curves in [sweeps.curves(mechanism, fixed, {*measures, *(of[1] for of in criteria)})]
-        for criterion, by, predictor, wanted in criteria
+        for curves in [sweeps.curves(mechanism, fixed, {*measures, *(of[1] for of in matched_by)})]
+        for criterion, by, predictor, wanted in matched_by
         for measure, points in _compared(curves, by, wanted)
     ]
     table = pd.DataFrame(parts, columns=COLUMNS)

@@ -30,10 +30,12 @@ def sharing_rows(
     *,
     mechanism: Plugin,
     stages: StageSettings,
+    is_logged: bool = True,
 ) -> Rows:
     """Return the rows of the descriptors as shared, a track each, or of a predictor, a scene each.
 
     `scenes` are those of the release, without the samples that it left out; `mechanism` shared it.
+    `is_logged`: a robot's own estimates of the past are held against the truth, too.
     Raises PluginError if a predictor raises or breaks its contract, which names it, and
     SettingsError if conflicts are decided by a probability and a predictor has none.
     """
@@ -71,11 +73,17 @@ def sharing_rows(
         "track": scenes.track[:: scenes.n_agents],
         "exhausted": scenes.exhausted,
         "conflict": scenes.conflict,
+        "inside_now": scenes.inside_now,
+        "time_to_conflict_s": scenes.time_to_conflict_s,
         "predicted": predicted,
         "separation_m": scenes.separation,
         "predicted_separation_m": separation_m,
         "probability": probability,
-        "plr_robot": _own_plr(who, robot_knows, granted, scenes, stages=stages),
+        "plr_robot": (
+            _own_plr(who, robot_knows, granted, scenes, stages=stages)
+            if is_logged
+            else np.full(len(scenes), np.nan)
+        ),
     }
 
 

@@ -47,6 +47,7 @@ FRAMES: Final = {  # By the names of `Results`.
     "frontier": "frontier.csv",
     "decisions": "decisions.csv",
     "curves": "curves.csv",
+    "conflict_times": "conflict_times.csv",
     "linkability": "linkability.csv",
     "galleries": "gallery.csv",
     "speeds": "by_speed.csv",
