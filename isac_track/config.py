@@ -85,6 +85,9 @@ class SceneSettings(_Stage):
 class SensingSettings(_Stage):
     """Link budget of the base station, and the step from the Cramer-Rao bound to an error."""
 
+    place: Literal["centred", "file"] = "centred"
+    """reading: where a recording stands; `centred`: the median of its people where the robots
+    start (`isac_track.place`); `file`: as its own coordinates say"""
     bs_x_m: float = _number(5.0, -1e6, 1e6)  # paper: base station
     bs_y_m: float = _number(30.0, -1e6, 1e6)  # paper: base station
     carrier_ghz: float = _number(3.5, 1e-3, 1e4)  # paper

@@ -20,6 +20,7 @@ from isac_track.config import StageSettings
 from isac_track.datasets import load, summarise
 from isac_track.datasets.repair import walking_groups
 from isac_track.errors import DataError, SettingsError
+from isac_track.place import placed_together
 from isac_track.resample import sampling_times, walk
 from isac_track.rng import stream
 from isac_track.types import Bools, Floats, Ints, Tracks, end_to_end, runs_of
@@ -27,7 +28,7 @@ from isac_track.types import Bools, Floats, Ints, Tracks, end_to_end, runs_of
 LEAST_PEOPLE = 24  # Fewer cannot be split into who teaches, calibrates and is attacked, twice.
 MOST_SIMULATED = 300  # People of the two-session crowd: more can be simulated, and show no more.
 LEAST_COME_BACK = 8  # In a task that learns leaving one person out.
-CLOCK_S = 1e-9  # Room for the rounding of a frame clock: 12 s at 25 Hz is 300 frames.
+CLOCK_S = 1e-6  # Room for the rounding of a clock: of frames at 25 Hz, of seconds since 1970.
 _Starts: TypeAlias = Callable[[Floats, Floats, Generator], Floats]
 """Draws where both windows of a person begin, from the first samples of the tracks that they are
 cut from and by how much these are longer than needed, (2,) s each."""
@@ -282,8 +283,9 @@ def handover(draft: Draft) -> Sessions:
     at_s = first_s + every_s * np.arange(1.0, min(count, settings.handover_instants) + 1)
     # Which tracks are there until then, and after the gap, (S, N).
     ends_s, begins_s = at_s[:, None], at_s[:, None] + gap_s
-    before = (draft.start_s <= ends_s - least_s) & (draft.end_s >= ends_s)
-    after = (draft.start_s <= begins_s) & (draft.end_s >= begins_s + least_s)
+    began_s, left_s = draft.start_s - CLOCK_S, draft.end_s + CLOCK_S
+    before = (began_s <= ends_s - least_s) & (left_s >= ends_s)
+    after = (began_s <= begins_s) & (left_s >= begins_s + least_s)
     # Where nobody is to be linked there is nothing to search.
     used = np.flatnonzero((before & after).any(axis=1))
     n_everybody = int((before | after)[used].any(axis=0).sum())
@@ -296,7 +298,8 @@ def handover(draft: Draft) -> Sessions:
             f"task {draft.task.name}: pseudonyms rotate {used.size} times with somebody to link, "
             "but it takes 2; use a longer recording or a shorter linkage.handover_period_s"
         )
-    labels = [f"{at:g} s" for at in at_s[used]]
+    # Since the recording began: whatever its clock says, the same instant has the same draws.
+    labels = [f"{after:g} s" for after in at_s[used] - first_s]
 
     def windows(side: str, present: Bools, since_s: float, until_s: float) -> Windows:
         """Return those of one side of every rotation, those of each in an order of its own."""
@@ -335,7 +338,8 @@ def handover(draft: Draft) -> Sessions:
 
 def _instants(draft: Draft, at_s: Floats, gap_s: float) -> Ints:
     """Return which instants are used: all, or some with `linkage.most_people` people, drawn."""
-    there = (draft.start_s <= at_s[:, None] + gap_s) & (draft.end_s >= at_s[:, None])
+    began_s, left_s = draft.start_s - CLOCK_S, draft.end_s + CLOCK_S
+    there = (began_s <= at_s[:, None] + gap_s) & (left_s >= at_s[:, None])
     drawn = draft.rng("instants").permutation(at_s.size)
     n_people = np.logical_or.accumulate(there[drawn], axis=0).sum(axis=1)
     few = int((n_people <= draft.settings.linkage.most_people).sum())
@@ -359,7 +363,8 @@ def sessions_of(
     """
     make = _MAKERS[task_named(task.name).family]
     if task.simulated and later is None:
-        tracks, later = _crowd(stages.linkage.trait_strength)
+        crowd = _crowd(stages.linkage.trait_strength)
+        tracks, later = placed_together(crowd, settings=stages)
     found = make(Draft(task=task, tracks=tracks, later=later or tracks, settings=stages, seed=seed))
     if task.comes_back:
         return found

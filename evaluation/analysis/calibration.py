@@ -25,6 +25,7 @@ from evaluation.experiment.constants import BLOCK_SCENES
 from isac_track import plugins, privacy, sensing, sharing
 from isac_track.config import PrivacySettings, SensingSettings, StageSettings
 from isac_track.errors import DataError
+from isac_track.place import placed
 from isac_track.scenes import Cut, cut, make_scenes, track_order
 from isac_track.types import Floats, Ints, Tracks
 
@@ -67,7 +68,7 @@ def calibrate(
     DataError if no constants in the searched ranges do.
     """
     stages = StageSettings().changed(changes)
-    tracks = cut(recorded, settings=stages, seed=seed)
+    tracks = cut(placed(recorded, settings=stages), settings=stages, seed=seed)
     published = {tuple(where): value for *where, value in PUBLISHED}
     blocks = links(tracks, stages=stages, n_scenes=n_scenes, seed=seed)
     found = fit(blocks, stages=stages, targets=[published[one] for one in paper.FITTED])
