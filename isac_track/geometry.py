@@ -5,7 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from isac_track.config import SensingSettings
-from isac_track.sensing import draw_channel, information, link_gain, sigma_from_information
+from isac_track.sensing import (
+    draw_walk_channel,
+    information,
+    link_gain,
+    recorded_walk,
+    sigma_from_information,
+    walked_within,
+)
 from isac_track.types import Bools, Floats, Ints, Tracks
 
 _LEAST_M = 1e-3  # From the station: who stands on it is refused when sensed.
@@ -25,13 +32,20 @@ class Geometry:
 def geometry(tracks: Tracks, *, settings: SensingSettings, seed: int) -> Geometry:
     """Return the geometry of all tracks of a recording where they are sensed (`place.placed`).
 
-    The sensing errors are those of the model, drawn once for every track.
+    The standard deviations are those of the model, along every recorded walk as it was walked.
     """
     station_m = np.array([settings.bs_x_m, settings.bs_y_m])
     distance_m = np.maximum(np.hypot(*(tracks.xy - station_m).T), _LEAST_M)
     sizes = np.diff(tracks.offsets)
-    keys = [("recorded", source) for source in tracks.source]
-    channel = draw_channel(n_samples=sizes[:, None], keys=keys, settings=settings, seed=seed)
+    walks = [recorded_walk(source) for source in tracks.source]
+    channel = draw_walk_channel(
+        walked_m=walked_within(tracks.xy, tracks.offsets),
+        offsets=tracks.offsets,
+        walks=walks,
+        keys=walks,
+        settings=settings,
+        seed=seed,
+    )
     owner = np.repeat(np.arange(sizes.size), sizes)
     gain = link_gain(distance_m=distance_m, owner=owner, channel=channel, settings=settings)
     info = information(gain=gain, settings=settings)

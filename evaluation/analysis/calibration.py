@@ -40,7 +40,7 @@ class Link(NamedTuple):
     """A block of scenes, reduced to what the constants act on."""
 
     gain: Floats  # (M,) two-way gain without the large-scale part
-    large_scale: Floats  # (M,) the track's standard normal, per sample
+    large_scale: Floats  # (M,) that part in standard deviations
     unit_norm: Floats  # (M,) norm of the standardised raw error
     t: Floats
     offsets: Ints
@@ -89,7 +89,11 @@ def links(tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int) -> tu
         per_track = n_samples.reshape(len(scenes), -1)
         keys = [("scene", int(index)) for index in scenes.index]
         channel = sensing.draw_channel(
-            n_samples=per_track, keys=keys, settings=stages.sensing, seed=seed
+            walked_m=sensing.walked_within(scenes.xy, scenes.offsets),
+            n_samples=per_track,
+            keys=keys,
+            settings=stages.sensing,
+            seed=seed,
         )
         owner = np.repeat(np.arange(scenes.track.size), n_samples)
         gain = sensing.link_gain(
@@ -99,7 +103,7 @@ def links(tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int) -> tu
             settings=without_spread,
         )
         unit_norm = np.hypot(*channel.unit_error.T)
-        found.append(Link(gain, channel.large_scale[owner], unit_norm, scenes.t, scenes.offsets))
+        found.append(Link(gain, channel.large_scale, unit_norm, scenes.t, scenes.offsets))
     return tuple(found)
 
 
