@@ -108,12 +108,12 @@ class SensingSettings(_Stage):
     beam_fluctuation_db: float = _number(2.0, 0, 50)  # paper: N(0, 2) dB a sample (reading: std)
     rcs_m2: float = _number(1.0, 1e-6, 1e6)  # reading: radar cross-section of a pedestrian
     resource_share: float = _number(1.0, 1e-6, 1e6)  # reading: m_s of eq. swarm_fi
-    large_scale_db: float = _number(11.72, 0, 100)  # fitted: two-way log-normal spread
+    large_scale_db: float = _number(11.88, 0, 100)  # fitted: two-way log-normal spread
     decorrelation_m: float = _number(10.0, 0.1, 1e6, or_inf=True)
     """reading: over so much of a walk the large-scale gain's correlation falls to 1/e (Gudmundson,
     Electron. Lett. 27, 1991); inf: it is constant along a walk"""
-    processing_gain_db: float = _number(32.45, -200, 200)  # fitted: the receiver's integration gain
-    crb_gap_db: float = _number(13.3, -200, 200)  # fitted: sigma_raw over sqrt(CRB), in 20 log10
+    processing_gain_db: float = _number(32.39, -200, 200)  # fitted: the receiver's integration gain
+    crb_gap_db: float = _number(13.27, -200, 200)  # fitted: sigma_raw over sqrt(CRB), in 20 log10
     sigma_cap_m: float = _number(2.0, 1e-6, 1e6)  # reading, fixed before the fit: caps sigma_raw
     law: Literal["radial", "isotropic", "fixed_direction"] = "radial"
     """reading: law of the raw error; a mechanism takes the same unless told otherwise"""
