@@ -10,6 +10,7 @@ from evaluation.reporting.announcements import (
     changed_settings,
     command,
     data_notices,
+    geometry,
     scenes_text,
     used_are_slower,
 )
@@ -51,5 +52,6 @@ def render(run: Results, *, figures: Sequence[Figure] = ()) -> str:
         data_notices=data_notices(run.manifest["dataset"]),
         slower=used_are_slower(run.manifest),
         changed=changed_settings(run.manifest),
+        geometry=geometry(run.manifest),
     )
     return re.sub(r">\n+<", "><", text)  # a line's end between two elements would be a node
