@@ -336,6 +336,7 @@ def test_what_spoils_its_process_spoils_no_run(tmp_path, arguments, capsys, monk
     monkeypatch.chdir(tmp_path)
     limit = sys.getrecursionlimit()
     odd = named(predictor=["Spoils:what=wanders", "Spoils:what=recurses", "Spoils"])
+    odd += ["--set", "conflict.horizons_s=none"]
     assert matrix.main(arguments("--out", "run", "--mechanism", "raw", *odd, *ALONE)) == 3
     failed = pd.read_csv(tmp_path / "run" / "failed.csv").set_index("consumer")["why"]
     assert "its worker died" in failed["odd:Spoils"]
@@ -407,7 +408,7 @@ def test_it_is_in_nobodys_way(tmp_path, arguments):
 @pytest.mark.usefixtures("one_process")
 def test_what_is_finished_is_not_tried_again(tmp_path, arguments):
     words = arguments("--out", tmp_path / "run", "--mechanism", "raw", *ALONE)
-    words += named(predictor=["Counts"])
+    words += [*named(predictor=["Counts"]), "--set", "conflict.horizons_s=none"]
     assert matrix.main(words) == 0
     calls = (tmp_path / "calls").read_text()
     assert calls.split() == ["12", "32"]
