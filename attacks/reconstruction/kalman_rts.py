@@ -52,9 +52,8 @@ class RadialRTS:
     """Constant velocity; samples that lie close to the walk count for more, again and again.
 
     That is right for errors of the radial law alone, and which law holds nobody tells: the release
-    shows it (`looks_radial`). If it is another, one pass is left, in which every track has a motion
-    of its own (`smooth_own_motion`): `KalmanRTS` but for that. Behind radial errors that gains
-    nothing, and one motion serves all.
+    shows it (`looks_radial`). If it is another, one pass is left. Every track has a motion of its
+    own (`smooth_own_motion`); with one for all, a single pass is `KalmanRTS`.
     """
 
     q: float | None = None  # As of `KalmanRTS`; if given, no track has a motion of its own.
@@ -63,7 +62,7 @@ class RadialRTS:
     one `USUAL_PASSES` if the errors look radial, else 1. Twice as many gain 1.3 to 2.3 points of
     PLR where much error is added linearly, and lose about as much where it is independent."""
     anneal: float = 0.15
-    own_motion: bool = True  # Whether a single pass reckons with each track's own motion.
+    own_motion: bool = True  # Else q is learnt from the training set, or `DEFAULT_Q`.
 
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
     uses: ClassVar[frozenset[Knowledge]] = TOLD
@@ -89,7 +88,7 @@ class RadialRTS:
         densities = tried(self.q, around(q, factor=4.0))
 
         def motions(best: _Choice) -> list[_Choice]:
-            if best.passes == 1 and self.own_motion and self.q is None:
+            if self.own_motion and self.q is None:
                 return [best._replace(q=None)]
             return [best._replace(q=density) for density in densities]
 

@@ -2,14 +2,15 @@
 
 A smoother of one motion takes who stands for as restless as who turns. Here every track is smoothed
 under several motions, and the results are mixed by how probable each is: its likelihood, times how
-common it is among the tracks of the release (empirical Bayes). Slow velocities that forget soon are
-of people who stand; fast ones that last are of people who walk on. Nothing of that is told by
-anybody. As a kernel over time the mixture is one of integrated Ornstein-Uhlenbeck processes.
+common it is among people. Slow velocities that forget soon are of people who stand; fast ones that
+last are of people who walk on. As a kernel over time the mixture is one of integrated
+Ornstein-Uhlenbeck processes.
 
 References
 ----------
-Empirical Bayes with finitely many components: Efron, *Large-Scale Inference*, 2010, ch. 1 and 5;
-EM for their shares: Dempster, Laird, Rubin, J. R. Statist. Soc. B 39(1), 1977, 1-38.
+Multiple-model adaptive estimation: Magill, IEEE Trans. Automatic Control 10(4), 1965, 434-439;
+Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to Tracking and Navigation*, 2001,
+section 11.6.2 (static multiple models).
 """
 
 import numpy as np
@@ -25,9 +26,11 @@ MOTIONS = Motions.with_speeds(
 """Speed, m/s per axis, and time, s: standing, shuffling, strolling, and walking, ever straighter.
 
 Twice as many gain at most another half point of PLR. A motion that is both fast and smoother than
-the last one is left out: where a walk sways, the likelihood takes the errors for the sway.
+the last one is left out: where a walk sways, the likelihood takes its errors for the sway.
 """
-_TURNS = 60  # Of the EM: the shares then stand to a percent.
+SHARES = (0.1, 0.1, 0.15, 0.05, 0.15, 0.45)
+"""How common each is: rounded means of Students03 and the bundled crowd. Shares found in the
+release itself (EM) gain less than 0.2 points, and a track would depend on the others."""
 _LEAST_WEIGHT = 0.02  # Of a motion for a track: below, it is not smoothed.
 
 
@@ -44,14 +47,5 @@ def smooth_own_motion(
 
 
 def probabilities(log_likelihood: Floats) -> Floats:
-    """Return how probable each motion is for each track, (N, K), by its log likelihood, (N, K).
-
-    The prior is the share of each motion among all tracks, found by EM; an even share counts for
-    one more track, so that few tracks decide nothing for sure.
-    """
-    n_tracks, n_motions = log_likelihood.shape
-    share = np.full(n_motions, 1.0 / n_motions)
-    for _ in range(_TURNS):
-        posterior = softmax(log_likelihood + np.log(share), axis=1)
-        share = (posterior.sum(axis=0) + 1.0 / n_motions) / (n_tracks + 1.0)
-    return np.asarray(softmax(log_likelihood + np.log(share), axis=1))
+    """Return how probable each motion is for each track, (N, K), by its log likelihood, (N, K)."""
+    return np.asarray(softmax(log_likelihood + np.log(SHARES), axis=1))
