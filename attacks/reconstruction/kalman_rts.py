@@ -7,14 +7,13 @@ import numpy as np
 
 from attacks.parameters import positive, tried
 from attacks.reconstruction.learning import TOLD, around, smoothed, smoother
-from attacks.reconstruction.own_motion import smooth_own_motion
+from attacks.reconstruction.own_motion import PRIOR_STD, smooth_own_motion, white_probabilities
 from attacks.remembered import noise_m2, remembered
 from isac_track.kalman import Batch, Moods, imm_smoother, smooth_positions
 from isac_track.kalman.slow_errors import SlowError
 from isac_track.protocols import AttackContext, Reconstructor
 from isac_track.types import Floats, Knowledge, Reconstruction, Release
 
-PRIOR_STD = (100.0, 10.0)  # m around the first sample and m/s around rest: far more than any walk.
 _RADIAL_BELOW = -1 / 3
 """Third cumulant of log distances to a smoothed walk; Gaussian errors have -zeta(3) / 4 = -0.30,
 radial ones -2.10 about the walk itself, -0.40 to -0.59 about what a smoother makes of it."""
@@ -144,7 +143,8 @@ def _smooth(release: Release, variance: Floats, choice: _Choice) -> Reconstructi
     q, passes, anneal = choice
     if q is None:
         nothing = SlowError(0.0, 0.0)
-        position, spread = smooth_own_motion(batch, nothing, passes=passes, anneal=anneal)
+        weight = white_probabilities(release)
+        position, spread = smooth_own_motion(batch, nothing, weight, passes=passes, anneal=anneal)
     else:
         position, spread = smooth_positions(batch, q=q, passes=passes, anneal=anneal)
     return Reconstruction(position, np.sqrt(spread))

@@ -15,9 +15,9 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from attacks.parameters import positive, tried
-from attacks.reconstruction.kalman_rts import PRIOR_STD, RadialRTS, looks_radial
+from attacks.reconstruction.kalman_rts import RadialRTS, looks_radial
 from attacks.reconstruction.learning import RADIAL_PER_AXIS, TOLD, around, choose
-from attacks.reconstruction.own_motion import smooth_own_motion
+from attacks.reconstruction.own_motion import PRIOR_STD, probabilities, smooth_own_motion
 from attacks.remembered import noise_m2, remembered
 from isac_track.kalman import Batch
 from isac_track.kalman.slow_errors import SlowError, added_error, filter_tracks, smooth_tracks
@@ -194,7 +194,8 @@ def smooth(release: Release, choice: _Choice, anchor: Release | None = None) -> 
     batch, error = Batch(t, xy, rest, offsets, PRIOR_STD), SlowError(std_m, choice.tau_s)
     passes, anneal = choice.passes, RadialRTS().anneal
     if choice.q is None:
-        position, spread = smooth_own_motion(batch, error, passes=passes, anneal=anneal)
+        weight = probabilities(batch, error)
+        position, spread = smooth_own_motion(batch, error, weight, passes=passes, anneal=anneal)
     else:
         position, spread = smooth_tracks(batch, error, q=choice.q, passes=passes, anneal=anneal)
     at = known + np.arange(known.size)

@@ -16,10 +16,12 @@ section 11.6.2 (static multiple models).
 import numpy as np
 from scipy.special import softmax
 
+from attacks.remembered import by_track, noise_m2
 from isac_track.kalman import Batch
 from isac_track.kalman.slow_errors import Motions, SlowError, motion_log_likelihoods, smooth_mixture
-from isac_track.types import Floats
+from isac_track.types import Floats, Release
 
+PRIOR_STD = (100.0, 10.0)  # m around the first sample and m/s around rest: far more than any walk.
 MOTIONS = Motions.with_speeds(
     *((0.05, 1.0), (0.2, 2.0), (0.2, 12.0), (1.0, 4.0), (1.0, 16.0), (1.0, 64.0))
 )
@@ -35,17 +37,29 @@ _LEAST_WEIGHT = 0.02  # Of a motion for a track: below, it is not smoothed.
 
 
 def smooth_own_motion(
-    batch: Batch, error: SlowError, *, passes: int, anneal: float
+    batch: Batch, error: SlowError, weight: Floats, *, passes: int, anneal: float
 ) -> tuple[Floats, Floats]:
     """Return smoothed positions, (M, 2) m, and their variance per axis, (M,) m^2.
 
-    Parameters are those of `isac_track.kalman.slow_errors.smooth_tracks`.
+    `weight`, (N, K), says how probable each of `MOTIONS` is for each track; other parameters are
+    those of `isac_track.kalman.slow_errors.smooth_tracks`.
     """
-    weight = probabilities(motion_log_likelihoods(batch, error, MOTIONS))
-    weight[weight < _LEAST_WEIGHT] = 0.0
-    return smooth_mixture(batch, error, MOTIONS, weight, passes=passes, anneal=anneal)
+    some = np.where(weight < _LEAST_WEIGHT, 0.0, weight)
+    return smooth_mixture(batch, error, MOTIONS, some, passes=passes, anneal=anneal)
 
 
-def probabilities(log_likelihood: Floats) -> Floats:
-    """Return how probable each motion is for each track, (N, K), by its log likelihood, (N, K)."""
+@by_track()
+def white_probabilities(release: Release) -> Floats:
+    """Return how probable each motion is for each track, (N, K), behind white errors.
+
+    Their level is what innovations show: what else an adversary knows of them hardly matters here.
+    """
+    variance = np.repeat(noise_m2(release), np.diff(release.offsets))
+    batch = Batch(release.t, release.xy, variance, release.offsets, PRIOR_STD)
+    return probabilities(batch, SlowError(0.0, 0.0))
+
+
+def probabilities(batch: Batch, error: SlowError) -> Floats:
+    """Return how probable each motion is for each track, (N, K), by likelihood and `SHARES`."""
+    log_likelihood = motion_log_likelihoods(batch, error, MOTIONS)
     return np.asarray(softmax(log_likelihood + np.log(SHARES), axis=1))

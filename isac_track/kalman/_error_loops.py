@@ -342,3 +342,142 @@ def smooth_tracks(
             _backward(own, rows)
         _mixed(rows, weight[run], so_far[i], position[first:end], spread[first:end])
         so_far[i] += weight[run]
+
+
+LANES = 8
+"""Runs side by side, as in `_linear_loops`: there it says why, and what lies beyond a run's end."""
+_FAR = 2.0**600
+_NOTHING = 2.0**200
+
+# Where the fields of a row begin: sample, sigma^2, state and covariance, what the backward run
+# reads, and of the `_Step` what an error has no part in.
+_X, _Y, _SQUARE, _PX, _VX, _PY, _VY, _A, _B, _C, *_OTHER = range(0, 20 * LANES, LANES)
+_GP, _GV, _EX, _EY, _INVERSE, _MOVE, _LEFT, _QPP, _QPV, _QVV = _OTHER
+_LANE_ROW = 20 * LANES
+
+
+@part_of_loop
+def _lanes_forward(buffer: Floats, n: int, blur: float) -> None:
+    """Filter as `_forward` without an error; row 0 is the prior, a sample is weighed on the way."""
+    for k in range(n):
+        rows = buffer[k * _LANE_ROW : (k + 2) * _LANE_ROW]
+        for lane in range(LANES):
+            at = lane + _LANE_ROW
+            move, left = rows[at + _MOVE], rows[at + _LEFT]
+            vx, vy = rows[lane + _VX], rows[lane + _VY]
+            px, py = rows[lane + _PX] + move * vx, rows[lane + _PY] + move * vy
+            vx, vy = left * vx, left * vy
+            a, b, c = rows[lane + _A], rows[lane + _B], rows[lane + _C]
+            a += move * (2 * b + move * c) + rows[at + _QPP]
+            b = left * (b + move * c) + rows[at + _QPV]
+            c = left * left * c + rows[at + _QVV]
+            x, y, square = rows[at + _X], rows[at + _Y], rows[at + _SQUARE]
+            rx, ry = x - rows[at + _PX], y - rows[at + _PY]
+            far = _FAR if square == _NOTHING else 0.0
+            near = rx * rx + ry * ry + 2 * rows[at + _A] + blur * square + far
+            r = near * (square / (near + square))
+            inverse = 1 / (a + r)
+            ex, ey = x - px, y - py
+            gain_p, gain_v = a * inverse, b * inverse
+            rows[at + _PX], rows[at + _VX] = px + gain_p * ex, vx + gain_v * ex
+            rows[at + _PY], rows[at + _VY] = py + gain_p * ey, vy + gain_v * ey
+            rows[at + _A], rows[at + _B] = gain_p * r, gain_v * r
+            rows[at + _C] = (c * r + (a * c - b * b)) * inverse
+            rows[at + _GP], rows[at + _GV], rows[at + _INVERSE] = gain_p, gain_v, inverse
+            rows[at + _EX], rows[at + _EY] = ex * inverse, ey * inverse
+
+
+@part_of_loop
+def _lanes_backward(buffer: Floats, n: int, adjoint: Floats) -> None:
+    """Smooth as `_backward` without an error: positions and their variances only."""
+    adjoint[:] = 0.0
+    for step in range(n):
+        rows = buffer[(n - step) * _LANE_ROW : (n - step + 1) * _LANE_ROW]
+        for lane in range(LANES):
+            lxp, lxv = adjoint[lane], adjoint[lane + LANES]
+            lyp, lyv = adjoint[lane + 2 * LANES], adjoint[lane + 3 * LANES]
+            mpp, mpv = adjoint[lane + 4 * LANES], adjoint[lane + 5 * LANES]
+            mvv = adjoint[lane + 6 * LANES]
+            pp, pv = rows[lane + _A], rows[lane + _B]
+            rows[lane + _PX] -= pp * lxp + pv * lxv
+            rows[lane + _PY] -= pp * lyp + pv * lyv
+            rows[lane + _A] = pp - (pp * (pp * mpp + 2 * (pv * mpv)) + pv * pv * mvv)
+
+            gp, gv, inverse = rows[lane + _GP], rows[lane + _GV], rows[lane + _INVERSE]
+            bp, bv = mpp * gp + mpv * gv, mpv * gp + mvv * gv
+            lxp -= gp * lxp + gv * lxv + rows[lane + _EX]
+            lyp -= gp * lyp + gv * lyv + rows[lane + _EY]
+            mpp += gp * bp + gv * bv + inverse - 2 * bp
+            mpv -= bv
+
+            move, left = rows[lane + _MOVE], rows[lane + _LEFT]
+            adjoint[lane], adjoint[lane + LANES] = lxp, left * lxv + move * lxp
+            adjoint[lane + 2 * LANES] = lyp
+            adjoint[lane + 3 * LANES] = left * lyv + move * lyp
+            adjoint[lane + 4 * LANES] = mpp
+            adjoint[lane + 5 * LANES] = left * mpv + move * mpp
+            adjoint[lane + 6 * LANES] = left * left * mvv + move * (2 * left * mpv + move * mpp)
+
+
+@part_of_loop
+def _filled(batch: _Batch, track: Ints, motion: Floats, group: int, buffer: Floats) -> None:
+    """Fill the rows of a group of runs; the shortest fills empty lanes."""
+    t, xy, variance, offsets, prior, _ = batch
+    n = offsets[track[group + LANES - 1] + 1] - offsets[track[group + LANES - 1]]
+    for lane in range(LANES):
+        run = max(group + lane, 0)
+        first, end = offsets[track[run]], offsets[track[run] + 1]
+        start_m2, memory_s, q = motion[run]
+        buffer[lane + _PX], buffer[lane + _PY] = xy[first, 0], xy[first, 1]
+        buffer[lane + _VX] = buffer[lane + _VY] = buffer[lane + _B] = 0.0
+        buffer[lane + _A], buffer[lane + _C] = prior[0], start_m2
+        for k in range(n):
+            own = min(first + k, end - 1)
+            dt = t[own] - t[own - 1] if 0 < k < end - first else 0.0
+            move, left, _, qpp, qpv, qvv = _stepped(dt, 0.0, memory_s, q)
+            row = buffer[(k + 1) * _LANE_ROW : (k + 2) * _LANE_ROW]
+            row[lane + _X], row[lane + _Y] = xy[own, 0], xy[own, 1]
+            row[lane + _PX], row[lane + _PY], row[lane + _A] = xy[own, 0], xy[own, 1], 0.0
+            row[lane + _SQUARE] = 2.0 * variance[own] if k < end - first else _NOTHING
+            row[lane + _MOVE], row[lane + _LEFT] = move, left
+            row[lane + _QPP], row[lane + _QPV], row[lane + _QVV] = qpp, qpv, qvv
+
+
+@compiled(
+    *(_BATCH, together(read(1, "int64"), read(2), read(1)), INT, FLOAT),
+    together(written(2), written(1), written(1)),
+)
+def smooth_lanes(
+    batch: _Batch,
+    runs: tuple[Ints, Floats, Floats],
+    passes: int,
+    anneal: float,
+    out: tuple[Floats, Floats, Floats],
+) -> None:
+    """Smooth as `smooth_tracks` where there is no slow error; the longest runs come last."""
+    (track, motion, weight), offsets = runs, batch[3]
+    position, spread, so_far = out
+    longest = offsets[track[-1] + 1] - offsets[track[-1]] if track.size > 0 else 0
+    buffer, adjoint = np.zeros((longest + 1) * _LANE_ROW), np.empty(7 * LANES)
+    for group in range(-(-track.size % LANES), track.size, LANES):  # the first may be incomplete
+        _filled(batch, track, motion, group, buffer)
+        last = track[group + LANES - 1]
+        n, blur = offsets[last + 1] - offsets[last], 1.0
+        for turn in range(passes):
+            _lanes_forward(buffer, n, blur)
+            _lanes_backward(buffer, n, adjoint)
+            if turn > 0:
+                blur *= anneal
+        for lane in range(max(-group, 0), LANES):
+            i = track[group + lane]
+            before, own = so_far[i], weight[group + lane]
+            share = own / (before + own)
+            for k in range(offsets[i + 1] - offsets[i]):
+                at, row = offsets[i] + k, (k + 1) * _LANE_ROW + lane
+                x, y = buffer[row + _PX] - position[at, 0], buffer[row + _PY] - position[at, 1]
+                apart = before * share * (x * x + y * y) / 2
+                total = before * spread[at] + own * buffer[row + _A] + apart
+                spread[at] = total / (before + own)
+                position[at, 0] += share * x
+                position[at, 1] += share * y
+            so_far[i] += own

@@ -193,10 +193,14 @@ def smooth_mixture(
         raise ValueError("need a weight, not negative, of each motion for each track")
     if not (weight.sum(axis=1) > 0.0).all():
         raise ValueError("need a motion of positive weight for each track")
-    track, which = map(np.ascontiguousarray, np.nonzero(weight))
+    track, which = np.nonzero(weight)
+    order = np.argsort(np.diff(batch.offsets)[track], kind="stable")
+    track, which = track[order], which[order]
     runs = track, motions.arrays(batch.prior_std)[which], weight[track, which]
     out = np.zeros((batch.t.size, 2)), np.zeros(batch.t.size), np.zeros(len(batch))
-    import_module("isac_track.kalman._error_loops").smooth_tracks(
-        *(error.arrays(batch), error.tau_s, runs, passes, float(anneal), out)
-    )
+    loops = import_module("isac_track.kalman._error_loops")
+    if not np.any(error.std_m):
+        loops.smooth_lanes(error.arrays(batch), runs, passes, float(anneal), out)
+    else:
+        loops.smooth_tracks(error.arrays(batch), error.tau_s, runs, passes, float(anneal), out)
     return out[:2]

@@ -11,7 +11,7 @@ from attacks.reconstruction.learning import exposure_loss
 from attacks.reconstruction.ou_rts import OuRTS
 from attacks.reconstruction.own_motion import MOTIONS, SHARES, probabilities
 from isac_track.kalman import Batch
-from isac_track.kalman.slow_errors import SlowError, motion_log_likelihoods
+from isac_track.kalman.slow_errors import SlowError
 from isac_track.protocols import TrainingSet
 from isac_track.rng import stream
 from isac_track.sharing_controls import correlated_errors
@@ -64,7 +64,7 @@ def test_who_stands_and_who_walks_are_told_apart():
     release, _ = crowd(STANDS, WALKS)
     variance = np.full(release.t.size, NOISE_M**2)
     case = Batch(release.t, release.xy, variance, release.offsets, (100.0, 10.0))
-    found = probabilities(motion_log_likelihoods(case, SlowError(0.0, 0.0), MOTIONS))
+    found = probabilities(case, SlowError(0.0, 0.0))
     np.testing.assert_allclose(found.sum(axis=1), 1.0)
     assert (found[::2].argmax(axis=1) == STANDS).mean() > 0.9
     # Between walkers of neighbouring motions no track decides: their q is within a factor of six.
@@ -73,8 +73,9 @@ def test_who_stands_and_who_walks_are_told_apart():
     assert (found[1::2, :3].sum(axis=1) < 0.5).all()
 
 
-def test_what_no_sample_tells_is_as_common_as_said():
-    np.testing.assert_allclose(probabilities(np.zeros((3, len(MOTIONS)))), np.tile(SHARES, (3, 1)))
+def test_a_lone_sample_tells_nothing():
+    case = Batch(np.zeros(1), np.ones((1, 2)), np.ones(1), np.array([0, 1]), (100.0, 10.0))
+    np.testing.assert_allclose(probabilities(case, SlowError(0.0, 0.0)), [SHARES], rtol=1e-9)
     assert sum(SHARES) == pytest.approx(1.0)
 
 
