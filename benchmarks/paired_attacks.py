@@ -1,7 +1,8 @@
 """How much more do attacks rebuild than others? ``python -m benchmarks.paired_attacks ATTACK...``.
 
-PLR after an informed attack less that of the usual smoothers, in points, paired by person (95 %
-intervals), and its cost. The adversary learns on the recording's other half or on another one.
+PLR after an attack less that of the usual smoothers, in points, paired by person (95 % intervals),
+and its cost. An informed adversary learns on the recording's other half or on another one, a blind
+one sees the release alone.
 """
 
 from __future__ import annotations
@@ -54,12 +55,14 @@ def timed(what: Callable[..., Any], *given: object) -> tuple[Any, float]:
     return what(*given), time.perf_counter() - began
 
 
-def fitted(attack: Plugin, taught: TrainingSet, mechanism: Plugin) -> Reconstructor:
-    """Return an informed attack, ready."""
+def fitted(
+    attack: Plugin, taught: TrainingSet, mechanism: Plugin, adversary: frozenset[Knowledge]
+) -> Reconstructor:
+    """Return the attack of an adversary, ready."""
     context = AttackContext(
         rng=stream(0, "paired attacks", attack.spec),
         epsilon_m=STAGES.privacy.epsilon_m,
-        granted=INFORMED & (attack.instance.requires | attack.instance.uses),
+        granted=adversary & (attack.instance.requires | attack.instance.uses),
         mechanism=mechanism.instance,
         train=taught,
     )
@@ -103,6 +106,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--people", type=int, default=500, help="so many tracks are attacked")
     parser.add_argument("--taught", type=int, default=20, help="so many are learnt from")
     parser.add_argument("--passes", type=int, default=4)
+    parser.add_argument("--over", action="append", metavar="SPEC", help="attacks to compare with")
+    parser.add_argument("--blind", action="store_true", help="the adversary knows nothing")
     parser.add_argument("--mechanism", action="append", metavar="SPEC")
     parser.add_argument("--seed", type=int, default=0)
     return exit_code(lambda: _run(parser.parse_args(arguments)))
@@ -110,7 +115,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(options: argparse.Namespace) -> int:
     seed = options.seed
-    attacks = plugins.parse_all("attacks", (*options.attack, *OTHERS))
+    attacks = plugins.parse_all("attacks", (*options.attack, *(options.over or OTHERS)))
+    over = [one.spec for one in plugins.parse_all("attacks", tuple(options.over or OTHERS))]
+    adversary = frozenset[Knowledge]() if options.blind else INFORMED
     victims, others = (
         cut(datasets.load(name).tracks, settings=STAGES, seed=seed)
         for name in (options.dataset, options.learn_on or options.dataset)
@@ -128,7 +135,7 @@ def _run(options: argparse.Namespace) -> int:
                 others, them[: options.taught], mechanism, first=MOST_SCENES, seed=seed
             )
             ready, took_s = zip(
-                *(timed(fitted, one, taught, mechanism) for one in attacks), strict=True
+                *(timed(fitted, one, taught, mechanism, adversary) for one in attacks), strict=True
             )
             fit_s.append(took_s)
             for first in range(0, options.passes * len(victims), len(victims)):
@@ -140,10 +147,11 @@ def _run(options: argparse.Namespace) -> int:
         who = np.unique(np.concatenate(person), return_inverse=True)[1]
         estimates = means(np.concatenate(rows, axis=1), who)
         cost_s = np.mean(fit_s, axis=0), 1000.0 * np.sum(use_s, axis=0) / who.size
+        by_spec = dict(zip((one.spec for one in attacks), estimates, strict=True))
         for i in range(len(options.attack)):
             text = f"{mechanism.spec:24} {attacks[i].spec:12} {100 * estimates[i].value:5.1f}"
-            for name, other in zip(OTHERS, estimates[-len(OTHERS) :], strict=True):
-                gain = intervals.difference(estimates[i], other)
+            for name in over:
+                gain = intervals.difference(estimates[i], by_spec[name])
                 value, low, high = (100.0 * one for one in (gain.value, gain.ci_low, gain.ci_high))
                 text += f"  {value:+5.2f} [{low:+.2f}, {high:+.2f}] over {name}"
             text += f"  {cost_s[0][i]:.1f} s to fit, {cost_s[1][i]:.1f} s per 1,000 tracks"

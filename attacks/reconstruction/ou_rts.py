@@ -15,8 +15,9 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from attacks.parameters import positive, tried
-from attacks.reconstruction.kalman_rts import PRIOR_STD, RadialRTS, looks_radial
+from attacks.reconstruction.kalman_rts import RadialRTS, looks_radial
 from attacks.reconstruction.learning import RADIAL_PER_AXIS, TOLD, around, choose
+from attacks.reconstruction.own_motion import PRIOR_STD, probabilities, smooth_own_motion
 from attacks.remembered import noise_m2, remembered
 from isac_track.kalman import Batch
 from isac_track.kalman.slow_errors import SlowError, added_error, filter_tracks, smooth_tracks
@@ -40,18 +41,25 @@ class _Choice(NamedTuple):
 
     std_m: Floats | float
     tau_s: float
-    q: float
+    q: float | None  # m^2/s^3; None: each track has a motion of its own.
     passes: int
 
 
 @dataclass(frozen=True, slots=True)
 class OuRTS:
-    """Constant velocity behind an Ornstein-Uhlenbeck error; the rest is white, radial or not."""
+    """Each track's own motion behind an Ornstein-Uhlenbeck error; the rest is white, radial or not.
 
-    q: float | None = None  # m^2/s^3; None: learnt from the training set, or `DEFAULT_Q`.
+    Who stands is where the mean of her samples is, however slow the error: that the release tells
+    (`smooth_own_motion`).
+    """
+
+    q: float | None = None
+    """m^2/s^3, of all tracks; None: each has a motion of its own, but where nothing slow is added
+    (`RadialRTS`)."""
     std_m: float | None = None
     """Per axis, of the slow error; None, with `tau_s`: as the mechanism says, or fitted."""
     tau_s: float | None = None
+    own_motion: bool = True  # Else q is learnt from the training set, or `DEFAULT_Q`.
 
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
     uses: ClassVar[frozenset[Knowledge]] = TOLD | OF_WALKS | {Knowledge.SCENE}
@@ -71,16 +79,17 @@ class OuRTS:
         anchor = context.anchor if Knowledge.ANCHOR in granted else None
         mechanism = context.mechanism if Knowledge.MECHANISM in granted else None
         q = self.DEFAULT_Q if self.q is None else self.q
+        motion = None if self._has_own_motion else q
         # Companions say nothing of a walk whose errors are white.
         if told == (0.0, 0.0) and not (repeats or anchor):
-            return RadialRTS(self.q).fit(context)
+            return RadialRTS(self.q, own_motion=self.own_motion).fit(context)
         sees_more = repeats or companions or anchor is not None
-        white = None if sees_more else RadialRTS(self.q).fit(context)
+        white = None if sees_more else RadialRTS(self.q, own_motion=self.own_motion).fit(context)
         if Knowledge.TRAIN in context.granted and told != (0.0, 0.0):
-            best = self._learnt(context, told, tried(self.q, around(q, factor=4.0)))
+            best = self._learnt(context, told, q)
             if white:
                 return white if best.std_m == 0.0 else lambda release: smooth(release, best)
-            q = best.q
+            motion = best.q
 
         def reconstruct(release: Release) -> Reconstruction:
             std_m, tau_s = told or fitted(release, q)
@@ -92,9 +101,13 @@ class OuRTS:
             if getattr(mechanism, "reuse", "release") == "session":
                 n = np.ones_like(n)  # the same error every time
             passes = RadialRTS.USUAL_PASSES if looks_radial(shown) else 1
-            return smooth(shown, _Choice(std_m / np.sqrt(n), tau_s, q, passes), anchor)
+            return smooth(shown, _Choice(std_m / np.sqrt(n), tau_s, motion, passes), anchor)
 
         return reconstruct
+
+    @property
+    def _has_own_motion(self) -> bool:
+        return self.own_motion and self.q is None
 
     def _told(self, context: AttackContext) -> tuple[float, float] | None:
         """Return std and tau of the slow error; 0 and 0 if there is none, None if nobody says."""
@@ -109,18 +122,19 @@ class OuRTS:
         return (0.0, 0.0) if std_m > 0.0 or not getattr(mechanism, "adds_error", True) else None
 
     def _learnt(
-        self, context: AttackContext, told: tuple[float, float] | None, densities: Sequence[float]
+        self, context: AttackContext, told: tuple[float, float] | None, q: float
     ) -> _Choice:
         """Return what reconstructs the training set best: told, found there, or nothing slow."""
-        middle = densities[len(densities) // 2]
-        found = None if self.std_m is not None else fitted(context.train.release, middle)
+        found = None if self.std_m is not None else fitted(context.train.release, q)
         errors = dict.fromkeys(filter(None, (told, found)))
         numbers = (RadialRTS.USUAL_PASSES, 1)
-        first = [_Choice(*one, middle, number) for one in errors for number in numbers]
+        motion = None if self._has_own_motion else q
+        first = [_Choice(*one, motion, number) for one in errors for number in numbers]
         best_of = partial(
             choose, context, default=first[0], reconstruct=lambda one, shown: smooth(shown, one).xy
         )
         best = best_of(candidates=first)
+        densities = (None,) if self._has_own_motion else tried(self.q, around(q, factor=4.0))
         return best_of(candidates=[best._replace(q=one) for one in densities])
 
 
@@ -177,13 +191,13 @@ def smooth(release: Release, choice: _Choice, anchor: Release | None = None) -> 
         t, xy = np.insert(t, known, anchor.t), np.insert(xy, known, anchor.xy, axis=0)
         rest, std_m = np.insert(rest, known, _KNOWN_M2), np.insert(std_m, known, 0.0)
         offsets = offsets + np.arange(offsets.size)
-    position, spread = smooth_tracks(
-        Batch(t, xy, rest, offsets, PRIOR_STD),
-        SlowError(std_m, choice.tau_s),
-        q=choice.q,
-        passes=choice.passes,
-        anneal=RadialRTS().anneal,
-    )
+    batch, error = Batch(t, xy, rest, offsets, PRIOR_STD), SlowError(std_m, choice.tau_s)
+    passes, anneal = choice.passes, RadialRTS().anneal
+    if choice.q is None:
+        weight = probabilities(batch, error)
+        position, spread = smooth_own_motion(batch, error, weight, passes=passes, anneal=anneal)
+    else:
+        position, spread = smooth_tracks(batch, error, q=choice.q, passes=passes, anneal=anneal)
     at = known + np.arange(known.size)
     position, spread = np.delete(position, at, axis=0), np.delete(spread, at)
     return Reconstruction(position, np.sqrt(np.maximum(spread, 0.0)))

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.random import Generator
 
 from attacks.parameters import positive
-from attacks.reconstruction.kalman_rts import PRIOR_STD, RadialRTS, looks_radial
+from attacks.reconstruction.kalman_rts import RadialRTS, looks_radial
 from attacks.reconstruction.learning import TOLD, learn_variance
+from attacks.reconstruction.own_motion import PRIOR_STD
 from isac_track.kalman import Batch, smooth_positions
 from isac_track.kalman.slow_errors import added_error
 from isac_track.kalman.steady import Q_M2_PER_S3

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from attacks.reconstruction.kalman_rts import PRIOR_STD, KalmanRTS
+from attacks.reconstruction.kalman_rts import KalmanRTS
 from attacks.reconstruction.learning import N_CANDIDATES
+from attacks.reconstruction.own_motion import PRIOR_STD
 from evaluation.cells import sharing
 from evaluation.cells.sharing import SHOWS, Frame, reconstructed, showing, view_of
 from evaluation.cells.tables import Rows, described_rows, track_columns, track_means

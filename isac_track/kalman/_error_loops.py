@@ -2,11 +2,13 @@
 
 Per axis the state is (p, v, u): position, velocity, and an Ornstein-Uhlenbeck process of variance
 1; what is measured is p + s u plus white noise, with an amplitude s for every sample. The error
-itself is e = s u. Neither the filter nor the smoother inverts a covariance: with a constant error,
+itself is e = s u. The velocity may be such a process, too: of a `motion`, three numbers, it has the
+variance at the start, the correlation time (infinite: none, it wanders) and the spectral density of
+the acceleration. Neither the filter nor the smoother inverts a covariance: with a constant error,
 or none, it is singular.
 """
 
-from math import exp, log, pi
+from math import exp, expm1, inf, log, pi
 from typing import TypeAlias
 
 import numpy as np
@@ -18,11 +20,17 @@ _Batch: TypeAlias = tuple[Floats, Floats, Floats, Ints, Floats, Floats]
 """Times, places, variances, offsets, variances of the prior of p and v, and amplitudes."""
 _Six: TypeAlias = tuple[float, float, float, float, float, float]
 """Symmetric matrix: pp, pv, vv, pu, vu, uu."""
+_Step: TypeAlias = tuple[float, float, float, float, float, float]
+"""How far a unit of velocity moves the position, what is left of velocity and error, and what the
+acceleration adds to pp, pv and vv."""
 _BATCH = together(read(1), read(2), read(1), read(1, "int64"), read(1), read(1))
 _LOG_2PI = log(2 * pi)
 _BIG = 1e100
-_ROW = 20
-"""A sample as the filter leaves it: state, covariance, gain, innovation, its variance, f, dt."""
+_SMALL = 0.03  # Steps over correlation time: below, a series is more exact.
+_ROW = 23
+"""A sample as the filter leaves it: state, covariance, gain, innovation, its variance, a variance
+for the next pass, the `_Step`."""
+_STEP = 17  # Where that begins.
 
 
 @compiled(read(1), written(2))
@@ -40,15 +48,39 @@ def _memory(dt: float, tau_s: float) -> float:
 
 
 @part_of_loop
-def _predicted(cov: _Six, dt: float, f: float, q: float) -> _Six:
-    pp, pv, vv, pu, vu, uu = cov
+def _stepped(dt: float, tau_s: float, memory_s: float, q: float) -> _Step:
+    """Integrate an Ornstein-Uhlenbeck velocity of time `memory_s` over dt, exactly."""
+    f = _memory(dt, tau_s)
     grown = q * dt
+    x = dt / memory_s
+    if x == 0.0:
+        return dt, 1.0, f, grown * dt * dt / 3, grown * dt / 2, grown
+    left = -expm1(-x)
+    fades = x * x * x * (1 / 3 - x * (1 / 4 - x * (7 / 60 - x * (1 / 24 - x * 31 / 2520))))
+    both = left * (2.0 - left)  # 1 - exp(-2 x)
+    if x > _SMALL:
+        fades = x - 2 * left + both / 2
+    half = q * memory_s / 2
     return (
-        pp + dt * (2 * pv + dt * (vv + grown / 3)),
-        pv + dt * (vv + grown / 2),
-        vv + grown,
-        f * (pu + dt * vu),
-        f * vu,
+        memory_s * left,
+        1.0 - left,
+        f,
+        2 * half * memory_s * memory_s * fades,
+        half * memory_s * left * left,
+        half * both,
+    )
+
+
+@part_of_loop
+def _predicted(cov: _Six, step: _Step) -> _Six:
+    pp, pv, vv, pu, vu, uu = cov
+    a, g, f, qpp, qpv, qvv = step
+    return (
+        pp + a * (2 * pv + a * vv) + qpp,
+        g * (pv + a * vv) + qpv,
+        g * g * vv + qvv,
+        f * (pu + a * vu),
+        f * g * vu,
         f * f * uu + (1.0 - f) * (1.0 + f),
     )
 
@@ -86,9 +118,9 @@ def filter_tracks(
         for k in range(first, offsets[i + 1]):
             if k > first:
                 dt = t[k] - t[k - 1]
-                f = _memory(dt, tau_s)
-                cov = _predicted(cov, dt, f, q)
-                px, py, ux, uy = px + dt * vx, py + dt * vy, f * ux, f * uy
+                step = _stepped(dt, tau_s, inf, q)
+                cov = _predicted(cov, step)
+                px, py, ux, uy = px + dt * vx, py + dt * vy, step[2] * ux, step[2] * uy
             s, r = amplitude[k], variance[k]
             pp, pv, _, pu, vu, uu = cov
             hp, hv, hu = pp + s * pu, pv + s * vu, pu + s * uu
@@ -121,20 +153,58 @@ def filter_tracks(
         log_likelihood[i] = -total - log(scale)
 
 
+@compiled(_BATCH, FLOAT, read(2), written(2))
+def log_likelihoods(batch: _Batch, tau_s: float, motions: Floats, out: Floats) -> None:
+    """Fill `out`, (N, K), with the log density of each track under each of K motions, (K, 3)."""
+    t, xy, variance, offsets, prior, amplitude = batch
+    for i in range(offsets.size - 1):
+        for which in range(len(motions)):
+            first = offsets[i]
+            start_m2, memory_s, q = motions[which]
+            px, py = xy[first, 0], xy[first, 1]
+            vx = vy = ux = uy = 0.0
+            cov = (prior[0], 0.0, start_m2, 0.0, 0.0, 1.0)
+            scale, total = 1.0, 0.0
+            for k in range(first, offsets[i + 1]):
+                if k > first:
+                    step = _stepped(t[k] - t[k - 1], tau_s, memory_s, q)
+                    a, g, f = step[0], step[1], step[2]
+                    cov = _predicted(cov, step)
+                    px, py = px + a * vx, py + a * vy
+                    vx, vy, ux, uy = g * vx, g * vy, f * ux, f * uy
+                s, r = amplitude[k], variance[k]
+                pp, pv, _, pu, vu, uu = cov
+                hp, hv, hu = pp + s * pu, pv + s * vu, pu + s * uu
+                spread = hp + s * hu + r
+                inverse = 1 / spread
+                ex, ey = xy[k, 0] - px - s * ux, xy[k, 1] - py - s * uy
+                total += (ex * ex + ey * ey) * inverse / 2 + _LOG_2PI
+                ex, ey = ex * inverse, ey * inverse
+                px, vx, ux = px + hp * ex, vx + hv * ex, ux + hu * ex
+                py, vy, uy = py + hp * ey, vy + hv * ey, uy + hu * ey
+                cov = _measured(cov, s, r, inverse)
+                scale *= spread
+                if scale > _BIG or scale < 1 / _BIG:
+                    total += log(scale)
+                    scale = 1.0
+            out[i, which] = -total - log(scale)
+
+
 @part_of_loop
 def _forward(
-    xy: Floats, amplitude: Floats, variance: Floats, prior: Floats, q: float, rows: Floats
+    xy: Floats, amplitude: Floats, variance: Floats, start_m2: tuple[float, float], rows: Floats
 ) -> None:
     """Filter one track; `rows` hold the steps already."""
     px, py = xy[0, 0], xy[0, 1]
     vx = vy = ux = uy = 0.0
-    cov = (prior[0], 0.0, prior[1], 0.0, 0.0, 1.0)
+    cov = (start_m2[0], 0.0, start_m2[1], 0.0, 0.0, 1.0)
     for k in range(len(xy)):
         row = rows[k]
         if k > 0:
-            dt, f = row[19], row[18]
-            cov = _predicted(cov, dt, f, q)
-            px, py, ux, uy = px + dt * vx, py + dt * vy, f * ux, f * uy
+            a, g, f = row[_STEP], row[_STEP + 1], row[_STEP + 2]
+            cov = _predicted(cov, (a, g, f, row[_STEP + 3], row[_STEP + 4], row[_STEP + 5]))
+            px, py = px + a * vx, py + a * vy
+            vx, vy, ux, uy = g * vx, g * vy, f * ux, f * uy
         s, r = amplitude[k], variance[k]
         pp, pv, _, pu, vu, uu = cov
         hp, hv, hu = pp + s * pu, pv + s * vu, pu + s * uu
@@ -185,12 +255,12 @@ def _backward(amplitude: Floats, rows: Floats) -> None:
         mpu, mvu = mpu - bu - s * bp + s * both, mvu - s * bv
         muu += s * (s * both - 2 * bu)
 
-        dt, f = row[19], row[18]
-        lxv, lyv = lxv + dt * lxp, lyv + dt * lyp
+        a, g, f = row[_STEP], row[_STEP + 1], row[_STEP + 2]
+        lxv, lyv = g * lxv + a * lxp, g * lyv + a * lyp
         lxu, lyu = f * lxu, f * lyu
-        mvv += dt * (2 * mpv + dt * mpp)
-        mvu = f * (mvu + dt * mpu)
-        mpv += dt * mpp
+        mvv = g * g * mvv + a * (2 * g * mpv + a * mpp)
+        mvu = f * (g * mvu + a * mpu)
+        mpv = g * mpv + a * mpp
         mpu *= f
         muu *= f * f
 
@@ -203,36 +273,211 @@ def _form(a: float, b: float, c: float, m: _Six) -> float:
     return ahead + c * c * muu
 
 
-@compiled(_BATCH, FLOAT, FLOAT, INT, FLOAT, together(written(2), written(1)))
-def smooth_tracks(
-    batch: _Batch, tau_s: float, q: float, passes: int, anneal: float, out: tuple[Floats, Floats]
+@part_of_loop
+def _again(
+    xy: Floats, amplitude: Floats, variance: Floats, blur: float, rows: Floats, noise: Floats
 ) -> None:
-    """Smooth every track, `passes` times, as `smooth_positions` re-weighs what is not the error."""
-    (t, xy, variance, offsets, prior, amplitude), (position, spread) = batch, out
+    """Weigh the samples of one track anew, by what the pass before left in its rows."""
+    for k in range(len(xy)):
+        row, s, square = rows[k], amplitude[k], 2.0 * variance[k]
+        rx = xy[k, 0] - row[0] - s * row[2]
+        ry = xy[k, 1] - row[1] - s * row[3]
+        near = rx * rx + ry * ry + 2 * row[16] + blur * square
+        noise[k] = near * (square / (near + square))
+
+
+@part_of_loop
+def _mixed(rows: Floats, weight: float, before: float, position: Floats, spread: Floats) -> None:
+    """Add one smoothed track of a `weight` to the mean of those `before`, and to its variance."""
+    share = weight / (before + weight)
+    for k in range(len(rows)):
+        x, y = rows[k, 0] - position[k, 0], rows[k, 1] - position[k, 1]
+        apart = before * share * (x * x + y * y) / 2
+        spread[k] = (before * spread[k] + weight * rows[k, 4] + apart) / (before + weight)
+        position[k, 0] += share * x
+        position[k, 1] += share * y
+
+
+@compiled(
+    *(_BATCH, FLOAT, together(read(1, "int64"), read(2), read(1)), INT, FLOAT),
+    together(written(2), written(1), written(1)),
+)
+def smooth_tracks(
+    batch: _Batch,
+    tau_s: float,
+    runs: tuple[Ints, Floats, Floats],
+    passes: int,
+    anneal: float,
+    out: tuple[Floats, Floats, Floats],
+) -> None:
+    """Smooth tracks, `passes` times, as `smooth_positions` re-weighs what is not the error.
+
+    Of the `runs` each has a track, a motion, (R, 3), and a weight; positions and their variances
+    are those of the mixture of a track's runs. `out` begins as zeros; the last holds the weights.
+    """
+    (t, xy, variance, offsets, prior, amplitude), (position, spread, so_far) = batch, out
     longest = 0
     for i in range(offsets.size - 1):
         longest = max(longest, offsets[i + 1] - offsets[i])
     buffer, weighed = np.empty((longest, _ROW)), np.empty(longest)
-    for i in range(offsets.size - 1):
+    track, motion, weight = runs
+    for run in range(track.size):
+        i = track[run]
         first, end = offsets[i], offsets[i + 1]
         n = end - first
         rows, own, places, noise = buffer[:n], amplitude[first:end], xy[first:end], weighed[:n]
+        start_m2, memory_s, q = motion[run]
         for k in range(n):
             dt = t[first + k] - t[first + k - 1] if k > 0 else 0.0
-            rows[k, 19], rows[k, 18] = dt, _memory(dt, tau_s)
+            step = _stepped(dt, tau_s, memory_s, q)
+            for field in range(6):
+                rows[k, _STEP + field] = step[field]
             noise[k] = variance[first + k]
         blur = 1.0
         for turn in range(passes):
             if turn > 0:
-                for k in range(n):
-                    row, s, square = rows[k], own[k], 2.0 * variance[first + k]
-                    rx = places[k, 0] - row[0] - s * row[2]
-                    ry = places[k, 1] - row[1] - s * row[3]
-                    near = rx * rx + ry * ry + 2 * row[16] + blur * square
-                    noise[k] = near * (square / (near + square))
+                _again(places, own, variance[first:end], blur, rows, noise)
                 blur *= anneal
-            _forward(places, own, noise, prior, q, rows)
+            _forward(places, own, noise, (prior[0], start_m2), rows)
             _backward(own, rows)
+        _mixed(rows, weight[run], so_far[i], position[first:end], spread[first:end])
+        so_far[i] += weight[run]
+
+
+LANES = 8
+"""Runs side by side, as in `_linear_loops`: there it says why, and what lies beyond a run's end."""
+_FAR = 2.0**600
+_NOTHING = 2.0**200
+
+# Where the fields of a row begin: sample, sigma^2, state and covariance, what the backward run
+# reads, and of the `_Step` what an error has no part in.
+_X, _Y, _SQUARE, _PX, _VX, _PY, _VY, _A, _B, _C, *_OTHER = range(0, 20 * LANES, LANES)
+_GP, _GV, _EX, _EY, _INVERSE, _MOVE, _LEFT, _QPP, _QPV, _QVV = _OTHER
+_LANE_ROW = 20 * LANES
+
+
+@part_of_loop
+def _lanes_forward(buffer: Floats, n: int, blur: float) -> None:
+    """Filter as `_forward` without an error; row 0 is the prior, a sample is weighed on the way."""
+    for k in range(n):
+        rows = buffer[k * _LANE_ROW : (k + 2) * _LANE_ROW]
+        for lane in range(LANES):
+            at = lane + _LANE_ROW
+            move, left = rows[at + _MOVE], rows[at + _LEFT]
+            vx, vy = rows[lane + _VX], rows[lane + _VY]
+            px, py = rows[lane + _PX] + move * vx, rows[lane + _PY] + move * vy
+            vx, vy = left * vx, left * vy
+            a, b, c = rows[lane + _A], rows[lane + _B], rows[lane + _C]
+            a += move * (2 * b + move * c) + rows[at + _QPP]
+            b = left * (b + move * c) + rows[at + _QPV]
+            c = left * left * c + rows[at + _QVV]
+            x, y, square = rows[at + _X], rows[at + _Y], rows[at + _SQUARE]
+            rx, ry = x - rows[at + _PX], y - rows[at + _PY]
+            far = _FAR if square == _NOTHING else 0.0
+            near = rx * rx + ry * ry + 2 * rows[at + _A] + blur * square + far
+            r = near * (square / (near + square))
+            inverse = 1 / (a + r)
+            ex, ey = x - px, y - py
+            gain_p, gain_v = a * inverse, b * inverse
+            rows[at + _PX], rows[at + _VX] = px + gain_p * ex, vx + gain_v * ex
+            rows[at + _PY], rows[at + _VY] = py + gain_p * ey, vy + gain_v * ey
+            rows[at + _A], rows[at + _B] = gain_p * r, gain_v * r
+            rows[at + _C] = (c * r + (a * c - b * b)) * inverse
+            rows[at + _GP], rows[at + _GV], rows[at + _INVERSE] = gain_p, gain_v, inverse
+            rows[at + _EX], rows[at + _EY] = ex * inverse, ey * inverse
+
+
+@part_of_loop
+def _lanes_backward(buffer: Floats, n: int, adjoint: Floats) -> None:
+    """Smooth as `_backward` without an error: positions and their variances only."""
+    adjoint[:] = 0.0
+    for step in range(n):
+        rows = buffer[(n - step) * _LANE_ROW : (n - step + 1) * _LANE_ROW]
+        for lane in range(LANES):
+            lxp, lxv = adjoint[lane], adjoint[lane + LANES]
+            lyp, lyv = adjoint[lane + 2 * LANES], adjoint[lane + 3 * LANES]
+            mpp, mpv = adjoint[lane + 4 * LANES], adjoint[lane + 5 * LANES]
+            mvv = adjoint[lane + 6 * LANES]
+            pp, pv = rows[lane + _A], rows[lane + _B]
+            rows[lane + _PX] -= pp * lxp + pv * lxv
+            rows[lane + _PY] -= pp * lyp + pv * lyv
+            rows[lane + _A] = pp - (pp * (pp * mpp + 2 * (pv * mpv)) + pv * pv * mvv)
+
+            gp, gv, inverse = rows[lane + _GP], rows[lane + _GV], rows[lane + _INVERSE]
+            bp, bv = mpp * gp + mpv * gv, mpv * gp + mvv * gv
+            lxp -= gp * lxp + gv * lxv + rows[lane + _EX]
+            lyp -= gp * lyp + gv * lyv + rows[lane + _EY]
+            mpp += gp * bp + gv * bv + inverse - 2 * bp
+            mpv -= bv
+
+            move, left = rows[lane + _MOVE], rows[lane + _LEFT]
+            adjoint[lane], adjoint[lane + LANES] = lxp, left * lxv + move * lxp
+            adjoint[lane + 2 * LANES] = lyp
+            adjoint[lane + 3 * LANES] = left * lyv + move * lyp
+            adjoint[lane + 4 * LANES] = mpp
+            adjoint[lane + 5 * LANES] = left * mpv + move * mpp
+            adjoint[lane + 6 * LANES] = left * left * mvv + move * (2 * left * mpv + move * mpp)
+
+
+@part_of_loop
+def _filled(batch: _Batch, track: Ints, motion: Floats, group: int, buffer: Floats) -> None:
+    """Fill the rows of a group of runs; the shortest fills empty lanes."""
+    t, xy, variance, offsets, prior, _ = batch
+    n = offsets[track[group + LANES - 1] + 1] - offsets[track[group + LANES - 1]]
+    for lane in range(LANES):
+        run = max(group + lane, 0)
+        first, end = offsets[track[run]], offsets[track[run] + 1]
+        start_m2, memory_s, q = motion[run]
+        buffer[lane + _PX], buffer[lane + _PY] = xy[first, 0], xy[first, 1]
+        buffer[lane + _VX] = buffer[lane + _VY] = buffer[lane + _B] = 0.0
+        buffer[lane + _A], buffer[lane + _C] = prior[0], start_m2
         for k in range(n):
-            position[first + k, 0], position[first + k, 1] = rows[k, 0], rows[k, 1]
-            spread[first + k] = rows[k, 4]
+            own = min(first + k, end - 1)
+            dt = t[own] - t[own - 1] if 0 < k < end - first else 0.0
+            move, left, _, qpp, qpv, qvv = _stepped(dt, 0.0, memory_s, q)
+            row = buffer[(k + 1) * _LANE_ROW : (k + 2) * _LANE_ROW]
+            row[lane + _X], row[lane + _Y] = xy[own, 0], xy[own, 1]
+            row[lane + _PX], row[lane + _PY], row[lane + _A] = xy[own, 0], xy[own, 1], 0.0
+            row[lane + _SQUARE] = 2.0 * variance[own] if k < end - first else _NOTHING
+            row[lane + _MOVE], row[lane + _LEFT] = move, left
+            row[lane + _QPP], row[lane + _QPV], row[lane + _QVV] = qpp, qpv, qvv
+
+
+@compiled(
+    *(_BATCH, together(read(1, "int64"), read(2), read(1)), INT, FLOAT),
+    together(written(2), written(1), written(1)),
+)
+def smooth_lanes(
+    batch: _Batch,
+    runs: tuple[Ints, Floats, Floats],
+    passes: int,
+    anneal: float,
+    out: tuple[Floats, Floats, Floats],
+) -> None:
+    """Smooth as `smooth_tracks` where there is no slow error; the longest runs come last."""
+    (track, motion, weight), offsets = runs, batch[3]
+    position, spread, so_far = out
+    longest = offsets[track[-1] + 1] - offsets[track[-1]] if track.size > 0 else 0
+    buffer, adjoint = np.zeros((longest + 1) * _LANE_ROW), np.empty(7 * LANES)
+    for group in range(-(-track.size % LANES), track.size, LANES):  # the first may be incomplete
+        _filled(batch, track, motion, group, buffer)
+        last = track[group + LANES - 1]
+        n, blur = offsets[last + 1] - offsets[last], 1.0
+        for turn in range(passes):
+            _lanes_forward(buffer, n, blur)
+            _lanes_backward(buffer, n, adjoint)
+            if turn > 0:
+                blur *= anneal
+        for lane in range(max(-group, 0), LANES):
+            i = track[group + lane]
+            before, own = so_far[i], weight[group + lane]
+            share = own / (before + own)
+            for k in range(offsets[i + 1] - offsets[i]):
+                at, row = offsets[i] + k, (k + 1) * _LANE_ROW + lane
+                x, y = buffer[row + _PX] - position[at, 0], buffer[row + _PY] - position[at, 1]
+                apart = before * share * (x * x + y * y) / 2
+                total = before * spread[at] + own * buffer[row + _A] + apart
+                spread[at] = total / (before + own)
+                position[at, 0] += share * x
+                position[at, 1] += share * y
+            so_far[i] += own

@@ -109,10 +109,98 @@ def smooth_tracks(
     Parameters and errors are those of `isac_track.kalman.smooth_positions`: further passes take
     what is neither walk nor slow error for a radial error and weigh it anew.
     """
+    alone = Motions(np.array([positive("q", q)]), np.array([np.inf]))
+    return smooth_mixture(
+        batch, error, alone, np.ones((len(batch), 1)), passes=passes, anneal=anneal
+    )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Motions:
+    """K motions of a walk: the velocity, per axis, is an Ornstein-Uhlenbeck process.
+
+    A bank of them is a mixture of Gaussian-process kernels: the covariance of the velocity falls as
+    exp(-dt / tau). ValueError for what cannot be.
+
+    References
+    ----------
+    Uhlenbeck, Ornstein, Physical Review 36, 1930 (integrated: eq. 23); Hartikainen, Sarkka, "Kalman
+    filtering and smoothing solutions to temporal Gaussian process regression models", IEEE MLSP,
+    2010.
+    """
+
+    q: Floats  # (K,) m^2/s^3, spectral density of the acceleration.
+    tau_s: Floats
+    """(K,) time over which the correlation of velocity falls to 1/e; infinite: constant velocity,
+    but for the acceleration, from the prior of the batch."""
+
+    def __post_init__(self) -> None:
+        if np.shape(self.q) != np.shape(self.tau_s) or np.ndim(self.q) != 1:
+            raise ValueError("q and tau_s must be as many")
+        for value in self.q:
+            positive("q", value)
+        for value in self.tau_s:
+            positive("tau_s", value, finite=False)
+
+    @classmethod
+    def with_speeds(cls, *speeds_and_times: tuple[float, float]) -> "Motions":
+        """Return motions of a speed, m/s per axis (standard deviation), and a time, s, each."""
+        speed_mps, tau_s = np.array(speeds_and_times, dtype=np.float64).T
+        return cls(2.0 * speed_mps**2 / tau_s, tau_s)
+
+    def __len__(self) -> int:
+        """Return their number."""
+        return self.q.size
+
+    def arrays(self, prior_std: tuple[float, ...]) -> Floats:
+        """Return what the compiled loops take: variance of the first velocity, time and q, (K, 3).
+
+        Of a process the first velocity is drawn from its stationary law.
+        """
+        lasting = np.isfinite(self.tau_s)
+        first = np.full(len(self), prior_std[1] ** 2)
+        np.multiply(self.q, self.tau_s / 2.0, out=first, where=lasting)
+        return np.column_stack([first, self.tau_s, self.q])
+
+
+def motion_log_likelihoods(batch: Batch, error: SlowError, motions: Motions) -> Floats:
+    """Return the log density of each track under each motion, (N, K), 1/m^2 each sample."""
+    found = np.empty((len(batch), len(motions)))
+    import_module("isac_track.kalman._error_loops").log_likelihoods(
+        error.arrays(batch), error.tau_s, motions.arrays(batch.prior_std), found
+    )
+    return found
+
+
+def smooth_mixture(
+    batch: Batch,
+    error: SlowError,
+    motions: Motions,
+    weight: Floats,
+    *,
+    passes: int = 1,
+    anneal: float = 0.0,
+) -> tuple[Floats, Floats]:
+    """Return the mean of smoothed positions under several motions, (M, 2) m, and the variance.
+
+    `weight`, (N, K), is that of each motion for each track, none negative and not all 0: those of 0
+    cost nothing. With the posterior probabilities of the motions, mean and variance are those of
+    the posterior mixture. Other parameters and errors are those of `smooth_tracks`.
+    """
     if passes < 1 or not 0 <= anneal < 1:
         raise ValueError(f"need passes >= 1 and 0 <= anneal < 1, got {passes} and {anneal}")
-    out = np.empty((batch.t.size, 2)), np.empty(batch.t.size)
-    import_module("isac_track.kalman._error_loops").smooth_tracks(
-        *(error.arrays(batch), error.tau_s, positive("q", q), passes, float(anneal)), out
-    )
-    return out
+    if weight.shape != (len(batch), len(motions)) or not (weight >= 0.0).all():
+        raise ValueError("need a weight, not negative, of each motion for each track")
+    if not (weight.sum(axis=1) > 0.0).all():
+        raise ValueError("need a motion of positive weight for each track")
+    track, which = np.nonzero(weight)
+    order = np.argsort(np.diff(batch.offsets)[track], kind="stable")
+    track, which = track[order], which[order]
+    runs = track, motions.arrays(batch.prior_std)[which], weight[track, which]
+    out = np.zeros((batch.t.size, 2)), np.zeros(batch.t.size), np.zeros(len(batch))
+    loops = import_module("isac_track.kalman._error_loops")
+    if not np.any(error.std_m):
+        loops.smooth_lanes(error.arrays(batch), runs, passes, float(anneal), out)
+    else:
+        loops.smooth_tracks(error.arrays(batch), error.tau_s, runs, passes, float(anneal), out)
+    return out[:2]

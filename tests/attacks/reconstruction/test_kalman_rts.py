@@ -7,7 +7,8 @@ import pytest
 from helpers.sensed import LAWS
 from helpers.walks import context, cv_walks, flat_release, smooth_walks
 
-from attacks.reconstruction.kalman_rts import PRIOR_STD, ImmRTS, KalmanRTS, RadialRTS, looks_radial
+from attacks.reconstruction.kalman_rts import ImmRTS, KalmanRTS, RadialRTS, looks_radial
+from attacks.reconstruction.own_motion import PRIOR_STD
 from isac_track.kalman import Batch, Moods, imm_smoother
 from isac_track.protocols import TrainingSet
 from isac_track.rng import stream

@@ -72,7 +72,10 @@ LEARNERS = {  # what is learnt, as a keyword for each candidate, and whether mor
     MovingAverage: ([{"width_s": one} for one in around(2.8, factor=2.0)], True),
     Savgol: ([{"width_s": one} for one in around(6.5, factor=2.0)], True),
     KalmanRTS: ([{"q": one} for one in around(0.04, factor=4.0)], False),
-    partial(RadialRTS, passes=5): ([{"q": one} for one in around(0.04, factor=4.0)], False),
+    partial(RadialRTS, passes=5, own_motion=False): (
+        [{"q": one} for one in around(0.04, factor=4.0)],
+        False,
+    ),
     ImmRTS: ([{"q": 0.03 * by, "q_turn": 0.12 * by} for by in (1 / 4, 1.0, 4.0)], False),
     GaussianProcess: ([{"length_s": 12.0, "scale_m": m} for m in around(2.5, factor=2.0)], False),
 }

@@ -7,7 +7,8 @@ import pytest
 from helpers.walks import context, flat_release, smooth_walks
 from scipy.special import gammaincinv
 
-from attacks.reconstruction.kalman_rts import PRIOR_STD, RadialRTS
+from attacks.reconstruction.kalman_rts import RadialRTS
+from attacks.reconstruction.own_motion import PRIOR_STD
 from attacks.reconstruction.posterior import Posterior, _parts, _where_most_are
 from isac_track.protection import Laplace, Ou
 from isac_track.rng import stream

@@ -1,0 +1,134 @@
+"""Each track's own motion: told apart in a planted crowd, worth something there, and free else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.walks import context, cv_walks, flat_release, moved
+
+from attacks.reconstruction.kalman_rts import KalmanRTS, RadialRTS
+from attacks.reconstruction.learning import exposure_loss
+from attacks.reconstruction.ou_rts import OuRTS
+from attacks.reconstruction.own_motion import MOTIONS, SHARES, probabilities
+from isac_track.kalman import Batch
+from isac_track.kalman.slow_errors import SlowError
+from isac_track.protocols import TrainingSet
+from isac_track.rng import stream
+from isac_track.sharing_controls import correlated_errors
+from isac_track.types import Knowledge
+
+N, SIZE = 60, 250
+STANDS, WALKS = 0, 4  # of `MOTIONS`
+NOISE_M = 0.7
+EPSILON_M = 0.3
+
+
+def crowd(*kinds, noise_m=NOISE_M, slow_m=0.0, seed=0):
+    """A release of people, each of the next of some kinds of motion, and where they truly were."""
+    rng = stream(seed, "test", "own motion", *kinds)
+    step = rng.uniform(1 / 16, 1 / 8, (N, SIZE))
+    kind = np.resize(kinds, N)
+    q, tau = MOTIONS.q[kind], MOTIONS.tau_s[kind]
+    # Euler steps of a tenth of each: exact enough, and not the solution that is tested.
+    velocity = np.sqrt(q * tau / 2)[:, None] * rng.standard_normal((N, 2))
+    place, path = np.zeros((N, 2)), np.empty((N, SIZE, 2))
+    for k in range(SIZE):
+        for _ in range(10):
+            dt = step[:, k, None] / 10
+            place = place + dt * velocity
+            kick = np.sqrt(q[:, None] * dt) * rng.standard_normal((N, 2))
+            velocity = velocity * (1 - dt / tau[:, None]) + kick
+        path[:, k] = place
+    t, truth = np.cumsum(step, axis=1).ravel(), path.reshape(-1, 2)
+    offsets = np.arange(N + 1) * SIZE
+    xy = truth + noise_m * rng.standard_normal(truth.shape)
+    if slow_m:
+        error = correlated_errors(t=t, offsets=offsets, law="isotropic", tau_s=5.0, rng=rng)
+        xy = xy + slow_m * error
+    return flat_release(t, xy, offsets), truth
+
+
+def plr(attack, release, truth, known=None):
+    off_m = np.hypot(*(attack.fit(known or context())(release).xy - truth).T)
+    return (off_m.reshape(N, SIZE) < EPSILON_M).mean(axis=1)
+
+
+def gain(attack, release, truth, known=None):
+    """Mean gain in PLR over the same attack with one motion for all, and its standard error."""
+    common = replace(attack, own_motion=False)
+    each = plr(attack, release, truth, known) - plr(common, release, truth, known)
+    return each.mean(), each.std(ddof=1) / np.sqrt(N)
+
+
+def test_who_stands_and_who_walks_are_told_apart():
+    release, _ = crowd(STANDS, WALKS)
+    variance = np.full(release.t.size, NOISE_M**2)
+    case = Batch(release.t, release.xy, variance, release.offsets, (100.0, 10.0))
+    found = probabilities(case, SlowError(0.0, 0.0))
+    np.testing.assert_allclose(found.sum(axis=1), 1.0)
+    assert (found[::2].argmax(axis=1) == STANDS).mean() > 0.9
+    # Between walkers of neighbouring motions no track decides: their q is within a factor of six.
+    q = found[1::2] @ np.log(MOTIONS.q)
+    assert abs(q.mean() - np.log(MOTIONS.q[WALKS])) < np.log(2.0)
+    assert (found[1::2, :3].sum(axis=1) < 0.5).all()
+
+
+def test_a_lone_sample_tells_nothing():
+    case = Batch(np.zeros(1), np.ones((1, 2)), np.ones(1), np.array([0, 1]), (100.0, 10.0))
+    np.testing.assert_allclose(probabilities(case, SlowError(0.0, 0.0)), [SHARES], rtol=1e-9)
+    assert sum(SHARES) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("slow_m", [0.0, 0.5])
+def test_a_crowd_of_two_motions_is_known_better(slow_m):
+    release, truth = crowd(STANDS, WALKS, slow_m=slow_m, noise_m=0.1 if slow_m else NOISE_M)
+    attack = OuRTS(std_m=slow_m, tau_s=5.0) if slow_m else RadialRTS()
+    mean, error = gain(attack, release, truth)
+    assert mean > 0.02 + 2 * error
+    if not slow_m:  # as they walk, with one motion for all and none fitted, that is `KalmanRTS`
+        common = plr(replace(attack, own_motion=False), release, truth)
+        np.testing.assert_array_equal(common, plr(KalmanRTS(), release, truth))
+
+
+@pytest.mark.parametrize("law", ["isotropic", "radial"])
+def test_a_crowd_of_one_motion_loses_next_to_nothing(law):
+    t, truth, offsets = cv_walks(*[SIZE] * N, q=RadialRTS.DEFAULT_Q)
+    rng = stream(0, "test", "own motion", law)
+    unit = rng.standard_normal(truth.shape)
+    if law == "radial":
+        turn = rng.uniform(0.0, 2.0 * np.pi, t.size)
+        unit = unit[:, :1] * np.column_stack([np.cos(turn), np.sin(turn)])
+    release = flat_release(t, truth + NOISE_M * unit, offsets)
+    mean, error = gain(RadialRTS(), release, truth)
+    assert mean > -0.01 - 2 * error
+    assert mean < 0.01 + 2 * error  # the one motion is the true one: nothing is better
+
+
+def test_a_given_q_is_that_of_all_tracks():
+    release, _ = crowd(STANDS, WALKS)
+    for attack in (RadialRTS(q=0.1), OuRTS(q=0.1), OuRTS(q=0.1, std_m=0.4, tau_s=5.0)):
+        common = replace(attack, own_motion=False)
+        ours, theirs = (one.fit(context())(release).xy for one in (attack, common))
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_a_track_depends_on_no_other_and_on_no_frame():
+    release, _ = crowd(STANDS, WALKS, slow_m=0.5)
+    smooth = OuRTS(std_m=0.5, tau_s=5.0).fit(context())
+    whole, some = smooth(release), smooth(release.tracks(np.array([3, 0])))
+    np.testing.assert_array_equal(some.xy[:SIZE], whole.xy[3 * SIZE : 4 * SIZE])
+    turned = moved(release)
+    shift = np.hypot(*(smooth(turned).xy - turned.xy).T)
+    np.testing.assert_allclose(shift, np.hypot(*(whole.xy - release.xy).T), atol=1e-6)
+
+
+def test_who_is_taught_learns_the_passes_and_keeps_each_tracks_own_motion():
+    release, truth = crowd(STANDS, WALKS)
+    known = context(TrainingSet(*crowd(STANDS, WALKS, seed=1)), granted={Knowledge.TRAIN})
+    taught, alone = (RadialRTS().fit(one)(release).xy for one in (known, context()))
+    np.testing.assert_allclose(taught, alone, atol=1e-9)
+    loss = exposure_loss(xy=taught, truth=truth, offsets=release.offsets, epsilon_m=EPSILON_M)
+    common = RadialRTS(own_motion=False).fit(known)(release).xy
+    assert loss < exposure_loss(
+        xy=common, truth=truth, offsets=release.offsets, epsilon_m=EPSILON_M
+    )
