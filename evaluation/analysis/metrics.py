@@ -126,5 +126,6 @@ OF_ROBOT: Final = "plr_robot"  # What a robot itself knows of where somebody was
 ROBOTS_OWN: Final = (ERROR, OF_ROBOT)  # What is told of a robot at a price.
 EXPOSURE: Final = "plr"  # The descriptor that reconstructions are ranked by.
 SUCCESS: Final = "rank1"  # What linkers are ranked by.
+ASSIGNED: Final = "rank1_assigned"  # The same where all probes are matched at once.
 SUCCESS_OF_100: Final = "rank1_g100"  # The same in a gallery of 100: what compares over runs.
 ACHIEVED: Final = (SUCCESS, "auc")  # What is compared of a linker at equal cost.

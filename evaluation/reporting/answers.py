@@ -81,7 +81,9 @@ def answers(run: Results, of: Headline | None = None) -> tuple[Answer, ...]:
 
 def headline_of(run: Results) -> Headline:
     """Return what the first table of a run shows."""
-    return headline(run.summary, attacks=run.strongest, linkability=run.linkability)
+    return headline(
+        run.summary, attacks=run.strongest, linkability=run.linkability, attacked=run.attacked
+    )
 
 
 def reference(of: Headline) -> Where:

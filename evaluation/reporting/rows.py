@@ -69,6 +69,8 @@ class Results:
     failed: pd.DataFrame  # Cells that could not be computed, and why; no other table holds them.
     strongest: Mapping[str, Source] = field(default_factory=dict)
     """Of every linkage task the attack that the verdict is about; under "" the reconstruction."""
+    attacked: pd.DataFrame = field(default_factory=pd.DataFrame)
+    """Numbers of the strongest attack against each mechanism, cross-fitted: `strongest.csv`."""
     gallery: pd.DataFrame | None = None  # As in `gallery.parquet`; None without, and of `load`.
 
     @property
