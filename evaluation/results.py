@@ -20,12 +20,13 @@ from evaluation.analysis.decisions import decisions
 from evaluation.analysis.families import families_in
 from evaluation.analysis.frontier import frontier
 from evaluation.analysis.galleries import TPR, galleries
-from evaluation.analysis.keys import AS_SHARED, Key, Source, horizons_in, judged_at
-from evaluation.analysis.linked_people import read_probes
+from evaluation.analysis.keys import Key, Source, horizons_in, judged_at
+from evaluation.analysis.linked_people import Choices, read_probes
 from evaluation.analysis.matching import FUTURE, Sweeps, matched
-from evaluation.analysis.metrics import ACHIEVED, EXPOSURE, SUCCESS, SUCCESS_OF_100
+from evaluation.analysis.metrics import ACHIEVED, ASSIGNED, EXPOSURE, SUCCESS, SUCCESS_OF_100
 from evaluation.analysis.pooled import Answered, answered, answers_of, to_frame
-from evaluation.analysis.strongest import cross_fitted, strongest
+from evaluation.analysis.strongest import HEADLINE, cross_fitted, strongest
+from evaluation.analysis.strongest_table import strongest_on_each, strongest_table
 from evaluation.experiment.constants import BLOCK_SCENES, MOST_SCENES, WORLDS, horizon_world
 from evaluation.experiment.plan import Plan, plan
 from evaluation.experiment.settings import Settings, check_drawing
@@ -51,7 +52,9 @@ from isac_track.intervals import Estimate
 __all__ = ["Results", "build", "load", "rebuild", "run", "sized", "study"]
 _one_thread = partial(threadpool_limits, limits=1, user_api="blas")
 """Keep linear algebra to this thread: its matrices are small, and others would only spin."""
-_DRAWN: Final = (*ACHIEVED, SUCCESS_OF_100)  # What is compared of linkers, and has replicates.
+_DRAWN: Final = (*ACHIEVED, ASSIGNED, SUCCESS_OF_100)
+"""What is compared of linkers, and has replicates."""
+_OF_PEOPLE: Final = (EXPOSURE, SUCCESS, ASSIGNED, TPR)  # What is asked of who is linked.
 
 
 def run(
@@ -157,7 +160,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
 def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     """Return all that the cells of a run tell, and how much was looked at for flags."""
     manifest = read_manifest(out)
-    dataset, seed = manifest["dataset"]["name"], manifest["identity"]["seed"]
+    dataset = manifest["dataset"]["name"]
     predictors, known = manifest["settings"]["predictors"], families_in(manifest["cells"])
     with aside(partial(_of_links, out, manifest)) as of_links:
         scenes = _of_scenes(out, manifest)
@@ -166,20 +169,39 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     flagged, looked = weak_attacks.flags(found, slow=weak_attacks.slow_attacks(manifest))
     sweeps = Sweeps({**found, **scenes.own.at_raw_alarms, **linked}, known)
     best = strongest(sweeps.found, known)
-    few = {key: one for key, one in sweeps.found.items() if key.metric in (EXPOSURE, SUCCESS, TPR)}
-    with aside(partial(_of_people, out, manifest, Sweeps(few, known), best)) as of_people:
+    sums |= attacked
+    few = {key: one for key, one in sweeps.found.items() if key.metric in _OF_PEOPLE}
+    crossed = {
+        task: cross_fitted(sums, known, source, by=SUCCESS if task else EXPOSURE)
+        for task, source in best.items()
+    }
+    on_each = strongest_on_each(sweeps.found, sums, known)
+    choices = {(task, ""): of.choices for task, of in crossed.items() if task}
+    choices |= {
+        (one.source.task, one.mechanism): one.crossed.choices
+        for one in on_each
+        if one.source.task and one.among == HEADLINE
+    }
+    about = out, manifest, Sweeps(few, known), best, choices
+    with aside(partial(_of_people, *about)) as of_people:
         at_equal = [matched(sweeps, predictors=predictors, dataset=dataset)]
-        crossed, halves = cross_fitted(attacked, known, best.get("", AS_SHARED), seed=seed)
-        sums |= attacked
-        frontiers = [frontier(sweeps, predictors=predictors, dataset=dataset, sums=sums, seed=seed)]
+        frontiers = [frontier(sweeps, predictors=predictors, dataset=dataset, attacks=on_each)]
         for horizon_s, robots in scenes.later.items():
             at_horizon = Sweeps(judged_at(sweeps.found, robots.every), known)
-            about: dict[str, Any] = {"dataset": dataset, "world": horizon_world(horizon_s)}
+            world = horizon_world(horizon_s)
             frontiers.append(
-                frontier(at_horizon, predictors=predictors, sums=sums, seed=seed, **about)
+                frontier(
+                    at_horizon, predictors=predictors, dataset=dataset, world=world, attacks=on_each
+                )
             )
             at_equal.append(
-                matched(at_horizon, predictors=predictors[:1], criteria=(FUTURE,), **about)
+                matched(
+                    at_horizon,
+                    predictors=predictors[:1],
+                    criteria=(FUTURE,),
+                    dataset=dataset,
+                    world=world,
+                )
             )
         tidy = summary.to_frame(
             {**found, **linked}, worlds=scenes.worlds, known=known, dataset=dataset
@@ -187,13 +209,19 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         far = weak_attacks.far_from_optimum(gaps(tidy))
         speeds = by_speed(out, manifest, sweeps.found, known=known, best=best)
         in_galleries, across = of_people()
-    judged = Sweeps({**sweeps.found, **crossed}, known) if crossed else sweeps
+    cross_fits = {key: one for of in crossed.values() for key, one in of.estimates.items()}
+    judged = Sweeps({**sweeps.found, **cross_fits}, known)
     later = {
         horizon_s: Sweeps(judged_at(judged.found, robots.every), known)
         for horizon_s, robots in scenes.later.items()
     }
     said = verdict.verdict(
-        judged, across, strongest=best, scored=halves, later=later, manifest=manifest
+        judged,
+        across,
+        strongest=best,
+        scored={task: of.choices for task, of in crossed.items()},
+        later=later,
+        manifest=manifest,
     )
     said["robots"] = horizons.beaten_by_standing_still(found, scenes.estimates_later)
     every_match = pd.concat(at_equal, ignore_index=True)
@@ -205,6 +233,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         claims=paper.claims(sweeps, every_match, dataset=dataset, history=manifest["history"]),
         matched=every_match,
         frontier=pd.concat(frontiers, ignore_index=True),
+        attacked=strongest_table(on_each, sweeps.found, dataset=dataset),
         decisions=pd.concat([robots.decided for robots in scenes.judged], ignore_index=True),
         curves=pd.concat([robots.curves for robots in scenes.judged], ignore_index=True),
         flags=pd.concat([flagged, far], ignore_index=True) if len(far) else flagged,
@@ -297,10 +326,14 @@ def _judged(
 
 
 def _of_people(
-    out: Path, manifest: Mapping[str, Any], sweeps: Sweeps, best: Mapping[str, Source]
+    out: Path,
+    manifest: Mapping[str, Any],
+    sweeps: Sweeps,
+    best: Mapping[str, Source],
+    choices: Mapping[tuple[str, str], Choices],
 ) -> tuple[pd.DataFrame, dict[str, list[dict[str, Any]]]]:
     """Return what rests on who is linked: over the gallery's size, and the verdict's parts."""
-    probes = read_probes(out, manifest, sweeps, strongest=best)
+    probes = read_probes(out, manifest, sweeps, strongest=best, choices=choices)
     dataset, seed = manifest["dataset"]["name"], manifest["identity"]["seed"]
     in_galleries = galleries(probes, sweeps.found, dataset=dataset, seed=seed)
     return in_galleries, verdict.of_people(probes, sweeps, strongest=best, manifest=manifest)

@@ -134,5 +134,6 @@ ROBOTS_OWN: Final = (ERROR, OF_ROBOT)  # What is told of a robot at a price.
 WORST_TENTH: Final = "plr_worst_tenth"  # PLR of the most exposed tenth of the people.
 EXPOSURE: Final = "plr"  # The descriptor that reconstructions are ranked by.
 SUCCESS: Final = "rank1"  # What linkers are ranked by.
+ASSIGNED: Final = "rank1_assigned"  # The same where all probes are matched at once.
 SUCCESS_OF_100: Final = "rank1_g100"  # The same in a gallery of 100: what compares over runs.
 ACHIEVED: Final = (SUCCESS, "auc")  # What is compared of a linker at equal cost.

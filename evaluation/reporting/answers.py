@@ -106,6 +106,7 @@ def headline_of(run: Results) -> Headline:
         run.summary,
         attacks=run.strongest,
         linkability=run.linkability,
+        attacked=run.attacked,
         epsilon_m=float(run.manifest["settings"]["stages"]["privacy.epsilon_m"]),
     )
 
