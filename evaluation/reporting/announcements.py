@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 WIDTH: Final = 80  # Columns of the first screen.
 USUAL_DISTANCE_M: Final = (20.0, 40.0)  # From the station: the constants were fitted at 30 m.
-USUAL_AT_CAP: Final = 0.3  # At most, of the tracks: there 16 %.
+USUAL_AT_CAP: Final = 0.3  # At most, of the tracks: there 13 %.
 _COMMANDS = ("matrix.py", "isac-track", "__main__.py")
 _TOLD_WHOLE: Final = ("header", "unit", "frame-clock")
 _LARGE_GALLERY = 3000  # People, above which it is proposed to score some alone.

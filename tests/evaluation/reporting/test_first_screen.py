@@ -1,5 +1,7 @@
 """What comes first of a run: few lines, none too wide, with all that may be doubted."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -13,7 +15,7 @@ from helpers.finished_runs import (
 )
 
 from evaluation.analysis.keys import Source
-from evaluation.reporting.announcements import condensed, notices
+from evaluation.reporting.announcements import condensed, geometry, notices
 from evaluation.reporting.answers import chosen_levels, headline_of
 from evaluation.reporting.first_screen import first_screen
 from evaluation.reporting.progress import Clock
@@ -141,3 +143,18 @@ def test_the_time_left_goes_by_what_was_finished_after_the_first_cell():
     # 100 cells in 10 s: 89 s for 890; then an eighth of 129 s for the report.
     assert clock.text(110, 1000) == "0:40, about 1:44 left"
     assert clock.text(1000, 1000) == "1:08:50"
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "at_cap", "said"),
+    [(30.0, 0.13, ""), (53.2, 0.1, "usual: 20 to 40"), (30.0, 0.48, "(usual: up to 30 %)")],
+)
+def test_an_unusual_geometry_is_on_the_first_screen(distance_m, at_cap, said):
+    known = {"distance_m": distance_m, "sigma_raw_m": 1.92, "at_cap": at_cap, "tracks": 9}
+    run = make_run()
+    run = replace(run, manifest=run.manifest | {"geometry": known})
+    shown = " ".join(" ".join(first_screen(run)).split())
+    assert ("Geometry: people are" in shown) == bool(said)
+    assert said in shown
+    assert geometry(run.manifest)
+    assert geometry(make_run().manifest) == []
