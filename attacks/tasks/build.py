@@ -232,6 +232,8 @@ def _closed(draft: Draft, length_s: float, starts_s: _Starts, *, needed_s: float
     def windows(side: str, day: Draft, track: Ints, start_s: Floats, person: Ints) -> Windows:
         start_s = start_s[person]
         t, xy, offsets = day.cut(side, track[person], start_s, start_s + length_s)
+        if draft.task.shows_scene:
+            return Windows(t, xy, offsets, person, fold_of[person])
         # Put where somebody, anybody, once was.
         sizes = np.diff(offsets)
         middle_m = np.add.reduceat(xy, offsets[:-1]) / sizes[:, None]

@@ -199,7 +199,7 @@ def _sensed(sessions: Sessions, side: str, *, stages: StageSettings, seed: int) 
     keys: list[tuple[str | int, ...]] = []
     for person, search in zip(windows.person, windows.search, strict=True):
         # The number of a closed search is a half, which may change with who else is there.
-        at = (sessions.searches[search],) if task.shows_scene else ()
+        at = (sessions.searches[search],) if task.is_open else ()
         keys.append(("linkage", task.family, side, sessions.source[person], *at))
     sizes = np.diff(windows.offsets)[:, None]
     names = [("person", one, *(() if task.is_one_walk else (side,))) for one in sessions.source]
