@@ -53,6 +53,12 @@ class Shown:
     measure: Measure
     chance: float = math.nan
     candidates: float = math.nan  # Mean size of the gallery, where people are linked.
+    is_joint: bool = False  # Whether all probes are matched at once.
+
+    @property
+    def title(self) -> str:
+        """Heading of a column with room for all."""
+        return f"{self.above}, {self.name}" + ", joint matching" * self.is_joint
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -194,7 +200,8 @@ def _linked(
             if linkability is not None:
                 is_it = linkability["consumer"] == source.consumer
                 sizes = linkability.loc[is_it, "gallery_mean"].dropna().to_list() or sizes
-            one = Shown(_FOUND, head, source.measure(SUCCESS), chance, float(np.mean(sizes)))
+            measure, is_joint = source.measure(SUCCESS), rule_of(found, source) == ASSIGNED
+            one = Shown(_FOUND, head, measure, chance, float(np.mean(sizes)), is_joint)
         columns.append(one)
     return columns
 
@@ -230,7 +237,7 @@ def headline_table(of: Headline) -> Table:
     """Return the first table with its intervals, all levels and both laws."""
     columns = [make.said("sharing (ind.: independent adding)", of.name)]
     for one in of.columns:
-        columns.append(Column(f"{one.above}, {one.name}", partial(_cell, of, one), "%"))
+        columns.append(Column(one.title, partial(_cell, of, one), "%"))
         if one is of.attacked and of.other_law:
             isotropic = partial(_cell, of, one, other_law=True)
             columns.append(Column(f"{one.above}, attack, isotropic error", isotropic, "%"))
