@@ -27,7 +27,7 @@ from isac_track.config import StageSettings
 from isac_track.protocols import AttackContext
 from isac_track.resample import sampling_times, walk
 from isac_track.rng import stream
-from isac_track.sensing import draw_channel, sense
+from isac_track.sensing import draw_channel, sense, walked_within
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -140,15 +140,16 @@ def sensed(tracks: Tracks, rows: Ints, start_s: Floats, *, side: str) -> Sensed:
     ]
     xy_parts = [walk(tracks[int(row)])(t) for row, t in zip(rows, t_parts, strict=True)]
     sizes = np.array([[part.size for part in t_parts]])
+    xy, offsets = np.concatenate(xy_parts), np.concatenate([[0], np.cumsum(sizes[0])])
     channel = draw_channel(
-        n_samples=sizes, keys=[("benchmark", side)], settings=stages.sensing, seed=0
+        walked_m=walked_within(xy, offsets),
+        n_samples=sizes,
+        keys=[("benchmark", side)],
+        settings=stages.sensing,
+        seed=0,
     )
     return sense(
-        t=np.concatenate(t_parts),
-        xy=np.concatenate(xy_parts),
-        offsets=np.concatenate([[0], np.cumsum(sizes[0])]),
-        channel=channel,
-        settings=stages.sensing,
+        t=np.concatenate(t_parts), xy=xy, offsets=offsets, channel=channel, settings=stages.sensing
     )
 
 

@@ -8,6 +8,7 @@ A range ends far beyond what is of use, but within what arithmetic and memory ca
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from math import inf
 from numbers import Integral, Real
 from typing import Any, Literal, Self, TypeAlias, get_args
 
@@ -17,9 +18,14 @@ IntervalsOf: TypeAlias = Literal["segment", "trajectory"]
 """Whose sampling intervals the duration of a leaked segment is made of."""
 
 
-def _number(default: float, low: float, high: float, *, is_open: bool = False) -> Any:  # noqa: ANN401 - a field of any type of number
-    """Declare a number and its range, which holds neither of its ends if it is open."""
-    return field(default=default, metadata={"range": (low, high), "open": is_open})
+def _number(
+    default: float, low: float, high: float, *, is_open: bool = False, or_inf: bool = False
+) -> Any:  # noqa: ANN401 - a field of any type of number
+    """Declare a number and its range, which holds neither of its ends if it is open.
+
+    Beyond the range infinity may be taken, too.
+    """
+    return field(default=default, metadata={"range": (low, high), "open": is_open, "inf": or_inf})
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +49,8 @@ class _Stage:
                 fits, wanted = low < value < high, f"between {low:g} and {high:g}"
             else:
                 fits, wanted = low <= value <= high, f"within {low:g} to {high:g}"
+            if item.metadata["inf"]:
+                fits, wanted = fits or value == inf, f"{wanted}, or be inf"
             if not fits:  # nor does NaN
                 raise SettingsError(f"{name} must lie {wanted}, got {quoted(value)}")
 
@@ -85,6 +93,9 @@ class SceneSettings(_Stage):
 class SensingSettings(_Stage):
     """Link budget of the base station, and the step from the Cramer-Rao bound to an error."""
 
+    place: Literal["centred", "file"] = "centred"
+    """reading: where a recording stands; `centred`: the median of its people where the robots
+    start (`isac_track.place`); `file`: as its own coordinates say"""
     bs_x_m: float = _number(5.0, -1e6, 1e6)  # paper: base station
     bs_y_m: float = _number(30.0, -1e6, 1e6)  # paper: base station
     carrier_ghz: float = _number(3.5, 1e-3, 1e4)  # paper
@@ -97,9 +108,12 @@ class SensingSettings(_Stage):
     beam_fluctuation_db: float = _number(2.0, 0, 50)  # paper: N(0, 2) dB a sample (reading: std)
     rcs_m2: float = _number(1.0, 1e-6, 1e6)  # reading: radar cross-section of a pedestrian
     resource_share: float = _number(1.0, 1e-6, 1e6)  # reading: m_s of eq. swarm_fi
-    large_scale_db: float = _number(11.72, 0, 100)  # fitted: two-way log-normal spread of a track
-    processing_gain_db: float = _number(32.45, -200, 200)  # fitted: the receiver's integration gain
-    crb_gap_db: float = _number(13.3, -200, 200)  # fitted: sigma_raw over sqrt(CRB), in 20 log10
+    large_scale_db: float = _number(11.88, 0, 100)  # fitted: two-way log-normal spread
+    decorrelation_m: float = _number(10.0, 0.1, 1e6, or_inf=True)
+    """reading: over so much of a walk the large-scale gain's correlation falls to 1/e (Gudmundson,
+    Electron. Lett. 27, 1991); inf: it is constant along a walk"""
+    processing_gain_db: float = _number(32.39, -200, 200)  # fitted: the receiver's integration gain
+    crb_gap_db: float = _number(13.27, -200, 200)  # fitted: sigma_raw over sqrt(CRB), in 20 log10
     sigma_cap_m: float = _number(2.0, 1e-6, 1e6)  # reading, fixed before the fit: caps sigma_raw
     law: Literal["radial", "isotropic", "fixed_direction"] = "radial"
     """reading: law of the raw error; a mechanism takes the same unless told otherwise"""

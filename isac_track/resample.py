@@ -49,8 +49,9 @@ def resample(tracks: Tracks, *, settings: ResampleSettings, seed: int) -> Tracks
     parts: list[tuple[Floats, Floats, str, str]] = []
     for track in tracks:
         start_s, end_s = float(track.t[0]), float(track.t[-1])
-        # A recorded duration carries rounding of the frame clock: 21.6 s at 25 Hz is 540 frames.
-        if track.t.size < 2 or end_s - start_s < settings.min_duration_s - 1e-9:  # noqa: PLR2004 - a line needs two
+        # A recorded duration carries rounding of the clock: 21.6 s at 25 Hz is 540 frames, and
+        # seconds since 1970 have seven decimals.
+        if track.t.size < 2 or end_s - start_s < settings.min_duration_s - 1e-6:  # noqa: PLR2004 - a line needs two
             continue
         rng = stream(seed, "resample", track.source[0])
         t = sampling_times(start_s=start_s, end_s=end_s, settings=settings, rng=rng)

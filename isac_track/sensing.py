@@ -7,6 +7,7 @@ sigma_raw, and Fisher information density (eq. swarm_fid). Two-way (monostatic) 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from typing import Final
 
 import numpy as np
 from numpy.random import Generator
@@ -16,13 +17,15 @@ from isac_track.rng import stream
 from isac_track.types import ErrorLaw, Floats, Ints, Scenes, Sensed, read_only, squared_lengths
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0
+KNOTS: Final = 200
+"""Of a walk's large-scale gain, within the distance over which its correlation falls to 1/e."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Channel:
     """Random part of the link of N tracks and M samples, without the two fitted spreads."""
 
-    large_scale: Floats  # (N,) standard normal; times `large_scale_db` the track's gain in dB.
+    large_scale: Floats  # (M,) standard normal; times `large_scale_db` the sample's gain in dB.
     path_power: Floats  # (N, N_p) power of each path, exponential with mean 1 (Rayleigh amplitude).
     path_delay: Floats  # (N, N_p) excess delay, share of `delay_spread_s`; 0 of the first, direct.
     beam: Floats  # (M,) standard normal; times `beam_fluctuation_db` the sample's gain in dB.
@@ -60,9 +63,9 @@ def link_gain(
     """Return the two-way power gain of every sample, (M,), as a plain ratio.
 
     The radar equation at 1 m, lambda^2 rcs / (4 pi)^3, path loss with the table's exponent each
-    way, a log-normal gain per track, N_p Rayleigh paths whose excess delay lengthens the way there
-    and back, and the beam's fluctuation per sample. `distance_m`, (M,) m, positive, is that from
-    the base station; `owner`, (M,), the track of each sample.
+    way, a log-normal gain along the track, N_p Rayleigh paths of each track whose excess delay
+    lengthens the way there and back, and the beam's fluctuation per sample. `distance_m`, (M,) m,
+    positive, is that from the base station; `owner`, (M,), the track of each sample.
     """
     wavelength_m = SPEED_OF_LIGHT_MPS / (settings.carrier_ghz * 1e9)
     at_1m = wavelength_m**2 * settings.rcs_m2 / (4.0 * np.pi) ** 3
@@ -74,8 +77,7 @@ def link_gain(
         power = channel.path_power[:, path].take(owner)
         paths += power * way_m ** -(2.0 * settings.path_loss_exponent)
     fluctuation_db = (
-        settings.large_scale_db * channel.large_scale[owner]
-        + settings.beam_fluctuation_db * channel.beam
+        settings.large_scale_db * channel.large_scale + settings.beam_fluctuation_db * channel.beam
     )
     return np.asarray(at_1m * (paths / n_paths) * 10.0 ** (fluctuation_db / 10.0))
 
@@ -149,36 +151,155 @@ def track_directions(draws: Floats, *, offsets: Ints) -> Floats:
     return np.repeat(direction, np.diff(offsets), axis=0)
 
 
+def walked_within(xy: Floats, offsets: Ints) -> Floats:
+    """Return how far each track has come at each of its samples, (M, 2) m -> (M,) m."""
+    step_m = np.sqrt(squared_lengths(np.diff(xy, axis=0, prepend=xy[:1])))
+    step_m[offsets[:-1]] = 0.0
+    way_m = np.cumsum(step_m)
+    return np.asarray(way_m - np.repeat(way_m[offsets[:-1]], np.diff(offsets)))
+
+
+def gain_along(
+    *, walked_m: Floats, offsets: Ints, innovations: Floats, decorrelation_m: float
+) -> Floats:
+    """Return the large-scale gain of tracks at their samples, (M,), in standard deviations.
+
+    A Gaussian process over the distance walked with covariance exp(-distance / decorrelation_m)
+    (Gudmundson, Electron. Lett. 27, 1991), by its exact transitions: `innovations`, (M,), are
+    standard normal, the first of a track its first gain. `walked_m`, (M,) m, as `walked_within`.
+    """
+    from isac_track._gain_loop import correlated  # noqa: PLC0415 - compiles at first use
+
+    kept = np.exp(-np.diff(walked_m, prepend=0.0) / decorrelation_m)
+    kept[offsets[:-1]] = 0.0
+    gain = np.empty_like(walked_m)
+    correlated(innovations, kept, gain)
+    return gain
+
+
+def gain_at(*, walked_m: Floats, decorrelation_m: float, rng: Generator) -> Floats:
+    """Return the large-scale gain of one walk at some distances from its start, (K,).
+
+    Drawn exactly at fixed knots of the whole walk, in their order: the distances asked for change
+    no draw. Between two knots the gain is interpolated and scaled to a variance of 1. Of any two
+    distances the covariance is off that of `gain_along` by at most 1 / (2 KNOTS) (tested).
+    """
+    if np.isinf(decorrelation_m):
+        return np.full(walked_m.size, rng.standard_normal())
+    place = walked_m * (KNOTS / decorrelation_m)
+    before = place.astype(np.int64)
+    n_knots = int(before.max(initial=0)) + 2
+    knots = gain_along(
+        walked_m=np.arange(float(n_knots)) * (decorrelation_m / KNOTS),
+        offsets=np.array([0, n_knots]),
+        innovations=rng.standard_normal(n_knots),
+        decorrelation_m=decorrelation_m,
+    )
+    after, kept = place - before, np.exp(-1.0 / KNOTS)
+    mixed = (1.0 - after) * knots[before] + after * knots[before + 1]
+    variance = 1.0 - 2.0 * (1.0 - kept) * after * (1.0 - after)
+    return np.asarray(mixed / np.sqrt(variance))
+
+
 def draw_channel(
-    *, n_samples: Ints, keys: Sequence[tuple[str | int, ...]], settings: SensingSettings, seed: int
+    *,
+    walked_m: Floats,
+    n_samples: Ints,
+    keys: Sequence[tuple[str | int, ...]],
+    settings: SensingSettings,
+    seed: int,
 ) -> Channel:
     """Draw the random part of the link for batches of tracks.
 
     Every batch and quantity has a stream of its own. `n_samples`, (K, A), are those of the A tracks
-    of each of K batches (a scene, or one track), `keys` the names of their streams.
+    of each of K batches (a scene, or one track), `keys` the names of their streams; `walked_m`,
+    (M,) m, is `walked_within` them.
     """
     # In hashable form, and remembered: a process works on several pieces of one task in turn.
-    return _drawn(tuple(map(tuple, n_samples.tolist())), tuple(keys), settings, seed)
+    innovations, *rest = _drawn(tuple(map(tuple, n_samples.tolist())), tuple(keys), settings, seed)
+    large_scale = gain_along(
+        walked_m=walked_m,
+        offsets=np.concatenate([[0], np.cumsum(n_samples)]),
+        innovations=innovations,
+        decorrelation_m=settings.decorrelation_m,
+    )
+    return Channel(read_only(large_scale), *rest)
 
 
-@lru_cache(maxsize=2)  # both sides of a task
+@lru_cache(maxsize=2)
 def _drawn(
     n_samples: tuple[tuple[int, ...], ...],
     keys: tuple[tuple[str | int, ...], ...],
     settings: SensingSettings,
     seed: int,
-) -> Channel:
+) -> tuple[Floats, ...]:
+    """Return innovations of the gain, and what a `Channel` holds beside it."""
     draw, batches = partial(stream, seed, "sensing"), []
     for sizes, key in zip(n_samples, keys, strict=True):
         total, offsets = sum(sizes), np.cumsum([0, *sizes])
-        large_scale = draw("large scale", *key).standard_normal(len(sizes))
+        large_scale = draw("large scale", *key)
+        # First where the tracks begin: of a gain that never changes these are all that counts.
+        begins = large_scale.standard_normal(len(sizes))
+        innovations = large_scale.standard_normal(total)
+        innovations[offsets[:-1]] = begins
         paths, shape = draw("paths", *key), (len(sizes), settings.n_paths)
-        power, delay = paths.standard_exponential(shape), paths.random(shape)
-        delay[:, 0] = 0.0  # the direct path
+        power, delay = _paths(paths, shape)
         beam, rng = draw("beam", *key).standard_normal(total), draw("error", *key)
         error = unit_errors(n_samples=total, law=settings.law, rng=rng, offsets=offsets)
-        batches.append((large_scale, power, delay, beam, error))
-    return Channel(*(read_only(np.concatenate(each)) for each in zip(*batches, strict=True)))
+        batches.append((innovations, power, delay, beam, error))
+    return tuple(read_only(np.concatenate(each)) for each in zip(*batches, strict=True))
+
+
+def _paths(rng: Generator, shape: tuple[int, int]) -> tuple[Floats, Floats]:
+    """Draw power and excess delay of the paths of some tracks."""
+    power, delay = rng.standard_exponential(shape), rng.random(shape)
+    delay[:, 0] = 0.0  # the direct path
+    return power, delay
+
+
+def draw_walk_channel(
+    *,
+    walked_m: Floats,
+    offsets: Ints,
+    walks: Sequence[tuple[str | int, ...]],
+    keys: Sequence[tuple[str | int, ...]],
+    settings: SensingSettings,
+    seed: int,
+) -> Channel:
+    """Draw the random part of the link for N windows of recorded walks.
+
+    What lasts is of the walk: its gain by the distance `walked_m`, (M,) m, since the walk began,
+    its paths, and the line of errors of a fixed direction. What fades from sample to sample (beam
+    and error) is of the window. `walks` and `keys`, N each, are the names of their streams: windows
+    of one walk in one session share the former, whatever lies between them.
+    """
+    draw, parts = partial(stream, seed, "sensing"), []
+    distances_m = np.split(walked_m, offsets[1:-1])
+    for way_m, walk, key in zip(distances_m, walks, keys, strict=True):
+        rng = draw("large scale", *walk)
+        gain = gain_at(walked_m=way_m, decorrelation_m=settings.decorrelation_m, rng=rng)
+        power, delay = _paths(draw("paths", *walk), (1, settings.n_paths))
+        beam = draw("beam", *key).standard_normal(way_m.size)
+        whole = np.array([0, way_m.size])
+        rng = draw("error", *key)
+        error = unit_errors(n_samples=way_m.size, law=settings.law, rng=rng, offsets=whole)
+        if settings.law == "fixed_direction":
+            error = _turned(error, draw("direction", *walk))
+        parts.append((gain, power, delay, beam, error))
+    return Channel(*(read_only(np.concatenate(each)) for each in zip(*parts, strict=True)))
+
+
+def recorded_walk(source: str) -> tuple[str | int, ...]:
+    """Return the names of the streams of a recorded walk as it was sensed when it was walked."""
+    return ("recorded walk", source)
+
+
+def _turned(error: Floats, rng: Generator) -> Floats:
+    """Return errors that lie on one line on another one, which is drawn."""
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    line = error[np.abs(error).max(axis=1).argmax()]
+    along = error @ (line / np.hypot(*line))
+    return np.asarray(along[:, None] * np.array([np.cos(angle), np.sin(angle)]))
 
 
 def sense(
@@ -226,7 +347,13 @@ def sense_scenes(
     """Return what the network senses of the histories; with other `names` of the streams anew."""
     n_samples, numbers = np.diff(scenes.offsets).reshape(len(scenes), -1), scenes.index.tolist()
     keys = [("scene", one, *names) for one in numbers]
-    channel = draw_channel(n_samples=n_samples, keys=keys, settings=settings, seed=seed)
+    channel = draw_channel(
+        walked_m=walked_within(scenes.xy, scenes.offsets),
+        n_samples=n_samples,
+        keys=keys,
+        settings=settings,
+        seed=seed,
+    )
     # A walk is shown in many scenes, each time elsewhere: every showing is a session of its own.
     walks = [walk_numbers("scene", one, n_walks=scenes.n_agents, seed=seed) for one in numbers]
     return sense(

@@ -18,16 +18,18 @@ from attacks.tasks.sessions import N_FOLDS, Sessions, Windows, circumstances, ha
 from attacks.tasks.task_list import TASKS, Task, task_named
 from isac_track.config import StageSettings
 from isac_track.datasets import load, summarise
-from isac_track.datasets.repair import walking_groups
+from isac_track.datasets.repair import FAST_STEP_MPS, walking_groups
 from isac_track.errors import DataError, SettingsError
+from isac_track.place import placed_together
 from isac_track.resample import sampling_times, walk
 from isac_track.rng import stream
-from isac_track.types import Bools, Floats, Ints, Tracks, end_to_end, runs_of
+from isac_track.types import Bools, Floats, Ints, Tracks, end_to_end, runs_of, squared_lengths
 
 LEAST_PEOPLE = 24  # Fewer cannot be split into who teaches, calibrates and is attacked, twice.
 MOST_SIMULATED = 300  # People of the two-session crowd: more can be simulated, and show no more.
 LEAST_COME_BACK = 8  # In a task that learns leaving one person out.
-CLOCK_S = 1e-9  # Room for the rounding of a frame clock: 12 s at 25 Hz is 300 frames.
+WAY_STEP_S = 1 / 12  # Of the way along a walk: the mean step at which it is sensed.
+CLOCK_S = 1e-6  # Room for the rounding of a clock: of frames at 25 Hz, of seconds since 1970.
 _Starts: TypeAlias = Callable[[Floats, Floats, Generator], Floats]
 """Draws where both windows of a person begin, from the first samples of the tracks that they are
 cut from and by how much these are longer than needed, (2,) s each."""
@@ -38,9 +40,41 @@ def _walk(tracks: Tracks, row: int) -> Callable[[Floats], Floats]:
     return walk(tracks[row])
 
 
-@lru_cache(maxsize=4)  # as above: the recording, and both sessions of the crowd
+@lru_cache(maxsize=2048)  # as above
+def _way(tracks: Tracks, row: int) -> tuple[Floats, Floats]:
+    """Return instants of a whole recorded walk, and how far it has come at them in m.
+
+    They follow each other in even steps from its first sample on, wherever windows are cut.
+    """
+    track = tracks[row]
+    n_steps = int((track.t[-1] - track.t[0]) / WAY_STEP_S)
+    t = np.append(track.t[0] + WAY_STEP_S * np.arange(n_steps + 1), track.t[-1])
+    steps_m = np.sqrt(squared_lengths(np.diff(_walk(tracks, row)(t), axis=0)))
+    return t, np.concatenate([[0.0], np.cumsum(np.minimum(steps_m, WAY_STEP_S * FAST_STEP_MPS))])
+
+
+@lru_cache(
+    maxsize=4
+)  # of the recording, and both sessions of the crowd: the recording, and both sessions of the crowd
 def _moving(tracks: Tracks) -> Bools:
     return np.asarray(~summarise(tracks)["frozen"].to_numpy())
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Stretches:
+    """N parts of recorded walks, M samples in all."""
+
+    t: Floats  # (M,) s
+    xy: Floats  # (M, 2) m
+    walked_m: Floats  # (M,) m since the recorded walk began.
+    offsets: Ints  # (N + 1,)
+
+    def windows(self, person: Ints, search: Ints, *, shift_m: Floats | float = 0.0) -> Windows:
+        """Return them as windows of these people in these searches, each shifted, (N, 2) m."""
+        moved = np.repeat(np.broadcast_to(shift_m, (person.size, 2)), np.diff(self.offsets), axis=0)
+        return Windows(
+            self.t, self.xy + moved, self.offsets, person, search, walked_m=self.walked_m
+        )
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -82,20 +116,26 @@ class Draft:
 
     def cut(
         self, side: str, rows: Ints, start_s: Floats, end_s: Floats, keys: Sequence[str] = ()
-    ) -> tuple[Floats, Floats, Ints]:
-        """Return stretches of walks as far as these go: instants of their own, places, offsets.
+    ) -> Stretches:
+        """Return stretches of walks as far as these go, at instants of their own.
 
         All are (N,). `rows` may hold a track more than once, each time with another of `keys`.
         """
         start_s = np.maximum(start_s, self.start_s[rows])
         end_s = np.minimum(end_s, self.end_s[rows])
-        t, xy, resample = [], [], self.settings.resample
+        t, xy, walked_m, resample = [], [], [], self.settings.resample
         each = zip(rows.tolist(), start_s, end_s.tolist(), keys or [""] * rows.size, strict=True)
         for row, start, end, key in each:
             rng = self.rng("sampling", side, self.tracks.source[row], key)
             t.append(sampling_times(start_s=start, end_s=end, settings=resample, rng=rng))
             xy.append(_walk(self.tracks, row)(t[-1]))
-        return np.concatenate(t), np.concatenate(xy), np.cumsum([0, *map(len, t)])
+            walked_m.append(np.interp(t[-1], *_way(self.tracks, row)))
+        return Stretches(
+            t=np.concatenate(t),
+            xy=np.concatenate(xy),
+            walked_m=np.concatenate(walked_m),
+            offsets=np.cumsum([0, *map(len, t)]),
+        )
 
     def sessions(
         self, rows: Ints, *, group: tuple[str, ...], may_teach: Bools, **found: object
@@ -231,16 +271,15 @@ def _closed(draft: Draft, length_s: float, starts_s: _Starts, *, needed_s: float
 
     def windows(side: str, day: Draft, track: Ints, start_s: Floats, person: Ints) -> Windows:
         start_s = start_s[person]
-        t, xy, offsets = day.cut(side, track[person], start_s, start_s + length_s)
+        found = day.cut(side, track[person], start_s, start_s + length_s)
         if draft.task.shows_scene:
-            return Windows(t, xy, offsets, person, fold_of[person])
+            return found.windows(person, fold_of[person])
         # Put where somebody, anybody, once was.
-        sizes = np.diff(offsets)
-        middle_m = np.add.reduceat(xy, offsets[:-1]) / sizes[:, None]
+        sizes = np.diff(found.offsets)
+        middle_m = np.add.reduceat(found.xy, found.offsets[:-1]) / sizes[:, None]
         draws = [draft.rng("place", side, source[one]).random() for one in person]
         there_m = day.tracks.xy[(np.array(draws) * day.tracks.t.size).astype(np.int64)]
-        xy += np.repeat(there_m - middle_m, sizes, axis=0)
-        return Windows(t, xy, offsets, person, fold_of[person])
+        return found.windows(person, fold_of[person], shift_m=there_m - middle_m)
 
     # In an order of its own, lest a place in the list tell who is who.
     order = draft.rng("order").permutation(rows.size)
@@ -284,8 +323,9 @@ def handover(draft: Draft) -> Sessions:
     at_s = first_s + every_s * np.arange(1.0, min(count, settings.handover_instants) + 1)
     # Which tracks are there until then, and after the gap, (S, N).
     ends_s, begins_s = at_s[:, None], at_s[:, None] + gap_s
-    before = (draft.start_s <= ends_s - least_s) & (draft.end_s >= ends_s)
-    after = (draft.start_s <= begins_s) & (draft.end_s >= begins_s + least_s)
+    began_s, left_s = draft.start_s - CLOCK_S, draft.end_s + CLOCK_S
+    before = (began_s <= ends_s - least_s) & (left_s >= ends_s)
+    after = (began_s <= begins_s) & (left_s >= begins_s + least_s)
     # Where nobody is to be linked there is nothing to search.
     used = np.flatnonzero((before & after).any(axis=1))
     n_everybody = int((before | after)[used].any(axis=0).sum())
@@ -298,7 +338,8 @@ def handover(draft: Draft) -> Sessions:
             f"task {draft.task.name}: pseudonyms rotate {used.size} times with somebody to link, "
             "but it takes 2; use a longer recording or a shorter linkage.handover_period_s"
         )
-    labels = [f"{at:g} s" for at in at_s[used]]
+    # Since the recording began: whatever its clock says, the same instant has the same draws.
+    labels = [f"{after:g} s" for after in at_s[used] - first_s]
 
     def windows(side: str, present: Bools, since_s: float, until_s: float) -> Windows:
         """Return those of one side of every rotation, those of each in an order of its own."""
@@ -309,7 +350,7 @@ def handover(draft: Draft) -> Sessions:
         search = np.repeat(np.arange(used.size), [part.size for part in order])
         start_s, end_s = (at_s[used][search] + after_s for after_s in (since_s, until_s))
         stretches = draft.cut(side, row, start_s, end_s, [labels[n] for n in search])
-        return Windows(*stretches, np.searchsorted(rows, row), search)
+        return stretches.windows(np.searchsorted(rows, row), search)
 
     probe = windows("probe", before, -window_s, 0.0)
     gallery = windows("gallery", after, gap_s, gap_s + window_s)
@@ -337,7 +378,8 @@ def handover(draft: Draft) -> Sessions:
 
 def _instants(draft: Draft, at_s: Floats, gap_s: float) -> Ints:
     """Return which instants are used: all, or some with `linkage.most_people` people, drawn."""
-    there = (draft.start_s <= at_s[:, None] + gap_s) & (draft.end_s >= at_s[:, None])
+    began_s, left_s = draft.start_s - CLOCK_S, draft.end_s + CLOCK_S
+    there = (began_s <= at_s[:, None] + gap_s) & (left_s >= at_s[:, None])
     drawn = draft.rng("instants").permutation(at_s.size)
     n_people = np.logical_or.accumulate(there[drawn], axis=0).sum(axis=1)
     few = int((n_people <= draft.settings.linkage.most_people).sum())
@@ -361,7 +403,8 @@ def sessions_of(
     """
     make = _MAKERS[task_named(task.name).family]
     if task.simulated and later is None:
-        tracks, later = _crowd(stages.linkage.trait_strength)
+        crowd = _crowd(stages.linkage.trait_strength)
+        tracks, later = placed_together(crowd, settings=stages)
     found = make(Draft(task=task, tracks=tracks, later=later or tracks, settings=stages, seed=seed))
     if task.comes_back:
         return found

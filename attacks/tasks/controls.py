@@ -22,6 +22,7 @@ from isac_track.types import Floats, Ints, Release
 Score: TypeAlias = Callable[[Release, Release, Generator], Floats]
 _NO_SIGMA_M = 1e-9
 _NEIGHBOURS = 5
+_DECIMALS = 9  # Of a noise level: many are at the cap, equal but for rounding.
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +95,8 @@ def _noise(release: Release) -> Floats:
     How far it ranges within a track tells how far the person walked, which is no shortcut.
     """
     assert release.sigma is not None  # a control sees all that is declared
-    return _means(np.log(np.maximum(release.sigma, _NO_SIGMA_M)), release)[:, None]
+    level = _means(np.log(np.maximum(release.sigma, _NO_SIGMA_M)), release)
+    return np.asarray(np.round(level, _DECIMALS)[:, None])
 
 
 def _over_neighbours(release: Release) -> Floats:
@@ -111,7 +113,8 @@ def _over_neighbours(release: Release) -> Floats:
     middle_m = _means(release.xy, release)
     nearest: Ints = np.asarray(cKDTree(middle_m).query(middle_m, k=few + 1)[1])
     # The first is the track itself, or somebody in the very same place.
-    return np.asarray(level - level[nearest[:, 1:], 0].mean(axis=1)[:, None])
+    around = level[nearest[:, 1:], 0].mean(axis=1)[:, None]
+    return np.asarray(np.round(level - around, _DECIMALS))
 
 
 def _frame(release: Release) -> Floats:

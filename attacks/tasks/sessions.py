@@ -35,9 +35,11 @@ class Windows:
     person: Ints  # (N,) row in the people of the `Sessions`.
     search: Ints  # (N,) which search it belongs to: candidates are compared within one.
     about: Floats | None = None  # (N, 6) `circumstances`, where a task controls for them.
+    walked_m: Floats | None = None
+    """(M,) m, walked since the recorded walk began; None: as if each began with its window."""
 
     def __post_init__(self) -> None:
-        for name in ("t", "xy", "offsets", "person", "search", "about"):
+        for name in ("t", "xy", "offsets", "person", "search", "about", "walked_m"):
             if (value := getattr(self, name)) is not None:
                 object.__setattr__(self, name, read_only(value))
 

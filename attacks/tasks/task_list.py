@@ -46,6 +46,11 @@ class Task:
         return not (self.simulated or self.comes_back)
 
     @property
+    def is_one_time(self) -> bool:
+        """Whether that walk is sensed once, both sides at their own times of it."""
+        return self.is_one_walk and not self.is_one_stretch
+
+    @property
     def everyone(self) -> frozenset[Knowledge]:
         """What every adversary is granted."""
         return frozenset({Knowledge.SCENE} if self.shows_scene else ())

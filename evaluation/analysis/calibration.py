@@ -25,6 +25,7 @@ from evaluation.experiment.constants import BLOCK_SCENES
 from isac_track import plugins, privacy, sensing, sharing
 from isac_track.config import PrivacySettings, SensingSettings, StageSettings
 from isac_track.errors import DataError
+from isac_track.place import placed
 from isac_track.scenes import Cut, cut, make_scenes, track_order
 from isac_track.types import Floats, Ints, Tracks
 
@@ -39,7 +40,7 @@ class Link(NamedTuple):
     """A block of scenes, reduced to what the constants act on."""
 
     gain: Floats  # (M,) two-way gain without the large-scale part
-    large_scale: Floats  # (M,) the track's standard normal, per sample
+    large_scale: Floats  # (M,) that part in standard deviations
     unit_norm: Floats  # (M,) norm of the standardised raw error
     t: Floats
     offsets: Ints
@@ -67,7 +68,7 @@ def calibrate(
     DataError if no constants in the searched ranges do.
     """
     stages = StageSettings().changed(changes)
-    tracks = cut(recorded, settings=stages, seed=seed)
+    tracks = cut(placed(recorded, settings=stages), settings=stages, seed=seed)
     published = {tuple(where): value for *where, value in PUBLISHED}
     blocks = links(tracks, stages=stages, n_scenes=n_scenes, seed=seed)
     found = fit(blocks, stages=stages, targets=[published[one] for one in paper.FITTED])
@@ -88,7 +89,11 @@ def links(tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int) -> tu
         per_track = n_samples.reshape(len(scenes), -1)
         keys = [("scene", int(index)) for index in scenes.index]
         channel = sensing.draw_channel(
-            n_samples=per_track, keys=keys, settings=stages.sensing, seed=seed
+            walked_m=sensing.walked_within(scenes.xy, scenes.offsets),
+            n_samples=per_track,
+            keys=keys,
+            settings=stages.sensing,
+            seed=seed,
         )
         owner = np.repeat(np.arange(scenes.track.size), n_samples)
         gain = sensing.link_gain(
@@ -98,7 +103,7 @@ def links(tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int) -> tu
             settings=without_spread,
         )
         unit_norm = np.hypot(*channel.unit_error.T)
-        found.append(Link(gain, channel.large_scale[owner], unit_norm, scenes.t, scenes.offsets))
+        found.append(Link(gain, channel.large_scale, unit_norm, scenes.t, scenes.offsets))
     return tuple(found)
 
 

@@ -17,7 +17,7 @@ from isac_track.config import PrivacySettings, StageSettings
 from isac_track.intervals import cluster_weights
 from isac_track.model_world import Motion, simulated
 from isac_track.rng import stream
-from isac_track.sensing import draw_channel, sense, walk_numbers
+from isac_track.sensing import draw_walk_channel, recorded_walk, sense, walk_numbers, walked_within
 from isac_track.types import Bools, Floats, Ints, Sensed, derived, read_only
 
 N_REPLICATES = 1000
@@ -194,21 +194,36 @@ def linkage_weights(drawn_as: Ints, *, n_groups: int, task: str, seed: int) -> F
 
 
 def _sensed(sessions: Sessions, side: str, *, stages: StageSettings, seed: int) -> Sensed:
-    """Return what the network senses of one side; every window draws from its own streams."""
+    """Return what the network senses of one side; every window draws from its own streams.
+
+    What lasts of the channel is of the walk and its time: one before and after a gap, another one
+    when the steps are logged again or people are back.
+    """
     windows, task = getattr(sessions, side), sessions.task
-    keys: list[tuple[str | int, ...]] = []
+    keys, sensed_walks = list[tuple[str | int, ...]](), list[tuple[str | int, ...]]()
     for person, search in zip(windows.person, windows.search, strict=True):
+        source = sessions.source[person]
+        own = ("linkage", task.family, side, source)
         # The number of a closed search is a half, which may change with who else is there.
-        at = (sessions.searches[search],) if task.is_open else ()
-        keys.append(("linkage", task.family, side, sessions.source[person], *at))
-    sizes = np.diff(windows.offsets)[:, None]
+        keys.append((*own, sessions.searches[search]) if task.is_open else own)
+        sensed_walks.append(recorded_walk(source) if task.is_one_time else own)
+    walked_m = windows.walked_m
+    if walked_m is None:
+        walked_m = walked_within(windows.xy, windows.offsets)
     names = [("person", one, *(() if task.is_one_walk else (side,))) for one in sessions.source]
     walks = np.concatenate([walk_numbers(*one, n_walks=1, seed=seed) for one in names])
     return sense(
         t=windows.t,
         xy=windows.xy,
         offsets=windows.offsets,
-        channel=draw_channel(n_samples=sizes, keys=keys, settings=stages.sensing, seed=seed),
+        channel=draw_walk_channel(
+            walked_m=walked_m,
+            offsets=windows.offsets,
+            walks=sensed_walks,
+            keys=keys,
+            settings=stages.sensing,
+            seed=seed,
+        ),
         settings=stages.sensing,
         walk=walks[windows.person],
     )

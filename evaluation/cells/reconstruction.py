@@ -26,7 +26,7 @@ from isac_track.model_world import Motion, errors_of, fitted_motion, known_share
 from isac_track.protocols import OF_WALKS, AttackContext, TrainingSet
 from isac_track.rng import stream
 from isac_track.scenes import Cut, make_scenes
-from isac_track.sensing import draw_channel, sense, sense_scenes, walk_numbers
+from isac_track.sensing import draw_channel, sense, sense_scenes, walk_numbers, walked_within
 from isac_track.types import Floats, Ints, Knowledge, Release, Scenes, Sensed, derived
 
 if TYPE_CHECKING:
@@ -402,7 +402,13 @@ def beside(block: AttackedBlock, mechanism: Plugin) -> Release:
     first_scene, offsets = int(scenes.index[0]), np.concatenate([[0], np.cumsum(sizes)])
     keys = [("beside", first_scene, seat) for seat in range(sizes.size)]
     sensing = block.stages.sensing
-    channel = draw_channel(n_samples=sizes[:, None], keys=keys, settings=sensing, seed=seed)
+    channel = draw_channel(
+        walked_m=walked_within(xy, offsets),
+        n_samples=sizes[:, None],
+        keys=keys,
+        settings=sensing,
+        seed=seed,
+    )
     walk = walk_numbers("beside", first_scene, n_walks=sizes.size, seed=seed)
     sensed = sense(t=t, xy=xy, offsets=offsets, channel=channel, settings=sensing, walk=walk)
     return sharing.share(mechanism, sensed, "scenes", first_scene, "beside", seed=seed)

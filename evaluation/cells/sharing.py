@@ -41,7 +41,7 @@ OURS = ("isac_track.", "attacks.", "predictors.")  # Where plug-ins come from th
 SHOWS = frozenset({Knowledge.SIGMA, Knowledge.SCENE})  # Knowledge that shows in the release itself.
 FAR_M = 1000.0
 LONG_S = 86_400.0  # How far off, and how long ago, an adversary's frame and clock may begin.
-_PER_SAMPLE = ("t", "xy", "sigma", "unit_error", "sigma_raw", "information", "fid")
+_PER_SAMPLE = ("t", "xy", "sigma", "unit_error", "sigma_raw", "information", "fid", "walked_m")
 
 
 class Samples(NamedTuple):

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 SHARING, RECONSTRUCTION = "sharing", "reconstruction"  # Stages of scenes; others: linkage tasks.
 OURS: Final = ("isac_track", "predictors", "attacks", "evaluation")  # The packages of the project.
 _COMMON: Final = (
-    *("isac_track.datasets", "isac_track.scenes", "isac_track.sensing"),
+    *("isac_track.datasets", "isac_track.place", "isac_track.scenes", "isac_track.sensing"),
     *("evaluation.cells.sharing", "evaluation.cells.tables"),
 )
 """Where the releases of every unit of work come from, and what its file holds."""

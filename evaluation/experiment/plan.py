@@ -18,8 +18,10 @@ from evaluation.experiment.settings import Settings
 from isac_track import datasets
 from isac_track.datasets import Dataset, crowd
 from isac_track.errors import DataError, PluginError, told
+from isac_track.place import placed
 from isac_track.plugins import Plugin
 from isac_track.scenes import Cut, cut
+from isac_track.types import Tracks
 
 _HOW_TO_READ = ("format", "fps", "unit", "sessions", "persistent_ids")  # Options of a data set.
 
@@ -54,6 +56,7 @@ class Plan:
 
     settings: Settings
     dataset: Dataset
+    recorded: Tracks  # Its tracks, where they are sensed.
     tracks: Cut
     axes: Axes
     identity: dict[str, Any]
@@ -85,7 +88,8 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     crossed = axes(settings)
     how = {name: getattr(settings, name) for name in _HOW_TO_READ}
     dataset = dataset or datasets.load(settings.dataset, **how)
-    tracks = cut(dataset.tracks, settings=settings.stages, seed=settings.seed)
+    recorded = placed(dataset.tracks, settings=settings.stages)
+    tracks = cut(recorded, settings=settings.stages, seed=settings.seed)
     # One task always uses the bundled crowd.
     bundled = b"".join(crowd.bundled_path(session).read_bytes() for session in crowd.FILES)
     identity = {
@@ -104,7 +108,7 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
         identity["persistent_ids"] = True
     if settings.n_utility_scenes != settings.n_scenes:
         identity["scenes_utility"] = settings.n_utility_scenes
-    linked = partial(sessions_of, tracks=dataset.tracks, seed=settings.seed)
+    linked = partial(sessions_of, tracks=recorded, seed=settings.seed)
     sessions, skipped = [], dict[str, str]()
     for task in crossed.tasks:
         try:
@@ -129,6 +133,7 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     return Plan(
         settings=settings,
         dataset=dataset,
+        recorded=recorded,
         tracks=tracks,
         axes=crossed,
         identity=identity,

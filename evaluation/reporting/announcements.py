@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from isac_track.plugins import Kind
 
 WIDTH: Final = 80  # Columns of the first screen.
+USUAL_DISTANCE_M: Final = (20.0, 40.0)  # From the station: the constants were fitted at 30 m.
+USUAL_AT_CAP: Final = 0.3  # At most, of the tracks: there 16 %.
 _COMMANDS = ("matrix.py", "isac-track", "__main__.py")
 _TOLD_WHOLE: Final = ("header", "unit", "frame-clock")
 _LARGE_GALLERY = 3000  # People, above which it is proposed to score some alone.
@@ -145,6 +147,15 @@ def notices(manifest: Mapping[str, Any]) -> list[str]:
     tasks = (manifest.get("linkage") or {}).get("tasks", {})
     lost = {task: approximation(manifest, task) for task in tasks}
     return _said("notices", of=defaultdict(dict, manifest), linked=tasks, tasks=lost)
+
+
+def geometry(manifest: Mapping[str, Any], *, only_unusual: bool = False) -> list[str]:
+    """Return a line on how far people are from the station; none of a run that does not say."""
+    if not (known := manifest.get("geometry")):
+        return []
+    words = {"usual_m": USUAL_DISTANCE_M, "usual_at_cap": USUAL_AT_CAP}
+    stages = manifest["settings"]["stages"]
+    return _said("geometry", of=known, settings=stages, only_unusual=only_unusual, **words)
 
 
 def who_is_linked(manifest: Mapping[str, Any]) -> list[str]:

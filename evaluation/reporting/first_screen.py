@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from evaluation.analysis import weak_attacks
 from evaluation.analysis.families import RAW
-from evaluation.reporting.announcements import WIDTH, near, notices, scenes_text, wrapped
+from evaluation.reporting.announcements import WIDTH, geometry, near, notices, scenes_text, wrapped
 from evaluation.reporting.answers import LIMIT, answers, chosen_levels, headline_of
 from evaluation.reporting.headline import MOST_LEVELS, Headline, levels_of, screen_table
 from evaluation.reporting.markup import paragraphs
@@ -36,7 +36,8 @@ def first_screen(run: Results, *, before: int = 5) -> list[str]:
     said = [f"{n} {one.topic}: {one.sentence}" for n, one in enumerate(answers(run, of), start=1)]
     said.append(f"Doubts: {', '.join(_doubts(run, of)) or 'none'}.")
     lines = [line for text in said for line in wrapped(text)]
-    top, last = wrapped(data_line(run.manifest)), _next(run, of)
+    data = [data_line(run.manifest), *geometry(run.manifest, only_unusual=True)]
+    top, last = [line for text in data for line in wrapped(text)], _next(run, of)
     # Heads; chance and widths; where to read on.
     fixed = len([*top, *lines, *last, *_read_on(run, _MANY)]) + 2 + 2
     most = max(_LEAST_LEVELS, min(MOST_LEVELS, LINES - before - fixed))

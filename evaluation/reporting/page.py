@@ -6,7 +6,7 @@ from pathlib import Path
 
 from attacks.tasks.task_list import TASKS
 from evaluation.analysis import weak_attacks
-from evaluation.reporting.announcements import command, data_notices, scenes_text
+from evaluation.reporting.announcements import command, data_notices, geometry, scenes_text
 from evaluation.reporting.answers import answers, headline_of
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.markup import HTML
@@ -43,5 +43,6 @@ def render(run: Results, *, figures: Sequence[Figure] = ()) -> str:
         command=command(run.manifest),
         scenes=scenes_text(run.manifest["identity"]),
         data_notices=data_notices(run.manifest["dataset"]),
+        geometry=geometry(run.manifest),
     )
     return re.sub(r">\n+<", "><", text)  # a line's end between two elements would be a node

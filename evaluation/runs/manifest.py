@@ -156,6 +156,7 @@ def about_data(ready: Plan) -> dict[str, Any]:
 
 def describe(ready: Plan) -> dict[str, Any]:
     """Return what a run is made from: code, settings, data set, what is linked."""
+    from isac_track.geometry import geometry  # noqa: PLC0415 - a reader needs none
     from isac_track.privacy import mean_interval_s  # noqa: PLC0415 - a reader needs none
 
     tracks, settings, axes = ready.tracks, ready.settings, ready.axes
@@ -207,6 +208,9 @@ def describe(ready: Plan) -> dict[str, Any]:
         "granted": {name: sorted(one.name for one in of) for name, of in requires.items() if of},
         "without_rule": sorted(without_rule),
         "dataset": about_data(ready),
+        "geometry": asdict(
+            geometry(ready.recorded, settings=settings.stages.sensing, seed=settings.seed)
+        ),
         "history": {
             "points": float(np.diff(tracks.offsets).mean()),
             "interval_s": float(mean_interval_s(t=tracks.t, offsets=tracks.offsets).mean()),

@@ -10,21 +10,27 @@ from scipy import stats
 from isac_track.config import SensingSettings
 from isac_track.rng import stream
 from isac_track.sensing import (
+    KNOTS,
     Channel,
     draw_channel,
+    draw_walk_channel,
     fisher_information_density,
+    gain_along,
+    gain_at,
     information,
     link_gain,
     range_information_per_snr,
     sense,
     sigma_from_information,
     unit_errors,
+    walked_within,
 )
 
 
 def draw(numbers=(1,), n_samples=(3, 4), seed=5, **changes):
-    """The channel of scenes of two tracks."""
+    """The channel of scenes of two tracks, in which everybody walks 0.1 m a sample."""
     return draw_channel(
+        walked_m=np.concatenate([0.1 * np.arange(n) for _ in numbers for n in n_samples]),
         n_samples=np.array([n_samples] * len(numbers)),
         keys=[("scene", number) for number in numbers],
         settings=SensingSettings(**changes),
@@ -110,11 +116,12 @@ def test_information_per_snr_is_the_curvature_of_the_likelihood():
 def test_channel_draws_have_their_laws():
     settings = SensingSettings()
     channel = draw(range(400), (5,) * 4, seed=0)
-    assert channel.large_scale.shape == (1600,)
+    assert channel.large_scale.shape == (8000,)
+    first = channel.large_scale[::5]
     assert channel.path_power.shape == (1600, settings.n_paths)
     assert channel.unit_error.shape == (8000, 2)
     # 4 standard errors of 1600, 6400 and 8000 draws.
-    assert channel.large_scale.std() == pytest.approx(1, abs=4 / np.sqrt(2 * 1600))
+    assert first.std() == pytest.approx(1, abs=4 / np.sqrt(2 * 1600))
     assert channel.path_power.mean() == pytest.approx(1, abs=4 / np.sqrt(6400))
     assert channel.beam.std() == pytest.approx(1, abs=4 / np.sqrt(2 * 8000))
     assert (channel.path_delay[:, 0] == 0).all()
@@ -124,10 +131,129 @@ def test_channel_draws_have_their_laws():
 def test_a_scene_draws_alike_whichever_others_there_are_and_however_many_paths():
     both, alone, two = draw((1, 2)), draw((2,)), draw((2,), n_paths=2)
     assert two.path_power.shape != alone.path_power.shape
-    for name, first in (("large_scale", 2), ("beam", 7), ("unit_error", 7)):
+    for name, first in (("large_scale", 7), ("beam", 7), ("unit_error", 7)):
         assert np.array_equal(getattr(both, name)[first:], getattr(alone, name))
         assert np.array_equal(getattr(two, name), getattr(alone, name))
     assert not np.array_equal(both.unit_error[:7], both.unit_error[7:])
+
+
+def covariances(draws, distances_m):
+    """Estimated and modelled covariances of K distances, and four standard errors, (K, K)."""
+    expected = np.exp(-np.abs(np.subtract.outer(distances_m, distances_m)) / 10.0)
+    four = 4.0 * np.sqrt((1.0 + expected**2) / len(draws))
+    return np.cov(draws, rowvar=False, bias=True), expected, four
+
+
+def test_the_gain_along_a_track_has_the_covariance_of_the_distance_walked():
+    # Who stands keeps the gain; two decorrelation distances later little of it is left.
+    walked_m = np.array([0.0, 0.1, 0.1, 1.0, 3.0, 10.0, 30.0])
+    n, size = 4000, walked_m.size
+    draws = gain_along(
+        walked_m=np.tile(walked_m, n),
+        offsets=np.arange(n + 1) * size,
+        innovations=stream(0, "test", "gain along").standard_normal(n * size),
+        decorrelation_m=10.0,
+    ).reshape(n, size)
+    found, expected, four = covariances(draws, walked_m)
+    assert (np.abs(found - expected) < four).all()
+    assert np.array_equal(draws[:, 1], draws[:, 2])
+
+
+def test_the_gain_at_distances_of_a_walk_has_that_covariance_whichever_are_asked_for():
+    walked_m = np.array([0.0, 0.013, 2.0, 2.04, 11.99, 12.0, 40.0])
+
+    def drawn(number, distances_m):
+        rng = stream(0, "test", "gain at", number)
+        return gain_at(walked_m=distances_m, decorrelation_m=10.0, rng=rng)
+
+    draws = np.array([drawn(number, walked_m) for number in range(2000)])
+    found, expected, four = covariances(draws, walked_m)
+    assert (np.abs(found - expected) < four + 0.5 / KNOTS).all()
+    few = walked_m[[4, 1]]
+    assert np.array_equal(drawn(7, few), draws[7, [4, 1]])
+
+
+@pytest.mark.parametrize("decorrelation_m", [0.1, 10.0, 1e4])
+def test_interpolation_between_knots_is_off_the_covariance_by_less_than_its_bound(decorrelation_m):
+    """By the weights of the knots: exact, whatever is drawn."""
+    knots = np.arange(2 * KNOTS + 2)
+    at = stream(0, "test", "between knots").uniform(0, 2 * KNOTS, 150)
+    at[:3] = 0.0, 0.5, 7.25
+
+    class Unit:
+        """Hands out one innovation at a time: the gain is linear in them."""
+
+        def __init__(self, place):
+            self.place = place
+
+        def standard_normal(self, size):
+            return np.eye(1, size, self.place).ravel()
+
+    walked_m = np.append(at, 2.0 * KNOTS) * decorrelation_m / KNOTS
+    weights = np.array(
+        [
+            gain_at(walked_m=walked_m, decorrelation_m=decorrelation_m, rng=Unit(place))
+            for place in knots
+        ]
+    )
+    apart = np.abs(np.subtract.outer(walked_m, walked_m)) / decorrelation_m
+    found = weights.T @ weights
+    assert np.diag(found) == pytest.approx(np.ones(walked_m.size))
+    assert np.abs(found - np.exp(-apart)).max() < 0.5 / KNOTS
+
+
+def test_a_gain_that_never_forgets_is_constant_along_a_track_and_begins_as_any_other():
+    some, constant = draw((1, 2)), draw((1, 2), decorrelation_m=np.inf)
+    starts = np.array([0, 3, 7, 10])
+    assert np.array_equal(constant.large_scale[starts], some.large_scale[starts])
+    assert np.array_equal(constant.large_scale, np.repeat(some.large_scale[starts], [3, 4, 3, 4]))
+    rngs = [stream(0, "test", "constant") for _ in range(2)]
+    gain = gain_at(walked_m=np.linspace(0, 90, 5), decorrelation_m=np.inf, rng=rngs[0])
+    assert np.array_equal(gain, np.full(5, rngs[1].standard_normal()))
+
+
+def windows_of(*spans, walk="w", **changes):
+    """The channel of windows of one walk, each by the distance at which it begins and ends."""
+    walked_m = [np.arange(first, last, 0.1) for first, last in spans]
+    offsets = np.cumsum([0, *map(len, walked_m)])
+    channel = draw_walk_channel(
+        walked_m=np.concatenate(walked_m),
+        offsets=offsets,
+        walks=[("recorded", walk)] * len(spans),
+        keys=[("window", walk, number) for number in range(len(spans))],
+        settings=SensingSettings(**changes),
+        seed=3,
+    )
+    return channel, offsets
+
+
+def test_windows_of_one_walk_share_what_lasts_and_fade_by_themselves():
+    (channel, offsets), (alone, _) = windows_of((0, 3), (1, 4), (9, 12)), windows_of((0, 3))
+    first, second, _ = (slice(*pair) for pair in pairwise(offsets))
+    gain = channel.large_scale
+    assert np.allclose(gain[first][10:], gain[second][:20], atol=1e-12)
+    assert (channel.path_power == channel.path_power[0]).all()
+    assert (channel.path_delay == channel.path_delay[0]).all()
+    assert not np.isclose(channel.beam[first], channel.beam[second]).any()
+    assert not np.isclose(channel.unit_error[first], channel.unit_error[second]).any()
+    # Whatever else is cut from the walk.
+    assert np.array_equal(alone.large_scale, gain[first])
+    assert not np.isclose(windows_of((0, 3), walk="other")[0].large_scale, gain[first]).any()
+
+
+def test_errors_of_a_fixed_direction_keep_it_over_a_gap():
+    channel, _ = windows_of((0, 2), (5, 7), law="fixed_direction")
+    radial, _ = windows_of((0, 2), (5, 7))
+    x, y = channel.unit_error.T
+    assert np.allclose(x * y[0], y * x[0])
+    norms = (np.hypot(*one.unit_error.T) for one in (channel, radial))
+    assert np.allclose(*norms)
+
+
+def test_walked_is_the_length_of_the_way_so_far():
+    xy = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 4.0], [9.0, 12.0], [50.0, 50.0], [50.0, 51.0]])
+    found = walked_within(xy, np.array([0, 4, 6]))
+    assert found.tolist() == pytest.approx([0.0, 5.0, 5.0, 15.0, 0.0, 1.0])
 
 
 def test_sensing_adds_the_unit_error_scaled():

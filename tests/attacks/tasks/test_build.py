@@ -134,7 +134,7 @@ def test_in_a_handover_everyone_who_is_there_is_a_candidate_before_or_after_a_si
     start, end = spans(tracks)
     (_, ends), (starts, _) = map(spans, both_sides(found))
     for number, label in enumerate(found.searches):
-        at = float(label.removesuffix(" s"))
+        at = tracks.t.min() + float(label.removesuffix(" s"))
         before = (start <= at - least_s) & (end >= at - 1e-9)
         after = (start <= at + gap_s) & (end >= at + gap_s + least_s - 1e-9)
         for side, there in ((found.probe, before), (found.gallery, after)):

@@ -1,0 +1,64 @@
+"""How far people are from the base station, and what that makes of the sensing error."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from isac_track.config import SensingSettings
+from isac_track.sensing import (
+    draw_walk_channel,
+    information,
+    link_gain,
+    recorded_walk,
+    sigma_from_information,
+    walked_within,
+)
+from isac_track.types import Bools, Floats, Ints, Tracks
+
+_LEAST_M = 1e-3  # From the station: who stands on it is refused when sensed.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """Medians over the tracks of a recording, each of which counts by its own median."""
+
+    distance_m: float  # From the base station.
+    sigma_raw_m: float  # Standard deviation of the raw error.
+    at_cap: float  # Share of the tracks whose median is `sigma_cap_m`, 0 to 1.
+    tracks: int
+
+
+def geometry(tracks: Tracks, *, settings: SensingSettings, seed: int) -> Geometry:
+    """Return the geometry of all tracks of a recording where they are sensed (`place.placed`).
+
+    The standard deviations are those of the model, along every recorded walk as it was walked.
+    """
+    station_m = np.array([settings.bs_x_m, settings.bs_y_m])
+    distance_m = np.maximum(np.hypot(*(tracks.xy - station_m).T), _LEAST_M)
+    sizes = np.diff(tracks.offsets)
+    walks = [recorded_walk(source) for source in tracks.source]
+    channel = draw_walk_channel(
+        walked_m=walked_within(tracks.xy, tracks.offsets),
+        offsets=tracks.offsets,
+        walks=walks,
+        keys=walks,
+        settings=settings,
+        seed=seed,
+    )
+    owner = np.repeat(np.arange(sizes.size), sizes)
+    gain = link_gain(distance_m=distance_m, owner=owner, channel=channel, settings=settings)
+    info = information(gain=gain, settings=settings)
+    sigma_m = medians(sigma_from_information(information=info, settings=settings), tracks.offsets)
+    is_capped: Bools = sigma_m >= settings.sigma_cap_m * (1.0 - _ROUNDING)
+    return Geometry(
+        distance_m=float(np.median(medians(distance_m, tracks.offsets))),
+        sigma_raw_m=float(np.median(sigma_m)),
+        at_cap=float(is_capped.mean()),
+        tracks=sizes.size,
+    )
+
+
+def medians(values: Floats, offsets: Ints) -> Floats:
+    """Return the median of the samples of each track, (M,) -> (N,)."""
+    return np.array([np.median(part) for part in np.split(values, offsets[1:-1])])

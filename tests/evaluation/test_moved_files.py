@@ -1,0 +1,59 @@
+"""A file that is shifted, turned or mirrored gives the same run: geometry is the experiment's."""
+
+import numpy as np
+import pytest
+from helpers.small_runs import smoke
+from helpers.walkers import walkers
+
+from evaluation import run
+
+UTM_M = (512_345.67, 5_476_543.21)
+AXES = {
+    "mechanisms": ("raw", "fixed:0.7", "fid:100"),
+    "attacks": ("kalman_rts", "kinematic", "histogram"),
+    "tasks": ("rerelease", "handover-1s"),
+}
+KEYS = ["dataset", "mechanism", "level", "consumer", "knowledge", "metric"]
+
+
+def write(path, tracks, *, matrix=None, shift_m=(0.0, 0.0), clock_s=0.0):
+    """Write tracks to the last digit, elsewhere and at another time."""
+    xy = tracks.xy @ (np.eye(2) if matrix is None else matrix).T + np.array(shift_m)
+    owner = np.repeat(tracks.source, np.diff(tracks.offsets))
+    rows = zip((tracks.t + clock_s).tolist(), owner, *xy.T.tolist(), strict=True)
+    lines = [f"{t!r},{who},{x!r},{y!r}" for t, who, x, y in rows]
+    path.write_text("\n".join(["t,id,x,y", *lines, ""]), encoding="utf-8")
+    return path
+
+
+def summary(path, **settings):
+    """All metrics of a run of a recording."""
+    whole = smoke(path, path.with_suffix(""), **settings)
+    found = run(whole, progress=False, pictures=False).summary
+    # Of controls that see one number a track many joint matchings have the same total, to rounding.
+    has_many = found["consumer"].str.contains("control-") & (found["metric"] == "rank1_assigned")
+    found = found[~has_many]
+    return found.drop(columns="dataset").set_index(KEYS[1:])
+
+
+@pytest.fixture(scope="module")
+def walks(tmp_path_factory):
+    return tmp_path_factory.mktemp("moved"), walkers(60)
+
+
+@pytest.fixture(scope="module")
+def ours(walks):
+    folder, tracks = walks
+    return summary(write(folder / "file.csv", tracks), **AXES)
+
+
+@pytest.mark.parametrize(
+    ("name", "how"),
+    [("near", {"shift_m": (3.7, -41.0)}), ("utm", {"shift_m": UTM_M}), ("clock", {"clock_s": 1e6})],
+)
+def test_a_file_in_another_place_or_on_another_clock_changes_no_metric(walks, ours, name, how):
+    folder, tracks = walks
+    moved = summary(write(folder / f"{name}.csv", tracks, **how), **AXES)
+    assert moved.index.equals(ours.index)
+    for column in ("value", "ci_low", "ci_high", "n"):
+        assert np.allclose(moved[column], ours[column], rtol=1e-6, atol=1e-6, equal_nan=True)
