@@ -54,6 +54,7 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
         "behaviour": "attacks.linkage.behaviour:Behaviour",
         "histogram": "attacks.linkage.histogram:Histogram",
         "kinematic": "attacks.linkage.kinematic:Kinematic",
+        "mean_distance": "attacks.linkage.mean_distance:MeanDistance",
         "fusion": "attacks.linkage.fusion:Fusion",
     },
 }

@@ -44,6 +44,7 @@ class Kinematic:
     innovations. None: learnt, or `DEFAULT_FLOOR_M2`."""
 
     kind: ClassVar[str] = "linkage"
+    across_gap: ClassVar[bool] = True
     requires: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.SCENE})
     uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
     DEFAULT_Q: ClassVar[float] = 0.05

@@ -272,6 +272,8 @@ def _closed(draft: Draft, length_s: float, starts_s: _Starts, *, needed_s: float
     def windows(side: str, day: Draft, track: Ints, start_s: Floats, person: Ints) -> Windows:
         start_s = start_s[person]
         found = day.cut(side, track[person], start_s, start_s + length_s)
+        if draft.task.shows_scene:
+            return found.windows(person, fold_of[person])
         # Put where somebody, anybody, once was.
         sizes = np.diff(found.offsets)
         middle_m = np.add.reduceat(found.xy, found.offsets[:-1]) / sizes[:, None]

@@ -36,6 +36,9 @@ class Control:
     in_scene: Score | None = None  # The same in the true frame, if it must look another way there.
     is_audit: bool = True
     hides_in_scene: bool = False  # Whether it sees what a task in the true frame shows on purpose.
+    is_evidence_live: bool = False
+    """Whether what it sees is evidence where people are seen to walk on: there it is an ablation,
+    of what a linker could do by this alone, and no shortcut."""
     sees_times_only: bool = False  # Whether all levels that share every sample are alike to it.
     circumstance: tuple[int, ...] = ()  # Columns of `circumstances`, which it sees instead.
 
@@ -44,6 +47,10 @@ class Control:
         if self.circumstance:
             return task.comes_back
         return not (self.hides_in_scene and task.shows_scene)
+
+    def audits(self, task: Task) -> bool:
+        """Whether what it links in a task is a shortcut, which makes the task say nothing."""
+        return self.is_audit and not (self.is_evidence_live and task.is_open)
 
     def scorer(self, task: Task) -> Score | None:
         """Return what scores in a task."""
@@ -140,7 +147,11 @@ CONTROLS: Final[Mapping[str, Control]] = {
     "sample_count": _Times("how many samples it has", _alike(lambda one: np.diff(one.offsets))),
     "sampling_times": _Times("how its sampling steps vary", _alike(_sampling_times)),
     "noise_level": Control(
-        "the standard deviations declared with it", _alike(_noise), _alike(_over_neighbours)
+        "the standard deviations declared with it",
+        _alike(_noise),
+        _alike(_over_neighbours),
+        # How well somebody is sensed does not change at once: physics, not a leak.
+        is_evidence_live=True,
     ),
     "frame": Control("where it lies and heads in its frame", _alike(_frame), hides_in_scene=True),
     "clock": _Times(

@@ -2,7 +2,8 @@
 
 Every task shows walks twice, before and after the pseudonyms change: as probe and as gallery. In a
 handover those of the live recording rotate at one instant, in the true frame and on the true clock:
-who left has no mate, who is new is a candidate all the same. In the others everybody is in both.
+who left has no mate, who is new is a candidate all the same. In the others everybody is in both;
+they hide frame and clock, but for `rerelease-framed`, which no task is easier than.
 """
 
 from collections.abc import Mapping
@@ -35,6 +36,11 @@ class Task:
         return self.name.partition("-")[0]
 
     @property
+    def is_open(self) -> bool:
+        """Whether some probes have no mate: who left meanwhile, before all pseudonyms rotated."""
+        return self.gap_s > 0.0
+
+    @property
     def is_one_walk(self) -> bool:
         """Whether probe and gallery show one walk of one session."""
         return not (self.simulated or self.comes_back)
@@ -60,7 +66,13 @@ TASKS: Final[Mapping[str, Task]] = {
     for task in (
         Task(
             "rerelease",
-            "one walk sensed and shared twice, in part the same steps: an upper bound",
+            "two logs of largely the same steps, without frame or clock",
+            is_one_stretch=True,
+        ),
+        Task(
+            "rerelease-framed",
+            "two logs of largely the same steps, in the true frame and on the true clock: the bound",
+            shows_scene=True,
             is_one_stretch=True,
         ),
         Task("split", "two windows of one walk that do not touch: behaviour only"),

@@ -108,7 +108,7 @@ def _leaks(read: Cards) -> dict[tuple[str, str], list[str]]:
     audits: dict[tuple[str, str], dict[str, float]] = {}
     for entry, card in read:
         task, _, name = entry["consumer"].partition("/control-")
-        if entry["kind"] == "control" and CONTROLS[name].is_audit:
+        if entry["kind"] == "control" and CONTROLS[name].audits(TASKS[task]):
             # Two-sided: who scores mates low gives them away as well.
             tails = card.numbers["p_value"], card.numbers["p_value_low"]
             audits.setdefault((entry["spec"], task), {})[name] = min(1.0, 2.0 * min(tails))

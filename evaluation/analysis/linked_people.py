@@ -21,7 +21,7 @@ from evaluation.analysis.keys import Measure, Source
 from evaluation.analysis.matching import Sweeps
 from evaluation.analysis.metrics import ASSIGNED, DESCRIPTORS, METRICS, SUCCESS, SUCCESS_OF_100
 from evaluation.analysis.strongest import against_each, by_task, first_half
-from evaluation.cells.link_scores import COMPANIONS
+from evaluation.cells.link_scores import COMPANIONS, NAMED_MATES
 from evaluation.cells.link_setup import SIDES
 from evaluation.cells.tables import ON_TRIAL
 from evaluation.experiment.constants import WINDOWS
@@ -142,7 +142,7 @@ def _hits(probes: pa.Table, metric: str) -> Floats:
     """Return how often the mate of each probe of a cell is named, (N,)."""
     if metric == ASSIGNED:
         named: list[str] = probes["assigned"].cast(pa.string()).to_pylist()
-        return np.array([name == "mate" for name in named], dtype=np.float64)
+        return np.array([name in NAMED_MATES for name in named], dtype=np.float64)
     if metric == SUCCESS_OF_100:
         return first_among(_strangers(probes))
     above, tied = (probes[name].to_numpy().astype(np.int64) for name in ("above", "tied"))

@@ -13,6 +13,7 @@ from numpy.random import Generator
 
 from attacks.linkage.histogram import Histogram
 from attacks.linkage.kinematic import Kinematic
+from attacks.linkage.mean_distance import MeanDistance
 from attacks.tasks.task_list import Task
 from isac_track.linkability import rank1
 from isac_track.types import Floats, Ints, Release
@@ -32,10 +33,12 @@ class Approximated(NamedTuple):
     approximate: Floats  # (n,) of the same probes, by `scores`.
 
 
-def first_stage(task: Task) -> Histogram | Kinematic:
+def first_stage(task: Task) -> Histogram | Kinematic | MeanDistance:
     """Return the cheap linker of a task: of what takes a fifth of `shape`, it loses the least."""
     # Measured: docs/linkage.md.
-    return Kinematic() if task.shows_scene else Histogram()
+    if task.is_open:
+        return Kinematic()
+    return MeanDistance() if task.shows_scene else Histogram()
 
 
 def among_candidates(

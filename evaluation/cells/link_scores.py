@@ -36,15 +36,15 @@ ABOUT: Final = "about"
 DERIVED: Final = ("chance", "residual_risk", "d_sys_corrected")  # Replicates follow from others'.
 COMPANIONS: Final = ("companions", "companions_above", "companions_tied")
 """Columns of `ProbeRanks.companions`: who walks along is no candidate of `rank1_g100`."""
-ASSIGNED: Final = ("nobody", "other", "mate", "unknown")
-"""What is assigned to a probe; unknown where leaving somebody alone has no cost."""
+ASSIGNED: Final = ("nobody", "other", "mate", "mate if any", "unknown")
+"""What is assigned to a probe: `ProbeRanks.assigned`; unknown where scores have no scale."""
+NAMED_MATES: Final = frozenset({"mate", "mate if any"})  # Of `ASSIGNED`: they count as found.
 _NUMBERS = (
     *("p_value", "p_value_low", "p_rank1", "n_probes", "n_mated", "gallery_sizes", "n_clusters"),
     *("realised_fpr_1pct", "realised_fpr_01pct", "d_sys_bins", "is_inverted"),
     "minimum_detectable_rank1",
 )
 _AT_ONCE = 256  # Probes that are compared at a time: of thousands all take 200 MB.
-_NEVER = 1e300  # A score that no pair reaches.
 _NOTHING: Final[Mapping[int, Any]] = MappingProxyType({})
 
 
@@ -56,7 +56,7 @@ class Linked:
     calibration: Mapping[int, linkability.Calibration]  # By fold.
     scored: linkability.Scorecard
     cohorts: Mapping[str, Mapping[str, float]]  # Rank 1 by who is left out; none for a control.
-    is_assigned: bool  # Whether probes can be left alone at a known cost, or need not be.
+    is_assigned: bool  # Whether scores have a known scale, or need none.
     losses: Floats | None = None
     """(n,) hits that scoring some candidates alone costs each probe that is searched in full."""
 
@@ -67,16 +67,17 @@ def read_off(
     known: SensedSessions,
     drawn_from: Generator | tuple[str, ...],
     calibration: Mapping[int, linkability.Calibration] = _NOTHING,
-    no_match: Mapping[int, float] = _NOTHING,
+    matched: Mapping[int, Floats] = _NOTHING,
     is_audit: bool = False,
     losses: Floats | None = None,
 ) -> Linked:
     """Return the scorecard of an attack or a control, and of an attack without confounders.
 
     `scores` are those of every search, (P, G) each, by its number, `calibration` those by fold that
-    there was somebody for. `no_match` says by search what a pair of an open gallery must score to
-    be linked: without it there is no assignment. What the scorecard draws is `drawn_from` a
-    control's own stream, or from that of the attack of this name, alike at all levels. With
+    there was somebody for. `matched` are by search the probabilities of the pairs of an open
+    gallery (`matched_pairs`): without them there is no assignment in one. What the scorecard
+    draws is `drawn_from` a control's own stream, or from that of the attack of this name, alike at
+    all levels. With
     `known.candidates` all is read off the ranks, and `losses` says what the attack lost.
     """
     sessions, weights = known.sessions, known.weights
@@ -90,10 +91,9 @@ def read_off(
         )
         for number, pairing in sorted(known.searches.items())
     )
-    needed = None
-    if sessions.task.shows_scene and scores.keys() <= no_match.keys():
-        needed = [no_match[number] for number in sorted(scores)]
-    is_assigned = needed is not None or not sessions.task.shows_scene
+    is_matched = sessions.task.is_open and scores.keys() <= matched.keys()
+    probable = [matched[number] for number in sorted(scores)] if is_matched else None
+    is_assigned = is_matched or not sessions.task.is_open
     is_assigned &= not known.candidates  # what was not scored has no score to be summed
     is_calibrated = {search.scale for search in searches} <= set(calibration)
     shuffles = AUDIT_SHUFFLES if is_audit else SHUFFLES
@@ -110,8 +110,9 @@ def read_off(
             searches,
             weights=weights,
             calibration=calibration if is_calibrated else None,
-            no_match_score=needed,
+            no_match_score=None,
             draws=draws,
+            matched=probable,
         )
     estimates = dict(scored.estimates)
     if not is_assigned:  # nobody knows what leaving somebody alone costs
@@ -216,21 +217,25 @@ def calibrated(found: Sequence[tuple[Floats, Pairing]]) -> linkability.Calibrati
     return linkability.fit_calibration(mated=first, non_mated=second)
 
 
-def no_match_score(
-    calibration: linkability.Calibration, pairing: Pairing, *, mate_rate: float
-) -> float:
-    """Return what a pair of a search must score to be linked rather than left alone.
+def score_scale(found: Sequence[tuple[Floats, Pairing]]) -> float | None:
+    """Return by what scores of an open gallery are to be multiplied to be log ratios.
 
-    Of the matchings of P probes with G candidates the most probable one is sought, where a probe
-    has a mate with probability r, anybody as likely as another. Linking one pair more then takes a
-    likelihood ratio of (1 - r) / r times the candidates that are nobody's mate, G - r P. r is the
-    `mate_rate` of other people.
+    Fitted on the same people as `calibrated`, within the gallery of each: what parts a mate from
+    the candidates nearby counts, not from those at the other end of the scene. None without mates.
     """
-    if calibration.slope <= 0.0:  # scores tell nothing: nobody is linked
-        return _NEVER
-    nobodys = max(pairing.gallery.size - mate_rate * pairing.probe.size + 1.0, 1.0)
-    needed = float(np.log((1.0 - mate_rate) / mate_rate * nobodys))
-    return float(np.clip((needed - calibration.intercept) / calibration.slope, -_NEVER, _NEVER))
+    if not any((pairing.mate >= 0).any() for _, pairing in found):
+        return None
+    scores, pairings = zip(*found, strict=True)
+    return linkability.fit_scale(scores, [pairing.mate for pairing in pairings])
+
+
+def matched_pairs(scores: Floats, *, scale: float, mate_rate: float) -> Floats:
+    """Return how probable each pair of an open search is if all are matched at once, (P, G).
+
+    As many probes are expected to have a mate as of other people, `mate_rate` of them. Whoever
+    seeks the most correct links names the most probable candidate of every probe.
+    """
+    return linkability.open_matches(scale * scores, n_links=mate_rate * len(scores))
 
 
 def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) -> Tables:
@@ -246,7 +251,11 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
     - `about`: one row with all other numbers as JSON.
     """
     scored, probes, sessions = linked.scored, linked.scored.probes, known.sessions
-    assigned = probes.assigned + 1 if linked.is_assigned else np.full_like(probes.assigned, 3)
+    assigned = (
+        probes.assigned + 1
+        if linked.is_assigned
+        else np.full_like(probes.assigned, len(ASSIGNED) - 1)
+    )
     rows = {
         **_probe_names(known),
         "above": probes.above.astype(np.int32),

@@ -205,7 +205,7 @@ def _sensed(sessions: Sessions, side: str, *, stages: StageSettings, seed: int) 
         source = sessions.source[person]
         own = ("linkage", task.family, side, source)
         # The number of a closed search is a half, which may change with who else is there.
-        keys.append((*own, sessions.searches[search]) if task.shows_scene else own)
+        keys.append((*own, sessions.searches[search]) if task.is_open else own)
         sensed_walks.append(recorded_walk(source) if task.is_one_time else own)
     walked_m = windows.walked_m
     if walked_m is None:

@@ -20,7 +20,7 @@ from attacks.remembered import part
 from attacks.tasks.controls import CONTROLS, closeness
 from evaluation.cells import sharing
 from evaluation.cells.candidates import AT_ONCE, CHECKED, among_candidates, first_stage
-from evaluation.cells.link_scores import Linked, calibrated, no_match_score, read_off
+from evaluation.cells.link_scores import Linked, calibrated, matched_pairs, read_off, score_scale
 from evaluation.cells.link_setup import SIDES, Pairing, SensedSessions
 from evaluation.cells.sharing import declared, reconstructed, showing
 from evaluation.cells.tables import (
@@ -152,19 +152,23 @@ def link(consumer: Consumer, level: LinkedLevel) -> Linked:
         return _approximated(consumer, level)
     scores: dict[int, Floats] = {}
     calibration: dict[int, Calibration] = {}
-    least: dict[int, float] = {}
+    matched: dict[int, Floats] = {}
     for fold, half in enumerate(known.halves):
         score, sides = _fitted(consumer, level, fold)
         for number, pairing in half.searches:
             found = score(*sides.of(pairing))
             scores[number] = np.concatenate([scores.get(number, found[:0]), found])
-        on_others = calibrated([(score(*sides.of(one)), one) for one in half.calibrates])
-        if on_others is not None:
+        others = [(score(*sides.of(one)), one) for one in half.calibrates]
+        if (on_others := calibrated(others)) is not None:
             calibration[fold] = on_others
-            for number, pairing in half.searches:
-                least[number] = no_match_score(on_others, pairing, mate_rate=half.mate_rate)
+        scale = score_scale(others) if known.sessions.task.is_open else None
+        if scale is not None:
+            for number, _ in half.searches:
+                matched[number] = matched_pairs(
+                    scores[number], scale=scale, mate_rate=half.mate_rate
+                )
     name = consumer.spec, consumer.knowledge
-    return read_off(scores, known=known, calibration=calibration, no_match=least, drawn_from=name)
+    return read_off(scores, known=known, calibration=calibration, matched=matched, drawn_from=name)
 
 
 def bound(level: LinkedLevel, motion: Motion | None) -> Linked:

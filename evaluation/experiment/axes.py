@@ -288,7 +288,7 @@ def _linked(
     """Return who links in which task, or where an attack can run at all if none suits it.
 
     Who needs the true frame links where it shows, the others where it does not, and who needs
-    ``one_stretch`` of a walk where there is one.
+    ``one_stretch`` of a walk, or a gap to bridge (``across_gap``), where there is one.
     """
     chosen: dict[str, list[Task]] = {}
     for link in links:
@@ -297,6 +297,8 @@ def _linked(
         suited = [task for task in can if task.shows_scene == (Knowledge.SCENE in linker.requires)]
         if getattr(linker, "one_stretch", False):
             suited = [task for task in suited if task.is_one_stretch]
+        if getattr(linker, "across_gap", False):
+            suited = [task for task in suited if task.is_open]
         chosen[link.spec] = suited or can
         if settings.attacks is not None and not can:
             needs = ", ".join(sorted(one.name for one in link.requires)) or "a task"

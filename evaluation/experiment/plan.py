@@ -151,7 +151,9 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
         model_sessions=tuple(
             linked(one.task, stages=few)
             for one in sessions
-            if one.task.is_one_stretch and any(crossed.linked_in.values())
+            if one.task.is_one_stretch
+            and not one.task.shows_scene
+            and any(crossed.linked_in.values())
         ),
     )
 
@@ -185,7 +187,7 @@ def _units(
             (some, crossed.readers_in(world, task), (0,))
             for world, some in crossed.linked_in.items()
             for task in crossed.tasks
-            if task.is_one_stretch
+            if task.is_one_stretch and not task.shows_scene
         ),
     ):
         by_stage: dict[str, dict[str, Consumer]] = {}

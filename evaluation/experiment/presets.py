@@ -84,6 +84,7 @@ _SMOKE = Preset(
         # costs. All else runs when named: shape@kalman_rts, dtw@radial_rts.
         *("shape", "shape@radial_rts", "profile", "profile@radial_rts", "dtw"),
         *("likelihood_ratio", "behaviour", "histogram", "kinematic", "kinematic@radial_rts"),
+        *("mean_distance", "likelihood_ratio:one_to_one=true"),
     ),
     tasks=(*TASKS,),
     summary="40 scenes, the 5 levels that the paper gives numbers for",

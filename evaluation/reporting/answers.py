@@ -184,7 +184,8 @@ def _beyond(of: Headline, at: Where) -> tuple[list[str], list[str]]:
 
 def _how(one: Shown) -> str:
     task = one.measure.source.task
-    return TASKS[task][1] if task in TASKS else f"in {task}"
+    text = TASKS[task][1] if task in TASKS else f"in {task}"
+    return text + " (joint matching)" * one.is_joint
 
 
 _WORDS: dict[str, Any] = {  # What the template calls.

@@ -68,6 +68,13 @@ class Shown:
     chance: float = math.nan
     candidates: float = math.nan  # Mean size of the gallery, where people are linked.
     is_later: bool = False  # Whether it is read at the further horizon.
+    is_joint: bool = False  # Whether all probes are matched at once.
+
+    @property
+    def title(self) -> str:
+        """Heading of a column with room for all."""
+        title = f"{self.above}, {self.name}"
+        return f"{title}, joint matching" if self.is_joint else title
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -246,7 +253,8 @@ def _linked(
             if linkability is not None:
                 is_it = linkability["consumer"] == source.consumer
                 sizes = linkability.loc[is_it, "gallery_mean"].dropna().to_list() or sizes
-            one = Shown(_FOUND, head, source.measure(SUCCESS), chance, float(np.mean(sizes)))
+            measure, is_joint = source.measure(SUCCESS), rule_of(found, source) == ASSIGNED
+            one = Shown(_FOUND, head, measure, chance, float(np.mean(sizes)), is_joint)
         columns.append(one)
     return columns
 
@@ -282,7 +290,7 @@ def headline_table(of: Headline) -> Table:
     """Return the first table with its intervals, all levels and both laws."""
     columns = [make.said("sharing (ind.: independent adding)", of.name)]
     for one in of.columns:
-        columns.append(Column(f"{one.above}, {one.name}", partial(_cell, of, one), "%"))
+        columns.append(Column(one.title, partial(_cell, of, one), "%"))
         if one is of.attacked and of.other_law:
             isotropic = partial(_cell, of, one, other_law=True)
             columns.append(Column(f"{one.above}, attack, isotropic error", isotropic, "%"))

@@ -6,6 +6,7 @@ scores and mates: `ranks`, `scores` (as evidence), tests of `significance`, and 
 them at once with intervals. Where an attack's scores are all equal, every metric is at chance.
 """
 
+from isac_track.linkability.matches import fit_scale, open_matches
 from isac_track.linkability.ranks import (
     GALLERY,
     Search,
@@ -44,5 +45,6 @@ __all__ = ["Calibration", "Outcome", "ProbeRanks", "Scorecard", "Search"]
 __all__ += ["GALLERY", "LEVEL", "SCORE_REPLICATES", "assign", "chance", "log_rank"]
 __all__ += ["mean_log_rank", "rank1", "rank1_among", "reciprocal_rank", "residual_risk"]
 __all__ += ["auc", "cllr", "cllr_min", "d_sys", "d_sys_published", "eer", "fit_calibration"]
+__all__ += ["fit_scale", "open_matches"]
 __all__ += ["minimum_detectable_rank1", "outcome", "permutation_p", "rank1_p", "rank_scorecard"]
 __all__ += ["scorecard", "tpr_at_fpr"]

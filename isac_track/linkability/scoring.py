@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from isac_track import intervals
 from isac_track.intervals import FEW_CLUSTERS, LEAST_CLUSTERS, Estimate
 from isac_track.linkability import ranks, scales, significance
+from isac_track.linkability.matches import most_probable
 from isac_track.linkability.ranks import Search
 from isac_track.linkability.scales import LEVELS, METRICS, SCORE_REPLICATES, Scale, score_scale
 from isac_track.linkability.scores import Calibration
@@ -35,7 +36,9 @@ class ProbeRanks:
     chance: Floats  # (P,) of rank 1
     companions: Ints
     """(P, 3) candidates of its cluster beside its mate: how many, and of these above and as high"""
-    assigned: Ints  # (P,) who is assigned to it: 1 its mate, 0 somebody else, -1 nobody
+    assigned: Ints
+    """(P,) who is assigned to it: 1 its mate, 0 somebody else, -1 nobody; 2 its mate, if anybody:
+    it is rather alone, but of all candidates its mate is the most probable"""
     cluster: Ints  # (P,)
     n_gallery: int  # Of the largest gallery.
 
@@ -50,7 +53,7 @@ class ProbeRanks:
         chance, companions = self.chance[mated], self.companions[mated]
         of_mated: dict[str, Callable[[], Floats]] = {
             "rank1": lambda: ranks.expected_hit(above, tied),
-            "rank1_assigned": lambda: (self.assigned[mated] == 1).astype(np.float64),
+            "rank1_assigned": lambda: (self.assigned[mated] > 0).astype(np.float64),
             "mrr": lambda: ranks.expected_reciprocal(above, tied, self.n_gallery),
             "chance": lambda: chance,
             # NaN for one is NaN for all: refused.
@@ -116,7 +119,7 @@ def scorecard(
     |---|---|
     | rank1, mrr | `rank1`, `reciprocal_rank`: mean over mated probes |
     | rank1_g100 | `rank1_among`, without companions; refused if one mated probe has too few |
-    | rank1_assigned | share of mated probes to which `assign` gives their mate |
+    | rank1_assigned | share of mated probes to which the matching of all gives their mate |
     | false_link_rate | share of probes without a mate that get somebody; only if there are any |
     | chance, residual_risk | `chance`, and `residual_risk` of rank1 against it |
     | auc, eer, cllr, cllr_min | as the functions; cllr needs `calibration` |
@@ -197,8 +200,13 @@ def scorecard_of(
     calibration: Mapping[int, Calibration] | None,
     no_match_score: Sequence[float] | None,
     draws: Sequence[Drawn],
+    matched: Sequence[Floats] | None = None,
 ) -> Scorecard:
-    """Return `scorecard` of what is drawn already; nothing is checked."""
+    """Return `scorecard` of what is drawn already; nothing is checked.
+
+    `matched` are of each search how probable its pairs are, (P, G), as from `open_matches`: every
+    probe is then assigned the most probable candidate instead of the one of `assign`.
+    """
     n_shuffles = draws[0].columns.shape[1]
     trials = [(search, drawn.people) for search, drawn in zip(searches, draws, strict=True)]
     cells = {
@@ -206,18 +214,25 @@ def scorecard_of(
         for scale in sorted({search.scale for search in searches})
     }
     null, observed = np.zeros(n_shuffles), 0.0
-    standings, assignments = [], []
+    standings: list[Ints] = []
+    assignments: list[Ints] = []
     no_match: Sequence[float | None] = no_match_score or [None] * len(searches)
     for search, least, drawn in zip(searches, no_match, draws, strict=True):
         cut = cells[search.scale]
         log_rank, cell, standing = rank_rows(search.scores, search.mate, cut.breaks, cut.counts)
-        columns = ranks.assign_in(drawn.order, search.scores, least)
+        if matched is None:
+            columns = ranks.assign_in(drawn.order, search.scores, least)
+            assigned = np.where(columns < 0, -1, columns == search.mate)
+        else:
+            best, is_alone = most_probable(drawn.order, matched[len(assignments)])
+            is_mate = best == search.mate
+            assigned = np.where(is_alone, np.where(is_mate, 2, -1), is_mate)
         shuffled = significance.mated_probes(drawn.people), drawn.columns
         of_score = cut.bins.take(cell)
         observed += significance.add_shuffles(*shuffled, log_rank, of_score, null, cut.null_bins)
         cut.places.append(cell)
         standings.append(standing)
-        assignments.append(np.where(columns < 0, -1, columns == search.mate))
+        assignments.append(assigned)
     of_ranks = _of_ranks(searches, standings, assignments, observed, null)
     probes = of_ranks["probes"]
     sizes = np.bincount(probes.cluster[probes.above >= 0]).astype(np.float64)

@@ -550,7 +550,8 @@ class TestAxes:
         assert {task.name for task in found.tasks} == TASKS.keys()
         linkers = {one.plugin.name for _, one in found.links}
         known = {"shape", "profile", "dtw", "behaviour", "histogram", "kinematic"}
-        assert linkers == known | {"likelihood_ratio"}
+        known |= {"likelihood_ratio", "likelihood_ratio:one_to_one=true", "mean_distance"}
+        assert linkers == known
         assert found.ceiling.spec == "clean"
         nothing = axes(Settings(tasks=()))
         assert (nothing.links, nothing.ceiling) == ((), None)
