@@ -6,10 +6,10 @@ A new metric is a row here, and the function that computes it.
 from dataclasses import dataclass
 from typing import Final, Literal
 
-Measured = Literal["predictor", "descriptor", "reconstruction", "linkage", "bound"]
+Measured = Literal["predictor", "descriptor", "reconstruction", "distance", "linkage", "bound"]
 """Of what a metric is: a predictor's utility; a privacy descriptor of positions, as shared and
-after a reconstruction; what else a reconstruction is measured by; what a linker achieves; what no
-attack does better in a world of the fitted motion."""
+after a reconstruction; what else a reconstruction is measured by; how far off positions are beyond
+epsilon; what a linker achieves; what no attack does better in a world of the fitted motion."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +81,8 @@ _ROWS: Final = (
         column="plr",
         over="benchmark_plr",
     ),
+    Metric("plr_wide", "PLR at 4/3 epsilon", "distance", column="plr_wide"),
+    Metric(*("median_error", "median error", "distance", "m"), digits=2, column="median_error_m"),
     Metric("plr_gap", "below the optimum", "bound", column="plr_gap", is_difference=True),
     Metric("rank1_optimum", "optimal rank 1", "bound"),
     Metric("rank1_gap", "below the optimum", "bound", is_difference=True),
@@ -114,6 +116,8 @@ def measured(*where: Measured) -> tuple[str, ...]:
 UTILITY: Final = measured("predictor")
 DESCRIPTORS: Final = measured("descriptor")  # Of privacy: PLR, AEL and MEL.
 RECONSTRUCTION: Final = measured("descriptor", "reconstruction")  # Of what an attack rebuilds.
+DISTANCE: Final = measured("distance")  # Whether errors lie just outside epsilon.
+WIDE, MEDIAN = DISTANCE
 GAP: Final = "plr_gap"  # In model worlds alone.
 RANK_OPTIMUM, RANK_GAP = "rank1_optimum", "rank1_gap"  # The same of rank 1.
 CEILING: Final = "plr_ceiling"

@@ -18,7 +18,15 @@ import pyarrow as pa
 from evaluation.analysis.families import Family
 from evaluation.analysis.keys import Found, Key
 from evaluation.analysis.linkability import Cards, dataset_of
-from evaluation.analysis.metrics import BOUNDS, DESCRIPTORS, GAP, METRICS, OF_ROBOT, RECONSTRUCTION
+from evaluation.analysis.metrics import (
+    BOUNDS,
+    DESCRIPTORS,
+    DISTANCE,
+    GAP,
+    METRICS,
+    OF_ROBOT,
+    RECONSTRUCTION,
+)
 from evaluation.experiment.constants import MODEL
 from evaluation.runs.cell_files import Summed, read_rows
 from isac_track.intervals import Estimate, cluster_sums, cluster_weights, ratio_estimates
@@ -29,7 +37,7 @@ COLUMNS = [
     *("dataset", "mechanism", "level", "consumer", "knowledge", "metric"),
     *("value", "ci_low", "ci_high", "n", "unit", "family", "adding"),
 ]
-_POSITIONS = [METRICS[name] for name in RECONSTRUCTION]
+_POSITIONS = [METRICS[name] for name in (*RECONSTRUCTION, *DISTANCE)]
 _SHARED = ["group", *(one.column for one in _POSITIONS if not one.over)]
 _BOUNDS = [METRICS[name] for name in BOUNDS]
 _COLUMNS_OF = {
@@ -91,7 +99,7 @@ def estimates(
         attacked |= {
             key: Summed(one, weights, used)
             for key, one in zip(keys, of_clusters, strict=True)
-            if key.knowledge and key.metric in DESCRIPTORS
+            if key.knowledge and key.metric in {*DESCRIPTORS, *DISTANCE}
         }
     return found, tuple(scored), attacked
 

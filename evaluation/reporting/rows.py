@@ -155,7 +155,7 @@ class Results:
         label = Source(who, knowledge[0] if len(knowledge) == 1 else "").label
         if who == SHARED:
             label = "as shared"
-        elif place in ("descriptor", "reconstruction"):
+        elif place in ("descriptor", "reconstruction", "distance"):
             label = f"after {label}"
         table.attrs["title"] = f"{METRICS[name].title}, {label}"
         return table.reset_index(drop=True)
