@@ -20,6 +20,7 @@ from evaluation.analysis.families import families_in
 from evaluation.analysis.frontier import frontier
 from evaluation.analysis.galleries import TPR, galleries
 from evaluation.analysis.keys import AS_SHARED, Key, Source
+from evaluation.analysis.levels import levels
 from evaluation.analysis.linked_people import read_probes
 from evaluation.analysis.matching import Sweeps, matched
 from evaluation.analysis.metrics import ACHIEVED, EXPOSURE, SUCCESS, SUCCESS_OF_100
@@ -182,6 +183,15 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         claims=paper.claims(sweeps, at_equal, dataset=dataset, history=manifest["history"]),
         matched=at_equal,
         frontier=frontiers,
+        levels=levels(
+            {**found, **at_raw_alarms, **linked},
+            sums=sums,
+            horizons={},
+            linked=table,
+            known=known,
+            dataset=dataset,
+            seed=seed,
+        ),
         decisions=decided,
         curves=curves,
         flags=pd.concat([flagged, far], ignore_index=True) if len(far) else flagged,

@@ -59,6 +59,7 @@ _ROWS: Final = (
     Metric(
         "missed_conflict_rate", "missed", "predictor", noun="missed-conflict rate", is_headline=True
     ),
+    Metric("missed_future_rate", "missed future", "predictor", noun="missed-future rate"),
     Metric(
         "false_alarm_rate", "false alarm", "predictor", noun="false-alarm rate", is_headline=True
     ),
@@ -123,12 +124,20 @@ RANK_OPTIMUM, RANK_GAP = "rank1_optimum", "rank1_gap"  # The same of rank 1.
 CEILING: Final = "plr_ceiling"
 BOUNDS: Final = ("plr_optimum", CEILING)  # Of PLR after any attack, the exact one first.
 MISSED_RATE: Final = "missed_conflict_rate"  # What noise costs a robot.
+MISSED_FUTURE: Final = "missed_future_rate"
+"""The same of conflicts that are still to come: nobody is inside the safety radius at step 0."""
 EQUAL_ALARMS: Final = "missed_at_equal_false_alarms"
-"""The same at the false-alarm rate that the predictor has at raw; not in the summary."""
+"""Missed conflicts at the false-alarm rate that the predictor has at raw; not in the summary."""
+FUTURE_EQUAL_ALARMS: Final = "missed_future_at_equal_false_alarms"
+"""Missed conflicts that are still to come, at that same rate; not in the summary."""
+COSTS: Final = (MISSED_RATE, MISSED_FUTURE, EQUAL_ALARMS, FUTURE_EQUAL_ALARMS)  # Of noise.
+FALSE_ALARMS: Final = "false_alarm_rate"
 ERROR: Final = "distance_mae"  # How far off the separation is that a robot foresees.
 OF_ROBOT: Final = "plr_robot"  # What a robot itself knows of where somebody was.
 ROBOTS_OWN: Final = (ERROR, OF_ROBOT)  # What is told of a robot at a price.
 EXPOSURE: Final = "plr"  # The descriptor that reconstructions are ranked by.
 SUCCESS: Final = "rank1"  # What linkers are ranked by.
 SUCCESS_OF_100: Final = "rank1_g100"  # The same in a gallery of 100: what compares over runs.
+LINKAGE_SHARE: Final = "linkage_share"
+"""Rank 1 less chance as a share of what it is under raw, paired; in `levels.csv` alone."""
 ACHIEVED: Final = (SUCCESS, "auc")  # What is compared of a linker at equal cost.

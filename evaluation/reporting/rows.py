@@ -60,6 +60,7 @@ class Results:
     claims: pd.DataFrame
     matched: pd.DataFrame
     frontier: pd.DataFrame
+    levels: pd.DataFrame  # What a site gets and pays at each level that it could choose.
     decisions: pd.DataFrame
     curves: pd.DataFrame
     flags: pd.DataFrame

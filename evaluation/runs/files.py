@@ -45,6 +45,7 @@ FRAMES: Final = {  # By the names of `Results`.
     "claims": "paper_claims.csv",
     "matched": "matched.csv",
     "frontier": "frontier.csv",
+    "levels": "levels.csv",
     "decisions": "decisions.csv",
     "curves": "curves.csv",
     "linkability": "linkability.csv",
@@ -59,7 +60,7 @@ WRITTEN: Final = (  # All that a run leaves beside its manifest, its cells, and 
 _TEXTS: Final = {  # Columns of text; all others are numbers or truth values.
     *("dataset", "mechanism", "family", "adding", "consumer", "knowledge", "metric", "unit"),
     *("claim", "answer", "evidence", "criterion", "predictor", "robot", "score", "reference"),
-    *("cohort", "outcome", "invalid", "spec", "kind", "why"),
+    *("cohort", "outcome", "invalid", "spec", "kind", "why", "adversary"),
 }
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{16}\.tmp")
 _NOT_FOLLOWED = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
