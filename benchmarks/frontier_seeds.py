@@ -39,7 +39,8 @@ def pooled(outs: Sequence[Path]) -> pd.DataFrame:
     for out, one in zip(outs, manifests, strict=True):
         same = one | {"groups": groups, "identity": one["identity"] | {"seed": 0}}
         found, scored, attacked = estimates(out, same)
-        runs.append((found | decisions(scored, same, found)[2], attacked, same))
+        decided = decisions(scored, same, found, dataset=same["dataset"]["name"])
+        runs.append((found | decided[2], attacked, same))
     shared = set.intersection(*(set(of) for of, _, _ in runs))
     found = {key: _mean([of[key] for of, _, _ in runs]) for key in runs[0][0] if key in shared}
     sums = {

@@ -4,7 +4,7 @@ import contextlib
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -19,14 +19,14 @@ from evaluation.analysis.decisions import decisions
 from evaluation.analysis.families import families_in
 from evaluation.analysis.frontier import frontier
 from evaluation.analysis.galleries import TPR, galleries
-from evaluation.analysis.keys import AS_SHARED, Key, Source
+from evaluation.analysis.keys import AS_SHARED, Key, Source, horizons_in, judged_at
 from evaluation.analysis.levels import levels
 from evaluation.analysis.linked_people import read_probes
 from evaluation.analysis.matching import Sweeps, matched
 from evaluation.analysis.metrics import ACHIEVED, EXPOSURE, SUCCESS, SUCCESS_OF_100
 from evaluation.analysis.pooled import Answered, answered, answers_of, to_frame
 from evaluation.analysis.strongest import cross_fitted, strongest
-from evaluation.experiment.constants import BLOCK_SCENES, MOST_SCENES, WORLDS
+from evaluation.experiment.constants import BLOCK_SCENES, MOST_SCENES, WORLDS, horizon_world
 from evaluation.experiment.plan import Plan, plan
 from evaluation.experiment.settings import Settings, check_drawing
 from evaluation.reporting import page, study_page
@@ -159,22 +159,37 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     dataset, seed = manifest["dataset"]["name"], manifest["identity"]["seed"]
     predictors, known = manifest["settings"]["predictors"], families_in(manifest["cells"])
     with aside(partial(_of_links, out, manifest)) as of_links:
-        found, attacked, (curves, decided, at_raw_alarms), worlds = _of_scenes(out, manifest)
+        scenes = _of_scenes(out, manifest)
         linked, sums, table = of_links()
+    found, attacked = scenes.found, scenes.attacked
     flagged, looked = weak_attacks.flags(found, slow=weak_attacks.slow_attacks(manifest))
-    sweeps = Sweeps({**found, **at_raw_alarms, **linked}, known)
+    sweeps = Sweeps({**found, **scenes.own.at_raw_alarms, **linked}, known)
     best = strongest(sweeps.found, known)
     few = {key: one for key, one in sweeps.found.items() if key.metric in (EXPOSURE, SUCCESS, TPR)}
     with aside(partial(_of_people, out, manifest, Sweeps(few, known), best)) as of_people:
         at_equal = matched(sweeps, predictors=predictors, dataset=dataset)
         crossed, halves = cross_fitted(attacked, known, best.get("", AS_SHARED), seed=seed)
         sums |= attacked
-        frontiers = frontier(sweeps, predictors=predictors, dataset=dataset, sums=sums, seed=seed)
-        tidy = summary.to_frame({**found, **linked}, worlds=worlds, known=known, dataset=dataset)
+        frontiers = [frontier(sweeps, predictors=predictors, dataset=dataset, sums=sums, seed=seed)]
+        for horizon_s, robots in scenes.later.items():
+            at_horizon = Sweeps(judged_at(sweeps.found, robots.every), known)
+            name = f"{dataset}:{horizon_world(horizon_s)}"
+            frontiers.append(
+                frontier(at_horizon, predictors=predictors, dataset=name, sums=sums, seed=seed)
+            )
+        tidy = summary.to_frame(
+            {**found, **linked}, worlds=scenes.worlds, known=known, dataset=dataset
+        )
         far = weak_attacks.far_from_optimum(gaps(tidy))
         in_galleries, across = of_people()
     judged = Sweeps({**sweeps.found, **crossed}, known) if crossed else sweeps
-    said = verdict.verdict(judged, across, strongest=best, scored=halves, manifest=manifest)
+    later = {
+        horizon_s: Sweeps(judged_at(judged.found, robots.every), known)
+        for horizon_s, robots in scenes.later.items()
+    }
+    said = verdict.verdict(
+        judged, across, strongest=best, scored=halves, later=later, manifest=manifest
+    )
     results = Results(
         out=out,
         manifest=manifest,
@@ -182,18 +197,18 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         paper_table=paper.paper_table(sweeps, dataset=dataset),
         claims=paper.claims(sweeps, at_equal, dataset=dataset, history=manifest["history"]),
         matched=at_equal,
-        frontier=frontiers,
+        frontier=pd.concat(frontiers, ignore_index=True),
         levels=levels(
-            {**found, **at_raw_alarms, **linked},
+            sweeps.found,
             sums=sums,
-            horizons={},
+            horizons={horizon_world(at): robots.every for at, robots in scenes.later.items()},
             linked=table,
             known=known,
             dataset=dataset,
             seed=seed,
         ),
-        decisions=decided,
-        curves=curves,
+        decisions=pd.concat([one.decided for one in scenes.judged], ignore_index=True),
+        curves=pd.concat([one.curves for one in scenes.judged], ignore_index=True),
         flags=pd.concat([flagged, far], ignore_index=True) if len(far) else flagged,
         linkability=table,
         galleries=in_galleries,
@@ -215,17 +230,65 @@ def _of_links(
     return summary.linkage_estimates(read), summary.linkage_sums(read), table
 
 
-def _of_scenes(out: Path, manifest: Mapping[str, Any]) -> tuple[Any, ...]:
-    """Return what the cells of scenes tell: estimates and sums, decisions; and other worlds."""
+@dataclass(frozen=True, eq=False, slots=True)
+class _Judged:
+    """Robots judged at a horizon: what each metric is, and how misses trade for false alarms."""
+
+    found: Mapping[Key, Estimate]
+    at_raw_alarms: Mapping[Key, Estimate]
+    curves: pd.DataFrame
+    decided: pd.DataFrame
+
+    @property
+    def every(self) -> dict[Key, Estimate]:
+        """All estimates, those at raw's false-alarm rate among them."""
+        return {**self.found, **self.at_raw_alarms}
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Scenes:
+    """What the cells of scenes tell."""
+
+    found: Mapping[Key, Estimate]
+    attacked: dict[Key, Summed]
+    worlds: Mapping[str, Mapping[Key, Estimate]]  # Others, further horizons among them.
+    own: _Judged  # At the run's own horizon.
+    later: Mapping[float, _Judged]  # At further ones, s, ascending.
+
+    @property
+    def judged(self) -> list[_Judged]:
+        """Robots at every horizon, the run's own first."""
+        return [self.own, *self.later.values()]
+
+
+def _of_scenes(out: Path, manifest: Mapping[str, Any]) -> _Scenes:
     found, scored, attacked = summary.estimates(out, manifest)
-    worlds = {}
+    dataset = manifest["dataset"]["name"]
+    own, later = _judged(scored, manifest, found, dataset=dataset), dict[float, _Judged]()
+    worlds: dict[str, Mapping[Key, Estimate]] = {}
+    for horizon_s in horizons_in(manifest["cells"]):
+        world = horizon_world(horizon_s)
+        worlds[world], scored, _ = summary.estimates(out, manifest, world=world)
+        name = f"{dataset}:{world}"
+        later[horizon_s] = _judged(scored, manifest, worlds[world], dataset=name)
     for world in WORLDS:
         card = linkability.cards(out, manifest, drawn=_DRAWN, world=world)
         of = summary.estimates(out, manifest, world=world)[0]
         of |= linked_gaps(summary.linkage_estimates(card))
         # Nothing is paired with them: their replicates are as large as a run's own.
         worlds[world] = {key: replace(one, replicates=np.zeros(0)) for key, one in of.items()}
-    return found, attacked, decisions(scored, manifest, found), worlds
+    return _Scenes(found, attacked, worlds, own, later)
+
+
+def _judged(
+    scored: Sequence[summary.Scored],
+    manifest: Mapping[str, Any],
+    found: Mapping[Key, Estimate],
+    *,
+    dataset: str,
+) -> _Judged:
+    curves, decided, at_raw_alarms = decisions(scored, manifest, found, dataset=dataset)
+    return _Judged(found, at_raw_alarms, curves, decided)
 
 
 def _of_people(

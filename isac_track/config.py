@@ -9,16 +9,20 @@ A range ends far beyond what is of use, but within what arithmetic and memory ca
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from numbers import Integral, Real
-from typing import Any, Literal, Self, TypeAlias, get_args
+from typing import Any, Final, Literal, Self, TypeAlias, get_args
 
 from isac_track.errors import SettingsError, did_you_mean, quoted
 
 IntervalsOf: TypeAlias = Literal["segment", "trajectory"]
 """Whose sampling intervals the duration of a leaked segment is made of."""
+_EMPTY: Final = "none"  # As a list without numbers is typed.
+_SEVERAL: Final = tuple[float, ...]  # Type of a setting that is a list of numbers.
 
 
-def _number(default: float, low: float, high: float, *, is_open: bool = False) -> Any:  # noqa: ANN401 - a field of any type of number
-    """Declare a number and its range, which holds neither of its ends if it is open."""
+def _number(  # a field of any type of number
+    default: float | tuple[float, ...], low: float, high: float, *, is_open: bool = False
+) -> Any:  # noqa: ANN401 - as said
+    """Declare a number, or several, and their range: neither of its ends if it is open."""
     return field(default=default, metadata={"range": (low, high), "open": is_open})
 
 
@@ -30,6 +34,9 @@ class _Stage:
         (stage,) = (one.name for one in fields(StageSettings) if one.type is type(self))
         for item in fields(self):
             name, value = f"{stage}.{item.name}", getattr(self, item.name)
+            if item.type == _SEVERAL:
+                object.__setattr__(self, item.name, _ascending(name, value, item.metadata["range"]))
+                continue
             if choices := get_args(item.type):
                 if value not in choices:
                     wanted = f"be one of {', '.join(choices)}"
@@ -45,6 +52,17 @@ class _Stage:
                 fits, wanted = low <= value <= high, f"within {low:g} to {high:g}"
             if not fits:  # nor does NaN
                 raise SettingsError(f"{name} must lie {wanted}, got {quoted(value)}")
+
+
+def _ascending(name: str, value: object, ends: tuple[float, float]) -> tuple[float, ...]:
+    """Return a list of numbers in ascending order, each once; SettingsError if it is none."""
+    several = value if isinstance(value, tuple | list) else (value,)
+    for number in several:
+        is_number = isinstance(number, Real) and not isinstance(number, bool)
+        if not is_number or not ends[0] <= number <= ends[1]:  # nor does NaN
+            wanted = f"numbers within {ends[0]:g} to {ends[1]:g}, such as 3 or 1.5,3, or none"
+            raise SettingsError(f"{name} must be {wanted}, got {quoted(value)}")
+    return tuple(sorted({float(number) for number in several}))
 
 
 _ORDERED = (
@@ -111,6 +129,9 @@ class ConflictSettings(_Stage):
 
     robot_speed_mps: float = _number(1.4, 1e-3, 100)  # paper: v_r
     horizon_steps: int = _number(12, 1, 1000)  # paper: H
+    horizons_s: tuple[float, ...] = _number((3.0,), 0.1, 60.0)
+    """further horizons at which conflicts are made and foreseen, besides the paper's; may be empty:
+    a track's grid then has 1 + round(horizon / its mean interval) steps"""
     window: int = _number(16, 2, 100_000)
     """paper: q, samples whose mean interval is the step of the prediction grid; how many samples
     a predictor uses is its own parameter, `least_squares:16`"""
@@ -202,16 +223,28 @@ class StageSettings:
         return replace(self, **changed)
 
     def flat(self) -> dict[str, Any]:
-        """Return ``{"stage.key": value}`` for every setting."""
+        """Return ``{"stage.key": value}`` for every setting; a list of numbers as it is typed."""
         return {
-            f"{stage.name}.{item.name}": getattr(getattr(self, stage.name), item.name)
+            f"{stage.name}.{item.name}": _written(getattr(getattr(self, stage.name), item.name))
             for stage in fields(self)
             for item in fields(getattr(self, stage.name))
         }
 
 
+def _written(value: Any) -> Any:  # noqa: ANN401 - as many types as settings
+    if not isinstance(value, tuple):
+        return value
+    return ",".join(f"{number:.12g}" for number in value) or _EMPTY
+
+
 def _parse(value: Any, kind: Any) -> Any:  # noqa: ANN401 - text, or TOML's types
     """Return the number that is meant; what is none as it is, for its stage to refuse."""
+    if kind == _SEVERAL:
+        if not isinstance(value, str):
+            return value
+        numbers = () if value.strip() in ("", _EMPTY) else value.split(",")
+        parsed = tuple(_parse(number, float) for number in numbers)
+        return value if any(isinstance(number, str) for number in parsed) else parsed
     if get_args(kind) or isinstance(value, bool):
         return value
     try:

@@ -27,6 +27,26 @@ def prediction_grid(*, t: Floats, offsets: Ints, window: int, horizon_steps: int
     return np.asarray(t[last][:, None] + np.arange(horizon_steps) * interval_s[:, None])
 
 
+def seconds_grid(*, t: Floats, offsets: Ints, window: int, horizon_s: float) -> tuple[Floats, Ints]:
+    """Return the future timestamps of each track up to a horizon in seconds, and their number.
+
+    The grid is that of `prediction_grid` with 1 + round(`horizon_s` / mean interval) steps, at
+    least 2. Tracks differ in their interval: a shorter grid repeats its last instant, which moves
+    neither the smallest separation nor the label. (N, H) s, and (N,) steps that differ.
+    """
+    first = prediction_grid(t=t, offsets=offsets, window=window, horizon_steps=2)
+    interval_s = first[:, 1] - first[:, 0]
+    n_steps = 1 + np.maximum(np.rint(horizon_s / interval_s).astype(np.int64), 1)
+    grid = prediction_grid(t=t, offsets=offsets, window=window, horizon_steps=int(n_steps.max()))
+    last = np.minimum(np.arange(grid.shape[1]), n_steps[:, None] - 1)
+    return np.take_along_axis(grid, last, axis=1), n_steps
+
+
+def steps_of(grid: Floats) -> Ints:
+    """Return how many steps a grid of future times, (N, H) s, has before it repeats its last."""
+    return np.asarray(1 + (np.diff(grid, axis=1) > 0).sum(axis=1))
+
+
 def robot_path(
     *, start: Floats, destination: Floats, speed_mps: float, elapsed_s: Floats
 ) -> Floats:
@@ -59,6 +79,26 @@ def is_conflict(*, separation_m: Floats, safety_radius_m: float) -> Bools:
     """Return the conflict decision of each scene: strictly inside (eq. conflict_rule)."""
     decision: Bools = separation_m < safety_radius_m
     return decision
+
+
+def time_to_conflict_s(
+    *, robot: Floats, agents: Floats, elapsed_s: Floats, safety_radius_m: float
+) -> Floats:
+    """Return after how long any agent of a scene is inside the safety radius, (S,) s.
+
+    `robot` and `agents` are (S, A, H, 2) m, `elapsed_s`, (S, A, H) s, rises from 0, which is now.
+    0: somebody is inside already. NaN: nobody comes inside within the horizon.
+    """
+    if robot.shape != agents.shape or robot.shape[:3] != elapsed_s.shape:
+        raise ValueError(
+            f"robot {robot.shape}, agents {agents.shape} and times {elapsed_s.shape} must have one "
+            "shape"
+        )
+    # The distance of `minimum_separation`, so that whoever is inside here is in conflict there.
+    distance_m = np.sqrt(squared_lengths(robot - agents))
+    inside = is_conflict(separation_m=distance_m, safety_radius_m=safety_radius_m)
+    first_s = np.where(inside, elapsed_s, np.inf).min(axis=(1, 2))
+    return np.asarray(np.where(np.isinf(first_s), np.nan, first_s))
 
 
 def disc_probability(*, mean: Floats, cov: Floats, radius_m: float) -> Floats:
@@ -123,6 +163,16 @@ def conflict_probability(*, robot: Floats, mean: Floats, cov: Floats, radius_m: 
 def missed_conflict_rate(*, conflict: Bools, predicted: Bools) -> float:
     """Return the share of true conflicts that were not predicted; NaN without a conflict."""
     return _share(~predicted, among=conflict)
+
+
+def missed_future_rate(*, conflict: Bools, inside_now: Bools, predicted: Bools) -> float:
+    """Return the missed share of the conflicts that are still to come; NaN without one.
+
+    Left out are the scenes where somebody is `inside_now`, within the safety radius at step 0.
+    """
+    if inside_now.shape != conflict.shape:
+        raise ValueError("conflict and inside_now must have one shape")
+    return _share(~predicted, among=conflict & ~inside_now)
 
 
 def false_alarm_rate(*, conflict: Bools, predicted: Bools) -> float:

@@ -3,17 +3,26 @@
 Conflict and conflict-free scenes alternate (even and odd index). A track is only shifted.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.random import Generator
 
 from isac_track.config import ConflictSettings, StageSettings
-from isac_track.conflict import is_conflict, minimum_separation, prediction_grid, robot_path
+from isac_track.conflict import (
+    is_conflict,
+    minimum_separation,
+    prediction_grid,
+    robot_path,
+    seconds_grid,
+    steps_of,
+    time_to_conflict_s,
+)
 from isac_track.errors import DataError
 from isac_track.resample import resample, walk
 from isac_track.rng import stream
-from isac_track.types import TRACK, Floats, Ints, Scenes, Tracks, end_to_end, runs_of
+from isac_track.types import TRACK, Floats, Ints, Scenes, Tracks, derived, end_to_end, runs_of
 
 _FEW_REDRAWS = 16
 FEW_PEOPLE = 20  # With fewer nothing is decided.
@@ -23,10 +32,13 @@ FEW_PEOPLE = 20  # With fewer nothing is decided.
 class Cut(Tracks):
     """N resampled tracks up to now, which is known history, and their future on the grid."""
 
-    t_future: Floats = field(metadata=TRACK)  # (N, H) s; step 0 is the last history sample.
+    t_future: Floats = field(metadata=TRACK)
+    """(N, H) s; step 0 is the last history sample, a shorter grid repeats its last instant."""
     xy_future: Floats = field(metadata=TRACK)  # (N, H, 2) m, true positions on the grid.
     too_short: int  # Recorded tracks below `min_duration_s`.
     no_future: int  # Tracks that are long enough but do not cover the horizon after the split.
+    further: "Mapping[float, Cut]" = field(default_factory=dict, kw_only=True)
+    """By horizon, s: the same tracks with a longer future, those that cover it."""
 
 
 def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
@@ -71,6 +83,48 @@ def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
         group=group,
         too_short=len(recorded) - len(sampled),
         no_future=len(sampled) - len(parts),
+    )
+
+
+def with_horizons(tracks: Cut, recorded: Tracks, *, settings: StageSettings) -> Cut:
+    """Return the tracks with their futures at the further horizons, ``conflict.horizons_s``.
+
+    A horizon that fewer tracks cover than a scene has agents is left out.
+    """
+    further = {
+        horizon_s: longer
+        for horizon_s in settings.conflict.horizons_s
+        if (longer := _at_horizon(tracks, recorded, horizon_s=horizon_s, settings=settings))
+    }
+    return replace(tracks, further=further)
+
+
+def _at_horizon(
+    tracks: Cut, recorded: Tracks, *, horizon_s: float, settings: StageSettings
+) -> Cut | None:
+    """Return the tracks whose recording covers a horizon; None if they do not fill a scene."""
+    whole_of = dict(zip(recorded.source, recorded, strict=True))
+    window = settings.conflict.window
+    ahead, _ = seconds_grid(t=tracks.t, offsets=tracks.offsets, window=window, horizon_s=horizon_s)
+    wholes = [whole_of[name] for name in tracks.source]
+    covered = np.array([grid[-1] <= one.t[-1] for grid, one in zip(ahead, wholes, strict=True)])
+    rows = np.flatnonzero(covered)
+    if rows.size < settings.scenes.agents:
+        return None
+    futures = [walk(wholes[row])(ahead[row]) for row in rows]
+    if covered.all():  # the histories are the very same arrays
+        return derived(tracks, t_future=ahead, xy_future=np.stack(futures))
+    runs, offsets = runs_of(tracks.offsets, rows)
+    return Cut(
+        t=end_to_end(tracks.t, runs),
+        xy=end_to_end(tracks.xy, runs),
+        offsets=offsets,
+        t_future=ahead[rows],
+        xy_future=np.stack(futures),
+        source=tuple(tracks.source[row] for row in rows),
+        group=tuple(tracks.group[row] for row in rows),
+        too_short=tracks.too_short,
+        no_future=tracks.no_future + int((~covered).sum()),
     )
 
 
@@ -134,6 +188,7 @@ def make_scenes(
     elapsed_s = (tracks.t_future - tracks.t_future[:, :1])[order]  # (S, A, H)
     futures = tracks.xy_future[order]  # (S, A, H, 2), unshifted
     rules, place = settings.conflict, settings.scenes
+    n_steps = steps_of(tracks.t_future)[order[:, 0]].tolist()  # of each first agent's own grid
     rngs = [stream(seed, "scenes", "scene", first + scene) for scene in range(n_scenes)]
     start, destination = np.empty((n_scenes, 2)), np.empty((n_scenes, 2))
     for scene, rng in enumerate(rngs):
@@ -149,8 +204,8 @@ def make_scenes(
     shift, exhausted = np.empty((n_scenes, n_agents, 2)), np.zeros(n_scenes, dtype=np.int64)
     for scene, rng in enumerate(rngs):
         if (first + scene) % 2 == 0:  # on the robot's point at a random step
-            # Of the future: step 0 is now.
-            step = int(rng.integers(min(1, rules.horizon_steps - 1), rules.horizon_steps))
+            # Of the future: step 0 is now. A longer horizon scales the same uniform number.
+            step = int(rng.integers(min(1, n_steps[scene] - 1), n_steps[scene]))
             shift[scene, 0] = robot[scene, 0, step] - futures[scene, 0, step]
         else:
             shift[scene, 0] = _past_robot(robot[scene, 0], futures[scene, 0], settings, rng)
@@ -178,6 +233,9 @@ def make_scenes(
         robot_destination=destination,
         separation=separation,
         conflict=is_conflict(separation_m=separation, safety_radius_m=rules.safety_radius_m),
+        time_to_conflict_s=time_to_conflict_s(
+            robot=robot, agents=futures, elapsed_s=elapsed_s, safety_radius_m=rules.safety_radius_m
+        ),
         exhausted=exhausted,
     )
 

@@ -116,11 +116,13 @@ class Scenes:
     robot_destination: Floats  # (S, 2) m
     separation: Floats  # (S,) m, true minimum separation between robot and agents over the horizon.
     conflict: Bools  # (S,) ground-truth label c (eq. conflict_rule on the true future).
+    time_to_conflict_s: Floats  # (S,) s until any agent is inside; 0: is now; NaN: no conflict.
     exhausted: Ints  # (S,) agents whose placement ran out of redraws and kept the last draw.
 
     def __post_init__(self) -> None:
         _freeze(self, t="M", xy=("M", 2), t_future="NH", xy_future=("N", "H", 2))
         _freeze(self, robot_start=("S", 2), robot_destination=("S", 2), separation="S")
+        _freeze(self, time_to_conflict_s="S")
         _freeze(self, np.int64, offsets="N", track="N", index="S", exhausted="S")
         _freeze(self, np.bool_, conflict="S")
         check_offsets(self.offsets, self.t.size)
@@ -136,6 +138,11 @@ class Scenes:
     def n_agents(self) -> int:
         """Agents per scene."""
         return (self.offsets.size - 1) // self.index.size
+
+    @property
+    def inside_now(self) -> Bools:
+        """Whether somebody is inside the safety radius at step 0 already, (S,)."""
+        return np.asarray(self.time_to_conflict_s == 0.0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

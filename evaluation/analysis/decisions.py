@@ -14,7 +14,7 @@ import pandas as pd
 from scipy.sparse import csr_array
 
 from evaluation.analysis.keys import Found, Key, Measure, Where
-from evaluation.analysis.metrics import EQUAL_ALARMS
+from evaluation.analysis.metrics import EQUAL_ALARMS, FUTURE_EQUAL_ALARMS
 from evaluation.analysis.summary import Scored, weights_of
 from isac_track.intervals import Estimate, estimate_of, percentile_interval
 from isac_track.types import Bools, Floats, Ints
@@ -26,6 +26,7 @@ DECISION_COLUMNS = [
     *(*_ABOUT, "area", "area_low", "area_high", "reference"),
     *("false_alarm_rate", "missed_conflict_rate", "missed_low", "missed_high"),
     *("difference", "ci_low", "ci_high"),
+    *("missed_future_rate", "future_low", "future_high"),
 ]
 _SEPARATION = "separation"
 
@@ -93,21 +94,43 @@ def curve(*, score: Floats, conflict: Bools, cluster: Ints, weights: Floats) -> 
     return Curve(missed=1.0 - rates[1], false_alarm=rates[0])
 
 
+def _curves(
+    score: Floats, columns: Mapping[str, Any], *, cluster: Ints, weights: Floats
+) -> tuple[Curve | None, Curve | None]:
+    """Return the curves of all conflicts, and of those that are still to come.
+
+    Conflict-free scenes are in both, so that one threshold has one false-alarm rate.
+    """
+    conflict = columns["conflict"]
+    ahead = ~(conflict & columns["inside_now"])
+    every = curve(score=score, conflict=conflict, cluster=cluster, weights=weights)
+    return every, curve(
+        score=score[ahead], conflict=conflict[ahead], cluster=cluster[ahead], weights=weights
+    )
+
+
+def _missed_at(one: Curve, false_alarm: Estimate) -> Estimate:
+    missed = one.missed_at(false_alarm.drawn)
+    return estimate_of(missed, n=false_alarm.n, effective=false_alarm.effective)
+
+
 def decisions(
-    scored: Sequence[Scored], manifest: Mapping[str, Any], found: Found
+    scored: Sequence[Scored], manifest: Mapping[str, Any], found: Found, *, dataset: str
 ) -> tuple[pd.DataFrame, pd.DataFrame, dict[Key, Estimate]]:
     """Return the curves of every predictor, a row on each, and misses at raw's false alarms.
 
     The row gives the area under the curve and the missed-conflict rate at the false-alarm rate that
     the reference, the first predictor of the run, has at its operating point under the same
     mechanism, with the paired difference from what its own curve by separation reaches there. The
-    misses (`EQUAL_ALARMS`) are by separation, at the predictor's own false-alarm rate.
+    misses (`EQUAL_ALARMS`, and of conflicts that are still to come `FUTURE_EQUAL_ALARMS`) are by
+    separation, at the false-alarm rate that the predictor itself has at raw. `dataset` is what the
+    rows are named after.
     """
     reference = next(iter(manifest["settings"]["predictors"]), None)
     weights = weights_of(manifest)
     at_reference: dict[Where, tuple[Floats, Floats]] = {}
     at_raw_alarms: dict[Key, Estimate] = {}
-    points = [np.zeros(0)]
+    points, future_points = [np.zeros(0)], [np.zeros(0)]
     rows: list[dict[str, Any]] = []
     # The reference first: the others are compared with its curve.
     order = sorted(enumerate(scored), key=lambda one: one[1][0]["consumer"] != reference)
@@ -119,20 +142,21 @@ def decisions(
         if not np.isnan(columns["probability"]).any():
             scores["probability"] = columns["probability"]
         for name, score in scores.items():
-            conflict, is_separation = columns["conflict"], name == _SEPARATION
-            drawn = curve(score=score, conflict=conflict, cluster=cluster, weights=weights)
+            is_separation = name == _SEPARATION
+            drawn, future = _curves(score, columns, cluster=cluster, weights=weights)
             if drawn is None:
                 continue
             if is_separation and consumer == reference:
                 at = found[alarms.at(*where)].drawn
                 at_reference[where] = at, drawn.missed_at(at)
             if is_separation and raw_alarm is not None:
-                at_raw_alarms[Measure(consumer, EQUAL_ALARMS).at(*where)] = estimate_of(
-                    drawn.missed_at(raw_alarm.drawn), n=raw_alarm.n, effective=raw_alarm.effective
-                )
+                for metric, one in ((EQUAL_ALARMS, drawn), (FUTURE_EQUAL_ALARMS, future)):
+                    key = Measure(consumer, metric).at(*where)
+                    at_raw_alarms |= {} if one is None else {key: _missed_at(one, raw_alarm)}
             points.append(drawn.points())
+            future_points.append(future.points() if future else np.full(N_POINTS, np.nan))
             level = np.nan if where[1] is None else where[1]
-            whose = manifest["dataset"]["name"], where[0], level, consumer, name
+            whose = dataset, where[0], level, consumer, name
             row = dict(zip(_ABOUT, whose, strict=True)) | {"place": place}
             row |= _with_ends("area", "area", drawn.areas())
             if where in at_reference:
@@ -141,11 +165,15 @@ def decisions(
                 row |= {"reference": reference, "false_alarm_rate": false_alarm[0]}
                 row |= _with_ends("missed_conflict_rate", "missed", missed)
                 row |= _with_ends("difference", "ci", missed - reference_missed)
+                if future:
+                    to_come = future.missed_at(false_alarm)
+                    row |= _with_ends("missed_future_rate", "future", to_come)
             rows.append(row)
     table = pd.DataFrame(rows, columns=[*DECISION_COLUMNS, "place"])
     curves = table.loc[table.index.repeat(N_POINTS), list(_ABOUT)].assign(
         false_alarm_rate=np.tile(np.linspace(0.0, 1.0, N_POINTS), len(rows)),
         missed_conflict_rate=np.concatenate(points),
+        missed_future_rate=np.concatenate(future_points),
     )
     in_order = table.sort_values("place", kind="stable", ignore_index=True)
     return curves, in_order[DECISION_COLUMNS], at_raw_alarms

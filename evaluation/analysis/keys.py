@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
-from evaluation.experiment.constants import SHARED, WORLDS
+from evaluation.analysis.metrics import MISSED_RATE
+from evaluation.experiment.constants import SHARED, horizon_of, is_world
 from isac_track.protocols import ADVERSARIES
 
 if TYPE_CHECKING:
@@ -117,11 +118,29 @@ def keys_of(rows: pd.DataFrame) -> list[Key]:
     return [Key(name, None if math.isnan(at) else at, *of) for name, at, *of in every]
 
 
+def horizons_in(entries: Iterable[Mapping[str, Any]]) -> list[float]:
+    """Return the further horizons of a run, s, ascending, by the cells of its manifest."""
+    worlds = {entry.get("world") or "" for entry in entries}
+    return sorted(seconds for world in worlds if (seconds := horizon_of(world)) is not None)
+
+
+def judged_at(found: Found, at_horizon: Found) -> Found:
+    """Return the estimates of a run with its robots judged at another horizon.
+
+    What that horizon has replaces the run's own number: of robots; all else is one for both. A
+    robot that is not read there is left out, lest two horizons are compared.
+    """
+    robots = {key.consumer for key in found if key.metric == MISSED_RATE}
+    absent = robots - {key.consumer for key in at_horizon}
+    own = {key: one for key, one in found.items() if key.consumer not in absent}
+    return {**own, **at_horizon}
+
+
 def worlds_of(frame: pd.DataFrame) -> pd.Series[str]:
-    """Return of which of `WORLDS` the rows of a summary are; empty: that of the run."""
+    """Return of which other world the rows of a summary are; empty: that of the run."""
     names = frame["dataset"]
     parts = {name: name.rpartition(":") for name in names.unique()}
-    of = {name: end if start and end in WORLDS else "" for name, (start, _, end) in parts.items()}
+    of = {name: end if start and is_world(end) else "" for name, (start, _, end) in parts.items()}
     return names.map(of).astype(names.dtype)
 
 

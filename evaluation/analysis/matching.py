@@ -1,7 +1,8 @@
 """FID, or another mechanism, against fixed noise at equal cost or equal PLR: `matched.csv`.
 
 Operating points are matched at an equal rise of the missed-conflict rate over raw, at an equal rise
-of it while false alarms are held at raw's rate, or at an equal PLR as shared.
+of it while false alarms are held at raw's rate, at the same of conflicts that are still to come, or
+at an equal PLR as shared.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -16,18 +17,22 @@ from evaluation.analysis.keys import AS_SHARED, Found, Measure
 from evaluation.analysis.linkability import dataset_of
 from evaluation.analysis.metrics import (
     ACHIEVED,
+    COSTS,
     DESCRIPTORS,
     EQUAL_ALARMS,
     ERROR,
     EXPOSURE,
+    FUTURE_EQUAL_ALARMS,
     MISSED_RATE,
 )
 from evaluation.experiment.presets import SHARED
 from isac_track.intervals import Estimate, percentile_intervals
 from isac_track.types import Bools, Floats, Ints
 
-MISSED, AT_EQUAL_ALARMS, PLR = "missed", EQUAL_ALARMS, "plr"  # Criteria of matching.
-CRITERIA: Final = {MISSED: MISSED_RATE, AT_EQUAL_ALARMS: EQUAL_ALARMS}  # What noise may cost.
+MISSED, AT_EQUAL_ALARMS, FUTURE, PLR = "missed", EQUAL_ALARMS, "missed_future", "plr"
+"""Criteria of matching."""
+CRITERIA: Final = {MISSED: MISSED_RATE, AT_EQUAL_ALARMS: EQUAL_ALARMS, FUTURE: FUTURE_EQUAL_ALARMS}
+"""What noise may cost: false alarms are held at raw's rate but in the first, the paper's."""
 N_POINTS, N_ATTACK_POINTS = 20, 10  # Of a curve as shared, and of one after an attack.
 MIN_DEFINED = 0.975  # Share of replicates that must reach a point for it to have an interval.
 FEWEST_LEVELS: Final = 2  # Of a curve, beside raw.
@@ -105,7 +110,7 @@ class Sweeps:
             if len(keys) > FEWEST_LEVELS and all(key in self.found for key in keys):
                 found[name] = np.stack([self.found[key].drawn for key in keys], axis=1)
         # What noise costs falls towards raw, what it hides rises.
-        rises = by[RAW].metric not in (MISSED_RATE, EQUAL_ALARMS, ERROR)
+        rises = by[RAW].metric not in (*COSTS, ERROR)
         curves = joined([*found.values()], increasing=rises) if found else []
         return dict(zip(found, curves, strict=True))
 

@@ -45,11 +45,11 @@ _COLUMNS_OF = {
     "attack": [*_SHARED, *(one.over for one in _POSITIONS if one.over)],
     "bound": ["group", *(one.column for one in _BOUNDS)],
     "predictor": [
-        *("group", "conflict", "predicted"),
+        *("group", "conflict", "inside_now", "predicted"),
         *("separation_m", "predicted_separation_m", "probability", OF_ROBOT),
     ],
 }
-_DECIDED = ("conflict", "predicted_separation_m", "probability")
+_DECIDED = ("conflict", "inside_now", "predicted_separation_m", "probability")
 Scored: TypeAlias = "tuple[Mapping[str, Any], Ints, Mapping[str, Any]]"
 """What a predictor said of every scene of one mechanism level: the cell's entry in the manifest,
 the scenes' clusters, (S,), and its columns `_DECIDED`."""
@@ -61,7 +61,7 @@ def estimates(
     """Return every metric of the scenes with its interval and replicates, and the scores.
 
     The last are the descriptors after each attack, summed by cluster. All in the run's own world,
-    or in another one of `WORLDS`. Raises DataError if a cell cannot be read.
+    or in another one. Raises DataError if a cell cannot be read.
     """
     weights = weights_of(manifest)
     n = weights.shape[1]
@@ -166,10 +166,13 @@ def ratios(kind: str, table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
     """
     if kind == "predictor":
         _, *names = _COLUMNS_OF[kind]
-        conflict, predicted, truth, ours, _, own = (table[name].to_numpy() for name in names)
-        known = ~np.isnan(own)
+        conflict, inside, predicted, truth, ours, _, own = (
+            table[name].to_numpy() for name in names
+        )
+        known, future = ~np.isnan(own), conflict & ~inside
         return {
             "missed_conflict_rate": ((conflict & ~predicted) * 1.0, conflict * 1.0),
+            "missed_future_rate": ((future & ~predicted) * 1.0, future * 1.0),
             "false_alarm_rate": ((~conflict & predicted) * 1.0, ~conflict * 1.0),
             "distance_mae": (np.abs(ours - truth), np.ones_like(ours)),
             **({OF_ROBOT: (np.nan_to_num(own), known * 1.0)} if known.any() else {}),

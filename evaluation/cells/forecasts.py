@@ -8,6 +8,7 @@ import numpy as np
 
 from evaluation.cells.sharing import guarded, handed, samples_of, showing
 from evaluation.cells.tables import Rows, descriptors, track_columns, track_means
+from evaluation.experiment.constants import horizon_of
 from isac_track.conflict import conflict_probability, is_conflict, minimum_separation
 from isac_track.errors import PluginError, SettingsError
 from isac_track.privacy import leakage_indicator
@@ -70,11 +71,17 @@ def sharing_rows(
         "track": scenes.track[:: scenes.n_agents],
         "exhausted": scenes.exhausted,
         "conflict": scenes.conflict,
+        "inside_now": scenes.inside_now,
+        "time_to_conflict_s": scenes.time_to_conflict_s,
         "predicted": predicted,
         "separation_m": scenes.separation,
         "predicted_separation_m": separation_m,
         "probability": probability,
-        "plr_robot": _own_plr(who, robot_knows, granted, scenes, stages=stages),
+        "plr_robot": (
+            _own_plr(who, robot_knows, granted, scenes, stages=stages)
+            if horizon_of(consumer.world) is None  # what it knows of the past is one for all
+            else np.full(len(scenes), np.nan)
+        ),
     }
 
 

@@ -17,7 +17,7 @@ from evaluation.cells.link_scores import linkage_tables
 from evaluation.cells.link_setup import sensed_sessions
 from evaluation.cells.tables import ROWS, Tables, rows_table
 from evaluation.cells.where import Failed, here, note
-from evaluation.experiment.constants import MODEL, OTHER_LAW, OTHER_LAW_WORLD
+from evaluation.experiment.constants import MODEL, OTHER_LAW, OTHER_LAW_WORLD, horizon_of
 from evaluation.experiment.fingerprint import OURS
 from isac_track.errors import IsacTrackError, PluginError, told
 from isac_track.scenes import Cut, make_scenes
@@ -43,7 +43,7 @@ class Block:
     first_scene: int
     order: Ints  # (S, A) rows of the tracks.
     levels: Levels
-    world: str = ""  # Of `WORLDS`; empty: that of the run.
+    world: str = ""  # Of `WORLDS`, or of a further horizon; empty: that of the run.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -130,7 +130,9 @@ def _linked(work: LinkWork, *, tracks: Cut, stages: StageSettings, seed: int) ->
 
 
 def _of_scenes(block: Block, *, tracks: Cut, stages: StageSettings, seed: int) -> Iterator[Item]:
-    order, first = block.order, block.first_scene
+    horizon_s, order, first = horizon_of(block.world), block.order, block.first_scene
+    if horizon_s is not None:
+        tracks = tracks.further[horizon_s]
     scenes = make_scenes(tracks, order=order, first=first, settings=stages, seed=seed)
     of: dict[str, Any] = {"tracks": tracks, "stages": stages, "seed": seed}
     of["is_model"] = MODEL in block.world

@@ -15,6 +15,7 @@ from evaluation.experiment.constants import (
     OTHER_LAW_WORLD,
     WINDOWS,
     WORLDS,
+    horizon_world,
 )
 from evaluation.experiment.presets import BREAKER, PRESETS, SHARED, UTILITY_PREDICTORS
 from evaluation.experiment.settings import Settings
@@ -103,6 +104,8 @@ class Axes:
     slow_in_worlds: bool = False
     linked_in: Mapping[str, tuple[Plugin, ...]] = field(default_factory=dict)
     """Of the worlds those where people are linked, and behind which mechanisms."""
+    horizons_s: tuple[float, ...] = ()
+    """Further horizons: in a world of its own each, where only predictors read, in all scenes."""
     adversaries: tuple[str, ...] = ()  # Asked for beside the usual ones.
 
     @property
@@ -126,6 +129,14 @@ class Axes:
             for one in self.consumers
             if (self.slow_in_worlds or not one.is_slow)
             and (world == OTHER_LAW_WORLD or one.kind in {"attack", "bound"})
+        )
+
+    def robots_at(self, horizon_s: float) -> tuple[Consumer, ...]:
+        """Return the predictors at a further horizon: those that are read in all scenes."""
+        return tuple(
+            replace(one, world=horizon_world(horizon_s))
+            for one in self.consumers
+            if one.kind == "predictor" and one.spec in self.utility
         )
 
     def readers_in(self, world: str, task: Task) -> tuple[Consumer, ...]:
@@ -215,6 +226,7 @@ def axes(settings: Settings) -> Axes:
         *(mechanisms, predictors, attacks, pairs, ceiling),
         utility=frozenset(utility),
         adversaries=settings.adversaries,
+        horizons_s=settings.stages.conflict.horizons_s if utility else (),
         worlds=worlds,
         slow_in_worlds=settings.preset == "audit",
         # One walk, and Gaussian errors: else the best that can be done is not known.

@@ -9,7 +9,27 @@ OTHER_LAW: Final = "isotropic"  # Error law under which the preset's `other_law`
 OTHER_LAW_WORLD: Final = f"law={OTHER_LAW}"
 MODEL: Final = "model"  # Walks of the fitted motion in place of the recorded ones.
 WORLDS: Final = (OTHER_LAW_WORLD, MODEL, f"{MODEL},{OTHER_LAW_WORLD}")
-"""What else than the run's own: as in `dataset`, after the name."""
+"""What else than the run's own: as in `dataset`, after the name. So are further horizons."""
+_HORIZON: Final = "horizon="
 BOUND = "bound"  # Consumer of what no attack can exceed.
 BLOCK_SCENES = 250  # Of a unit of work. Part of the keys of sharing: a change changes the draws.
 MOST_SCENES = 10_000_000
+
+
+def horizon_world(horizon_s: float) -> str:
+    """Return the world in which conflicts are made, and foreseen, for a further horizon."""
+    return f"{_HORIZON}{horizon_s:.12g}s"
+
+
+def horizon_of(world: str) -> float | None:
+    """Return the horizon of a world in s; None if it has that of the run."""
+    start, is_horizon, number = world.removesuffix("s").partition(_HORIZON)
+    try:
+        return float(number) if is_horizon and not start and world.endswith("s") else None
+    except ValueError:
+        return None
+
+
+def is_world(name: str) -> bool:
+    """Tell whether a name is that of another world than the run's own."""
+    return name in WORLDS or horizon_of(name) is not None

@@ -19,7 +19,7 @@ from isac_track import datasets
 from isac_track.datasets import Dataset, crowd
 from isac_track.errors import DataError, PluginError, told
 from isac_track.plugins import Plugin
-from isac_track.scenes import Cut, cut
+from isac_track.scenes import Cut, cut, with_horizons
 
 _HOW_TO_READ = ("format", "fps", "unit", "sessions", "persistent_ids")  # Options of a data set.
 
@@ -86,6 +86,9 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     how = {name: getattr(settings, name) for name in _HOW_TO_READ}
     dataset = dataset or datasets.load(settings.dataset, **how)
     tracks = cut(dataset.tracks, settings=settings.stages, seed=settings.seed)
+    if crossed.horizons_s:
+        tracks = with_horizons(tracks, dataset.tracks, settings=settings.stages)
+        crossed = replace(crossed, horizons_s=tuple(tracks.further))
     # One task always uses the bundled crowd.
     bundled = b"".join(crowd.bundled_path(session).read_bytes() for session in crowd.FILES)
     identity = {
@@ -98,6 +101,8 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
         "crowd": hashlib.sha256(bundled).hexdigest()[:16],
         **settings.stages.flat(),
     }
+    # An axis: another horizon adds cells to a folder and changes no other.
+    del identity["conflict.horizons_s"]
     if settings.unit is not None:
         identity["unit"] = settings.unit
     if settings.persistent_ids:
@@ -167,6 +172,10 @@ def _units(
         (crossed.mechanisms, utility, every[len(attacked) :]),
         *((crossed.linked_mechanisms, crossed.readers(task), (0,)) for task in crossed.tasks),
         *((some, crossed.consumers_in(world), attacked) for world, some in crossed.worlds.items()),
+        *(
+            (crossed.mechanisms, crossed.robots_at(horizon_s), every)
+            for horizon_s in crossed.horizons_s
+        ),
         *(
             (some, crossed.readers_in(world, task), (0,))
             for world, some in crossed.linked_in.items()

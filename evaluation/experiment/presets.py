@@ -6,7 +6,7 @@ from attacks.tasks.task_list import TASKS
 from evaluation.experiment.constants import IDENTITY, SHARED
 
 __all__ = ["BREAKER", "DISSOCIATION", "IDENTITY", "PRESETS", "PROTECTIONS", "SHARED", "Preset"]
-__all__ += ["UTILITY_PREDICTORS"]
+__all__ += ["BASELINE", "UTILITY_PREDICTORS"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,13 +67,16 @@ _FRONTIER = (
 _AUDITED = (*_BOTH_RULES, "ou:0.4", "laplace:1")
 BREAKER = "ou_rts"
 """Attack that uses all that `--adversary` grants: in every run that asks for one by name alone."""
-UTILITY_PREDICTORS = ("least_squares", "kalman_cv", "kalman_cv:aware=true")
-"""Of a preset's own predictors those that are read in all scenes: the cheap ones."""
+BASELINE = "constant_position"
+"""Predictor by which nobody moves on, in every preset: a robot that loses to it is told so."""
+_ROBOTS = ("least_squares", "kalman_cv", "kalman_cv:aware=true")
+UTILITY_PREDICTORS = (*_ROBOTS, BASELINE)
+"""Of a preset's own predictors those that are read in all scenes, at every horizon: the cheap."""
 _SMOKE = Preset(
     scenes=40,
     utility_scenes=40,
     mechanisms=SMOKE_LEVELS,
-    predictors=("least_squares", "kalman_cv", "kalman_ca", "kalman_imm"),
+    predictors=("least_squares", "kalman_cv", "kalman_ca", "kalman_imm", BASELINE),
     attacks=(
         # All built-in ones but the slow: imm_rts and gaussian_process run when named.
         *("identity", "moving_average", "savgol", "kalman_rts", "radial_rts", "averaging"),
@@ -123,7 +126,7 @@ PRESETS = {
         scenes=750,
         utility_scenes=750,
         mechanisms=_AUDITED,
-        predictors=("kalman_cv",),
+        predictors=("kalman_cv", BASELINE),
         attacks=(
             *("identity", "kalman_rts", "radial_rts", "ou_rts", "imm_rts", "gaussian_process"),
             "posterior:draws=100,burn_in=60",

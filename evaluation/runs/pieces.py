@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from evaluation.cells.linkage import who_sees_alike
 from evaluation.cells.where import Failed
 from evaluation.cells.work import Block, Item, Levels, LinkWork, attempt
-from evaluation.experiment.constants import BLOCK_SCENES, WORLDS
+from evaluation.experiment.constants import BLOCK_SCENES, WORLDS, horizon_world
 from evaluation.experiment.fingerprint import sources
 from evaluation.runs.cell_files import index_of, packed, places_of
 from evaluation.runs.files import FOLDER, written_down
@@ -64,12 +65,15 @@ def unfinished(ready: Plan) -> list[Unit]:
 def pieces_of(missing: Sequence[Unit], ready: Plan) -> list[Work]:
     """Return what is to be computed: scenes, block by block, and what is linked."""
     settings = ready.settings
-    order = track_order(
-        n_tracks=len(ready.tracks),
+    order = partial(
+        track_order,
         n_scenes=settings.n_utility_scenes,
         agents=settings.stages.scenes.agents,
         seed=settings.seed,
     )
+    orders = dict.fromkeys(("", *WORLDS), order(n_tracks=len(ready.tracks)))
+    for horizon_s, tracks in ready.tracks.further.items():
+        orders[horizon_world(horizon_s)] = order(n_tracks=len(tracks))
     tasks = {sessions.task.name for sessions in ready.sessions}
     groups = tuple(sorted(set(ready.tracks.group)))
     starts = range(0, settings.n_utility_scenes, BLOCK_SCENES)
@@ -78,9 +82,9 @@ def pieces_of(missing: Sequence[Unit], ready: Plan) -> list[Work]:
     n_attacked = -(-settings.n_scenes // BLOCK_SCENES)
     n_pieces = 1 if ready.jobs == 1 else -(-_TASKS_PER_WORKER * ready.jobs // n_attacked)
     blocks = [
-        Block(number, first, order[first : first + BLOCK_SCENES], piece, world)
+        Block(number, first, rows[first : first + BLOCK_SCENES], piece, world)
         for number, first in enumerate(starts)
-        for world in ("", *WORLDS)
+        for world, rows in orders.items()
         for piece in _shared_out(
             _levels(
                 one

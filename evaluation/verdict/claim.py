@@ -4,7 +4,8 @@ At equal missed rate: descriptors as shared, the same after attack, and who is l
 of any other mechanism of the run that has levels.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -12,7 +13,15 @@ import numpy as np
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED
 from evaluation.analysis.frontier import TARGETS
 from evaluation.analysis.keys import AS_SHARED, Measure, Source
-from evaluation.analysis.matching import CRITERIA, MIN_DEFINED, Sweeps, at_changes
+from evaluation.analysis.matching import (
+    AT_EQUAL_ALARMS,
+    CRITERIA,
+    FUTURE,
+    MIN_DEFINED,
+    MISSED,
+    Sweeps,
+    at_changes,
+)
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS_OF_100
 from evaluation.analysis.strongest import success_of
 from evaluation.verdict import rules
@@ -21,16 +30,27 @@ from evaluation.verdict.rules import NAME, known
 from isac_track.intervals import estimate_of
 from isac_track.types import Floats
 
-_RISE: Final = "At an equal rise of missed conflicts"
-_WHERE: Final = dict(zip(CRITERIA, (_RISE, f"{_RISE} and equal false alarms"), strict=True))
+_WHERE: Final = {
+    MISSED: "At an equal rise of missed conflicts",
+    AT_EQUAL_ALARMS: "At an equal rise of missed conflicts and equal false alarms",
+    FUTURE: "At an equal rise of missed future conflicts and equal false alarms",
+}
 AS_IS, AFTER, LINKED = "as-shared", "after-attack", "linkage"  # What a claim compares.
 
 
-def claims(sweeps: Sweeps, strongest: Mapping[str, Source], *, predictor: str) -> Iterator[Draft]:
+def claims(
+    sweeps: Sweeps,
+    strongest: Mapping[str, Source],
+    *,
+    predictor: str,
+    criteria: Collection[str] = tuple(CRITERIA),
+    horizon_s: float | None = None,
+) -> Iterator[Draft]:
     """Yield an item for everything that is compared where `predictor` misses as many more.
 
     Of FID, and of any other mechanism of the run that has levels. The rises over raw, which is one
     for both mechanisms, are fixed beforehand; those that either does not reach are listed.
+    `horizon_s` is the further horizon, if it is one, that the robots of `sweeps` are judged at.
     """
     wanted = {AS_SHARED.measure(descriptor): AS_IS for descriptor in DESCRIPTORS}
     for task, source in strongest.items():
@@ -38,6 +58,7 @@ def claims(sweeps: Sweeps, strongest: Mapping[str, Source], *, predictor: str) -
         metrics, of = (by_rank, LINKED) if task else (DESCRIPTORS, AFTER)
         wanted |= dict.fromkeys(map(source.measure, metrics), of)
     costs = {Measure(predictor, metric): criterion for criterion, metric in CRITERIA.items()}
+    costs = {by: criterion for by, criterion in costs.items() if criterion in criteria}
     for adding in ADDING_RULES:
         fixed = sweeps.named(FIXED, adding=adding)
         for mechanism in sweeps.swept(adding):
@@ -48,23 +69,43 @@ def claims(sweeps: Sweeps, strongest: Mapping[str, Source], *, predictor: str) -
             for by, criterion in costs.items():
                 found = at_changes(curves, by, wanted, at=np.array(TARGETS))
                 for measure, *reached in found:
-                    about = adding, criterion, wanted[measure], "" if name == FID else name
+                    about = _About(
+                        adding=adding,
+                        criterion=criterion,
+                        compared=wanted[measure],
+                        mechanism="" if name == FID else name,
+                        horizon_s=horizon_s,
+                    )
                     people = sweeps.rests_on((mechanism, fixed), by, measure)
                     yield _claim(measure, reached, about, people)
 
 
+@dataclass(frozen=True, slots=True)
+class _About:
+    """What an item is about."""
+
+    adding: str
+    criterion: str
+    compared: str  # `AS_IS`, `AFTER` or `LINKED`.
+    mechanism: str  # Empty for the paper's.
+    horizon_s: float | None  # At which robots are judged; None: the run's own.
+
+    @property
+    def where(self) -> str:
+        """The operating points, at the beginning of a sentence."""
+        horizon = "" if self.horizon_s is None else f"{self.horizon_s:g} s ahead, "
+        return f"{_WHERE[self.criterion]} ({horizon}{self.adding} adding)"
+
+
 def _claim(
-    measure: Measure,
-    found: Sequence[Floats],
-    about: tuple[str, str, str, str],
-    people: tuple[int, float],
+    measure: Measure, found: Sequence[Floats], about: _About, people: tuple[int, float]
 ) -> Draft:
     """Return an item from both mechanisms at the rises, (1 + B, P) each.
 
-    `about` are adding rule, criterion, what is compared, and the mechanism, empty for the paper's;
-    `people` the clusters that it rests on, and the effective ones.
+    `people` are the clusters that it rests on, and the effective ones.
     """
-    (ours, theirs), (adding, criterion, of, mechanism), (n, effective) = found, about, people
+    (ours, theirs), (n, effective) = found, people
+    of, mechanism = about.compared, about.mechanism
     gaps = ours - theirs
     reached = np.isfinite(gaps[0]) & (np.isfinite(gaps[1:]).mean(axis=0) >= MIN_DEFINED)
     targets = np.array(TARGETS)
@@ -82,7 +123,7 @@ def _claim(
     source = measure.source
     descriptor = "" if of == LINKED else measure.metric
     gallery = "100" if measure.metric == SUCCESS_OF_100 else "the candidates of this run"
-    where = f"{_WHERE[criterion]} ({adding} adding)"
+    where = about.where
     who = mechanism or "FID"
     what = {
         AS_IS: f"{NAME.get(descriptor, '')} as shared",
@@ -93,11 +134,11 @@ def _claim(
     than = f"under {who} than under fixed noise: {{}}{share}."
     least = f"{100 * targets[0]:g} points"
     return Draft(
-        adding=adding,
+        adding=about.adding,
         descriptor=descriptor,
         task=source.task,
         subject="" if of == AS_IS else source.attack.label,
-        criterion=criterion,
+        criterion=about.criterion,
         effect=estimate_of(mean, n=n, effective=effective),
         parted_at=0.0,
         above=rules.REVERSED,
@@ -118,5 +159,6 @@ def _claim(
             "unreached": targets[~reached].tolist(),
             "points": points,
             **({"mechanism": mechanism} if mechanism else {}),
+            **({} if about.horizon_s is None else {"horizon_s": about.horizon_s}),
         },
     )

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri, stdtrit
 
 from evaluation.analysis.matching import MIN_DEFINED
+from evaluation.experiment.constants import horizon_world
 from evaluation.verdict import rules
 from evaluation.verdict.rules import BETWEEN, NOT_TESTABLE, known
 from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE, LEAST_CLUSTERS, Estimate
@@ -51,7 +52,9 @@ class Draft:
     def names(self) -> list[str]:
         """What identifies the item in its section, the same in every run."""
         of, mechanism = (str(self.details.get(name, "")) for name in ("of", "mechanism"))
-        every = (self.adding, self.criterion, of, self.descriptor, self.task, mechanism)
+        horizon_s = self.details.get("horizon_s")
+        horizon = "" if horizon_s is None else horizon_world(horizon_s)
+        every = (self.adding, self.criterion, horizon, of, self.descriptor, self.task, mechanism)
         return [name for name in every if name]
 
     @property

@@ -13,9 +13,9 @@ from typing import Any
 
 from evaluation.analysis.keys import Source
 from evaluation.analysis.linked_people import LinkedProbes, by_cluster
-from evaluation.analysis.matching import Sweeps
+from evaluation.analysis.matching import FUTURE, Sweeps
 from evaluation.verdict import claim, inflation, rules
-from evaluation.verdict.items import decided
+from evaluation.verdict.items import Draft, decided
 from evaluation.verdict.validity import validity
 from evaluation.verdict.within_level import within
 from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE
@@ -52,6 +52,7 @@ def verdict(
     *,
     strongest: Mapping[str, Source],
     scored: Sequence[Source] = (),
+    later: Mapping[float, Sweeps] | None = None,
     manifest: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Return the verdict of a run as in `verdict.json`.
@@ -59,15 +60,18 @@ def verdict(
     The claim is read with the first predictor of the run. `across` is what `of_people` returns;
     `strongest` is by task its strongest linker, under "" the strongest reconstruction. `scored` are
     those that its descriptors in `sweeps` come from, if they are others: what either half of the
-    people chose.
+    people chose. `later` are the same with robots judged at further horizons, s: there the claim
+    is read with conflicts that are still to come.
     """
     attacks = [attack for task, attack in strongest.items() if not task]
     dataset = manifest["dataset"]
-    claims = (
-        draft
-        for predictor in manifest["settings"]["predictors"][:1]
-        for draft in claim.claims(sweeps, strongest, predictor=predictor)
-    )
+    claims: list[Draft] = []
+    for predictor in manifest["settings"]["predictors"][:1]:
+        claims += claim.claims(sweeps, strongest, predictor=predictor)
+        for horizon_s, at_horizon in (later or {}).items():
+            claims += claim.claims(
+                at_horizon, strongest, predictor=predictor, criteria=(FUTURE,), horizon_s=horizon_s
+            )
     items = [
         *across["items"],
         *decided(rules.CLAIM, claims),
