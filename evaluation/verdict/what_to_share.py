@@ -51,6 +51,8 @@ LIMITS: Final = {  # By name in a question and in an answer: the metric.
     LINKED: SUCCESS,
 }
 """What may be limited; `rank1` is of every task of the recording."""
+USUAL: Final[Mapping[str, float]] = {EXPOSURE: MOST_PLR, LINKED: MOST_LINKAGE_SHARE}
+"""Limits that are asked where nobody names others."""
 Unknown: TypeAlias = Literal[
     "no horizon",
     "no robot",
@@ -90,9 +92,7 @@ class Criterion:
 class Question:
     """What a level must hold; SettingsError for a limit out of range or an unknown adversary."""
 
-    limits: Mapping[str, float] = field(
-        default_factory=lambda: {EXPOSURE: MOST_PLR, LINKED: MOST_LINKAGE_SHARE}
-    )
+    limits: Mapping[str, float] = field(default_factory=lambda: dict(USUAL))
     """By name of `LIMITS`: fractions or s. A linkage share of 1 asks nothing."""
     against: tuple[str, ...] = ()  # Adversaries beyond one release that count as well.
     criterion: Criterion = Criterion()
@@ -265,10 +265,22 @@ class Recommendation:
         return None if self.proposals or not self.refused else self.refused[0]
 
     @property
+    def is_open(self) -> bool:
+        """Whether some level may hold all, if only what is not known of it were."""
+        return not self.proposals and any(
+            all(check.status != "not met" for check in offer.checks) and not offer.lacks_rule
+            for offer in self.refused
+        )
+
+    @property
     def candidates(self) -> tuple[Offer, ...]:
         """Levels that adversaries who know more should be tried on."""
-        open_ = [one for one in self.refused if {c.status for c in one.failing} == {"cannot say"}]
-        some = self.proposals or cheapest(non_dominated(open_)) or self.refused[:1]
+        unsettled = [
+            offer
+            for offer in self.refused
+            if all(check.status != "not met" for check in offer.checks)
+        ]
+        some = self.proposals or cheapest(non_dominated(unsettled)) or self.refused[:1]
         return tuple(some)
 
 
