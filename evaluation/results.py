@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from evaluation.analysis import linkability, paper, summary, weak_attacks
 from evaluation.analysis.bounds import gaps, linked_gaps
 from evaluation.analysis.decisions import decisions
-from evaluation.analysis.families import families_in
+from evaluation.analysis.families import CLEAN, RAW, families_in
 from evaluation.analysis.frontier import frontier
 from evaluation.analysis.galleries import TPR, galleries
 from evaluation.analysis.keys import AS_SHARED, Key, Source, horizons_in, judged_at
@@ -26,8 +26,14 @@ from evaluation.analysis.matching import Sweeps, matched
 from evaluation.analysis.metrics import ACHIEVED, EXPOSURE, SUCCESS, SUCCESS_OF_100
 from evaluation.analysis.pooled import Answered, answered, answers_of, to_frame
 from evaluation.analysis.strongest import cross_fitted, strongest
-from evaluation.experiment.constants import BLOCK_SCENES, MOST_SCENES, WORLDS, horizon_world
-from evaluation.experiment.plan import Plan, plan
+from evaluation.experiment.constants import (
+    BLOCK_SCENES,
+    MOST_SCENES,
+    WORLDS,
+    horizon_of,
+    horizon_world,
+)
+from evaluation.experiment.plan import Plan, plan, trial
 from evaluation.experiment.settings import Settings, check_drawing
 from evaluation.reporting import page, study_page
 from evaluation.reporting.announcements import plan_lines
@@ -35,15 +41,17 @@ from evaluation.reporting.answers import answers
 from evaluation.reporting.figures import figure
 from evaluation.reporting.finished import load
 from evaluation.reporting.progress import progress_bar
+from evaluation.reporting.recommendation import default_question
 from evaluation.reporting.rows import Results
 from evaluation.reporting.tables import write_tex, write_text
 from evaluation.runs import folder
 from evaluation.runs.cell_files import Summed, read_gallery
-from evaluation.runs.execute import execute
+from evaluation.runs.execute import execute, execute_trial
 from evaluation.runs.files import FRAMES, check_sound, locked, to_csv, write_whole
 from evaluation.runs.manifest import FAILED_COLUMNS, read_manifest
 from evaluation.runs.workers import ahead, aside, given_back
 from evaluation.verdict import sections as verdict
+from evaluation.verdict.what_to_share import leading_handover, recommend
 from isac_track.datasets import Dataset
 from isac_track.errors import DataError, SettingsError
 from isac_track.intervals import Estimate
@@ -85,6 +93,7 @@ def run(
     with given_back(), locked(ready.out), _one_thread(), numeric, shown as update:
         with ahead():
             execute(ready, update)
+            _try_candidates(ready, update)
         # One helps that is new: those of cells hold much, and strangers' plug-ins ran in them.
         with ahead(int(ready.jobs > 1), (__name__,)):
             return build(ready.out, pictures=pictures)
@@ -160,7 +169,8 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     predictors, known = manifest["settings"]["predictors"], families_in(manifest["cells"])
     with aside(partial(_of_links, out, manifest)) as of_links:
         scenes = _of_scenes(out, manifest)
-        linked, sums, table = of_links()
+        links = of_links()
+    linked, sums = links.found, links.sums | scenes.attacked
     found, attacked = scenes.found, scenes.attacked
     flagged, looked = weak_attacks.flags(found, slow=weak_attacks.slow_attacks(manifest))
     sweeps = Sweeps({**found, **scenes.own.at_raw_alarms, **linked}, known)
@@ -169,7 +179,6 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     with aside(partial(_of_people, out, manifest, Sweeps(few, known), best)) as of_people:
         at_equal = matched(sweeps, predictors=predictors, dataset=dataset)
         crossed, halves = cross_fitted(attacked, known, best.get("", AS_SHARED), seed=seed)
-        sums |= attacked
         frontiers = [frontier(sweeps, predictors=predictors, dataset=dataset, sums=sums, seed=seed)]
         for horizon_s, robots in scenes.later.items():
             at_horizon = Sweeps(judged_at(sweeps.found, robots.every), known)
@@ -198,19 +207,11 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         claims=paper.claims(sweeps, at_equal, dataset=dataset, history=manifest["history"]),
         matched=at_equal,
         frontier=pd.concat(frontiers, ignore_index=True),
-        levels=levels(
-            sweeps.found,
-            sums=sums,
-            horizons={horizon_world(at): robots.every for at, robots in scenes.later.items()},
-            linked=table,
-            known=known,
-            dataset=dataset,
-            seed=seed,
-        ),
+        levels=_levels_of(manifest, scenes, links),
         decisions=pd.concat([one.decided for one in scenes.judged], ignore_index=True),
         curves=pd.concat([one.curves for one in scenes.judged], ignore_index=True),
         flags=pd.concat([flagged, far], ignore_index=True) if len(far) else flagged,
-        linkability=table,
+        linkability=links.table,
         galleries=in_galleries,
         verdict=said,
         failed=pd.DataFrame(manifest.get("failed", []), columns=list(FAILED_COLUMNS)),
@@ -221,13 +222,19 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     return replace(results, verdict={"answer": told, **said}), looked
 
 
-def _of_links(
-    out: Path, manifest: Mapping[str, Any]
-) -> tuple[dict[Key, Estimate], dict[Key, Summed], pd.DataFrame]:
-    """Return what the cells of linkage tell: estimates and sums, and `linkability.csv`."""
+@dataclass(frozen=True, eq=False, slots=True)
+class _Links:
+    """What the cells of linkage tell."""
+
+    found: dict[Key, Estimate]
+    sums: dict[Key, Summed]
+    table: pd.DataFrame  # `linkability.csv`
+
+
+def _of_links(out: Path, manifest: Mapping[str, Any]) -> _Links:
     read = linkability.cards(out, manifest, drawn=_DRAWN)
     table = linkability.linkability(read, dataset=manifest["dataset"]["name"])
-    return summary.linkage_estimates(read), summary.linkage_sums(read), table
+    return _Links(summary.linkage_estimates(read), summary.linkage_sums(read), table)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -289,6 +296,53 @@ def _judged(
 ) -> _Judged:
     curves, decided, at_raw_alarms = decisions(scored, manifest, found, dataset=dataset)
     return _Judged(found, at_raw_alarms, curves, decided)
+
+
+def _try_candidates(ready: Plan, update: Callable[[int, int, str], None]) -> None:
+    """Let adversaries who know more attack the levels that would be proposed without them."""
+    if not trial(ready, specs=[one.spec for one in ready.axes.mechanisms]).units:
+        return
+    manifest = read_manifest(ready.out)
+    entries = manifest["cells"]
+    # What those levels rest on; of all that is linked the leading handover.
+    known = families_in(entries)
+    names = {name for name, one in known.items() if one.protects or one.family in (RAW, CLEAN)}
+    leading = leading_handover({Source(entry["consumer"]).task for entry in entries})
+    needed = [
+        entry
+        for entry in entries
+        if entry["mechanism"] in names
+        and Source(entry["consumer"]).task in ("", leading)
+        and (not entry.get("world") or horizon_of(entry["world"]) is not None)
+    ]
+    few = manifest | {"cells": needed}
+    table = _levels_of(few, _of_scenes(ready.out, few), _of_links(ready.out, few))
+    dataset, question = manifest["dataset"]["name"], default_question(families_in(needed))
+    offers = recommend(table, question, dataset=dataset).candidates
+    wheres = {offer.where for offer in offers}
+    specs = [one["spec"] for one in needed if (one["mechanism"], one["level"]) in wheres]
+    n_cells = ready.n_cells  # All are finished: these are few, and not told as a part of them.
+    report = partial(_tell_trial, update, n_cells)
+    execute_trial(trial(ready, specs=specs), report)
+
+
+def _tell_trial(
+    update: Callable[[int, int, str], None], n_cells: int, _done: int, _total: int, text: str
+) -> None:
+    update(n_cells, n_cells, f"levels to propose: {text}")
+
+
+def _levels_of(manifest: Mapping[str, Any], scenes: _Scenes, links: _Links) -> pd.DataFrame:
+    """Return what a site gets and pays at each level."""
+    return levels(
+        {**scenes.found, **scenes.own.at_raw_alarms, **links.found},
+        sums=links.sums | scenes.attacked,
+        horizons={horizon_world(at): robots.every for at, robots in scenes.later.items()},
+        linked=links.table,
+        known=families_in(manifest["cells"]),
+        dataset=manifest["dataset"]["name"],
+        seed=manifest["identity"]["seed"],
+    )
 
 
 def _of_people(

@@ -65,7 +65,7 @@ def families_in(rows: pd.DataFrame | Sequence[Mapping[str, Any]]) -> dict[str, F
     frame = pd.DataFrame(rows, columns=[*texts, "protects"]).drop_duplicates(texts)
     # Of a file that was read without care an empty text is missing; a summary does not say.
     known = frame[texts].fillna("").itertuples(index=False, name=None)
-    claims = frame["protects"].map(lambda claim: bool(pd.isna(claim) or claim))
+    claims = frame["protects"].astype(object).fillna(value=True).astype(bool)
     return {
         mechanism: Family(mechanism, family, adding, protects=protects)
         for (mechanism, family, adding), protects in zip(known, claims, strict=True)

@@ -211,7 +211,9 @@ def show(answer: Answer, *, console: Console | None = None) -> None:
         failures = "; ".join(words.failures(offer, found))
         parts.append(f"- {words.level_name(offer)}: {failures}")
     remarks = [f"NOTICE: {note}" for note in notes(answer)]
-    _print(parts + ([""] if remarks else []) + remarks, console)
+    if remarks:
+        parts += ["", *remarks]
+    _print(parts, console)
 
 
 def _print(parts: Iterable[str | tuple[str, str] | Table], console: Console) -> None:
@@ -236,8 +238,7 @@ def answer_table(found: Recommendation) -> Table:
         Column("PLR", partial(_left, EXPOSURE), METRICS[EXPOSURE].unit, above="attacked"),
         Column("at 4/3", partial(_left, WIDE), METRICS[WIDE].unit),
         Column("error", partial(_left, MEDIAN), METRICS[MEDIAN].unit, above="median"),
-        Column("rank 1", partial(_link, "rank1"), "%", above="linked"),
-        Column("of raw's", partial(_link, "share"), "%"),
+        Column("of raw's", partial(_link, "share"), "%", above="linked"),
     ]
     return make.built("levels", "Proposed, or nearest", rows, columns)
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
+from evaluation.analysis.families import Family
 from evaluation.analysis.keys import Where
 from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS, WIDE
 from evaluation.reporting import table as make
@@ -28,7 +29,8 @@ from isac_track.privacy import WIDE_TIMES
 _SHOWN: Final = {MISSED: MISSED_RATE, LINKED: EXPOSURE, "false_alarm": "false_alarm_rate"}
 """Metrics that numbers with other names are shown like."""
 _WHY: Final[dict[Unknown, str]] = {
-    "no horizon": "conflicts within {horizon} were not judged: add --set conflict.horizons_s={at:g}",
+    "no horizon": "conflicts within {horizon} were not judged: add "
+    "--set conflict.horizons_s={at:g}",
     "no robot": "nobody foresees conflicts: add --predictor kalman_cv",
     "no attack": "no attack was run at this level: add --attack ou_rts",
     "no handover": "linkage after a silence was not run: add --task handover-1s "
@@ -46,7 +48,7 @@ def recommendation_of(run: Results, question: Question | None = None) -> Recomme
     """Return what a finished run recommends, by default as the first screen asks."""
     identity = run.manifest["identity"]
     attacked = identity["scenes"]
-    asked = default_question(run) if question is None else question
+    asked = default_question(run.families) if question is None else question
     scenes = attacked, identity.get("scenes_utility", attacked)
     return recommend(run.levels, asked, dataset=run.dataset, scenes=scenes)
 
@@ -57,9 +59,9 @@ def recommended_levels(run: Results) -> list[Where]:
     return [offer.where for offer in answer.proposals or answer.refused[:1]]
 
 
-def default_question(run: Results) -> Question:
+def default_question(known: Mapping[str, Family]) -> Question:
     """Return what the first screen asks: of a run of a single adding rule that alone."""
-    rules = {one.adding for one in run.families.values() if one.adding and one.protects}
+    rules = {one.adding for one in known.values() if one.adding and one.protects}
     usual = Question()
     fitting = tuple(rule for rule in usual.adding if rule in rules)
     return Question(adding=fitting or usual.adding)
@@ -163,7 +165,7 @@ def _why(check: Check, criterion: Criterion) -> str:
 
 def _stands(offer: Offer, limit: float) -> tuple[list[str], list[str], list[str]]:
     """Return who breaks a level, who does not, with what each knows, and who was not tried."""
-    broken, held, untried = [], [], []
+    broken, held, untried = list[str](), list[str](), list[str]()
     for side in offer.beyond:
         breaks = side.breaks(limit)
         if breaks is None:

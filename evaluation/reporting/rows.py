@@ -226,8 +226,9 @@ class Results:
 
     @cached_property
     def families(self) -> dict[str, Family]:
-        """The mechanisms of the run by name."""
-        return families_in(self.summary)
+        """The mechanisms of the run by name; the manifest says which claim to protect."""
+        said = families_in(self.manifest.get("cells", ()))
+        return {name: said.get(name, one) for name, one in families_in(self.summary).items()}
 
     @cached_property
     def tasks(self) -> list[LinkedTask]:

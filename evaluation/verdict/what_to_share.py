@@ -7,7 +7,7 @@ interpolated.
 
 import math
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal, TypeAlias
 
@@ -307,7 +307,7 @@ def recommend(
             "these or add it with the command of the run"
         )
     robot = question.robot or _best_robot(known, question.criterion)
-    task = _leading(known)
+    task = leading_handover({row.source.task for one in known for row in one.rows})
     frame = _Frame(question, robot, task, scenes, robots=tuple(robots))
     asked = [
         one
@@ -419,8 +419,7 @@ def _levels(table: pd.DataFrame, dataset: str) -> list[_Level]:
         families[where] = Family(
             row["mechanism"], row["family"], row["adding"], protects=bool(row["protects"])
         )
-        ends = (float(row[end]) for end in ("value", "ci_low", "ci_high"))
-        number = Estimate(*ends, int(row["n"]))
+        number = Estimate(row["value"], row["ci_low"], row["ci_high"], int(row["n"]))
         source = Source(row["consumer"], row["knowledge"])
         about = row["adversary"], source, row["metric"], number, row["outcome"], row["invalid"]
         rows.setdefault(where, []).append(_Row(world, *about))
@@ -449,9 +448,8 @@ def _best_robot(levels: Iterable[_Level], criterion: Criterion) -> str:
     return min(known, key=known.__getitem__, default="")
 
 
-def _leading(levels: Iterable[_Level]) -> str:
-    """Return the handover that linkage is judged by; empty if none was run."""
-    names = {row.source.task for one in levels for row in one.rows}
+def leading_handover(names: Collection[str]) -> str:
+    """Return which of some tasks linkage is judged by; empty if none is a handover."""
     handovers = [name for name, task in TASKS.items() if task.gap_s > 0.0 and name in names]
     return LEADING if LEADING in handovers else next(iter(handovers), "")
 
@@ -529,10 +527,17 @@ class _Frame:
                 untried: Unknown = (
                     "adversary not tried" if side.adversary in BEYOND else "no attack"
                 )
-                number = side.value(name)
-                missing = untried if side.source is None else None
-                about = {"scenes": self.scenes[0], "missing": missing}
-                checks.append(Check(name, limit, number, side.source, side.adversary, **about))
+                checks.append(
+                    Check(
+                        name,
+                        limit,
+                        side.value(name),
+                        side.source,
+                        side.adversary,
+                        scenes=self.scenes[0],
+                        missing=untried if side.source is None else None,
+                    )
+                )
         return checks
 
     def _linkage(self, offer: Offer) -> list[Check]:
