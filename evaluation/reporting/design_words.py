@@ -202,12 +202,12 @@ def show(answer: Answer, *, console: Console | None = None) -> None:
         answer_table(found),
         "",
     ]
-    shown = found.proposals or found.refused[:1]
+    shown = found.proposals or found.unsettled or found.refused[:1]
     parts += [f"- {words.offer_text(one, found, epsilon)}" for one in shown]
-    refused = _of_each(found.refused)
-    if refused and found.proposals:
+    refused = [offer for offer in _of_each(found.refused) if offer not in shown]
+    if refused:
         parts += ["", "What others fail, at the level of each that comes nearest:"]
-    for offer in refused if found.proposals else refused[1:]:
+    for offer in refused:
         failures = "; ".join(words.failures(offer, found))
         parts.append(f"- {words.level_name(offer)}: {failures}")
     remarks = [f"NOTICE: {note}" for note in notes(answer)]
@@ -231,7 +231,8 @@ def _print(parts: Iterable[str | tuple[str, str] | Table], console: Console) -> 
 
 def answer_table(found: Recommendation) -> Table:
     """Return raw, the levels that are proposed, and the nearest of every other mechanism."""
-    rows = [*filter(None, [found.raw]), *found.proposals, *_of_each(found.refused)]
+    named = [*filter(None, [found.raw]), *found.proposals, *found.unsettled]
+    rows = named + [offer for offer in _of_each(found.refused) if offer not in named]
     columns = [
         make.said("", words.level_name),
         Column("missed", lambda offer: make.estimated(MISSED_RATE, offer.cost), "%"),

@@ -1,12 +1,14 @@
 """What may be shared, in words: the one answer that screen, page and `design` give."""
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, Final
 
 from evaluation.analysis.families import Family
 from evaluation.analysis.keys import Where
 from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS, WIDE
 from evaluation.reporting import table as make
+from evaluation.reporting.headline import robot_name
 from evaluation.reporting.markup import paragraphs
 from evaluation.reporting.rows import Results, short_name
 from evaluation.verdict.what_to_share import (
@@ -28,6 +30,8 @@ from isac_track.privacy import WIDE_TIMES
 
 _SHOWN: Final = {MISSED: MISSED_RATE, LINKED: EXPOSURE, "false_alarm": "false_alarm_rate"}
 """Metrics that numbers with other names are shown like."""
+_BRIEF: Final = {EXPOSURE: "PLR", WIDE: "at 4/3 of epsilon", LINKED: "linkage", MISSED: "missed"}
+"""What limits are called where there is little room."""
 _WHY: Final[dict[Unknown, str]] = {
     "no horizon": "conflicts within {horizon} were not judged: add "
     "--set conflict.horizons_s={at:g}",
@@ -163,7 +167,9 @@ def _why(check: Check, criterion: Criterion) -> str:
     return _WHY[code].format(adversary=check.adversary, horizon=shown, at=at)
 
 
-def _stands(offer: Offer, limit: float) -> tuple[list[str], list[str], list[str]]:
+def _stands(
+    offer: Offer, limit: float, *, is_brief: bool = False
+) -> tuple[list[str], list[str], list[str]]:
     """Return who breaks a level, who does not, with what each knows, and who was not tried."""
     broken, held, untried = list[str](), list[str](), list[str]()
     for side in offer.beyond:
@@ -171,8 +177,24 @@ def _stands(offer: Offer, limit: float) -> tuple[list[str], list[str], list[str]
         if breaks is None:
             untried.append(side.adversary)
             continue
-        (broken if breaks else held).append(_left_by(side))
+        text = _left_by(side)
+        if is_brief:
+            text = f"{side.adversary} {numbers_text(EXPOSURE, side.value(EXPOSURE))}"
+        (broken if breaks else held).append(text)
     return broken, held, untried
+
+
+def _brief_failures(offer: Offer, answer: Recommendation) -> list[str]:
+    """Return which limits a level does not hold, with the numbers alone."""
+    texts = [
+        _why(check, answer.question.criterion)
+        if check.unknown
+        else f"{_BRIEF.get(check.name, check.name)} {_told_check(check)}"
+        for check in offer.failing
+    ]
+    if offer.lacks_rule:
+        texts.append(f"no level under {offer.lacks_rule} adding that holds")
+    return texts
 
 
 def _left_by(side: Attacked) -> str:
@@ -243,6 +265,9 @@ _WORDS: dict[str, Any] = {  # What the template calls.
     "subject": _subject,
     "why": _why,
     "stands": _stands,
+    "brief_stands": partial(_stands, is_brief=True),
+    "brief_failures": _brief_failures,
+    "robot_name": robot_name,
     "limits": _limits,
     "limit_text": lambda check: _amount(check.name.partition("/")[0], check.limit),
     "missing": _missing,

@@ -265,23 +265,19 @@ class Recommendation:
         return None if self.proposals or not self.refused else self.refused[0]
 
     @property
-    def is_open(self) -> bool:
-        """Whether some level may hold all, if only what is not known of it were."""
-        return not self.proposals and any(
-            all(check.status != "not met" for check in offer.checks) and not offer.lacks_rule
+    def unsettled(self) -> tuple[Offer, ...]:
+        """Levels that hold all that is known of them, the few best; where none holds all."""
+        some = [
+            offer
             for offer in self.refused
-        )
+            if not offer.lacks_rule and all(check.status != "not met" for check in offer.checks)
+        ]
+        return () if self.proposals else tuple(cheapest(non_dominated(some)))
 
     @property
     def candidates(self) -> tuple[Offer, ...]:
         """Levels that adversaries who know more should be tried on."""
-        unsettled = [
-            offer
-            for offer in self.refused
-            if all(check.status != "not met" for check in offer.checks)
-        ]
-        some = self.proposals or cheapest(non_dominated(unsettled)) or self.refused[:1]
-        return tuple(some)
+        return self.proposals or self.unsettled or self.refused[:1]
 
 
 def recommend(
@@ -333,16 +329,21 @@ def recommend(
 def non_dominated(offers: Sequence[Offer]) -> list[Offer]:
     """Return the offers that no other one beats: at most as large in all three, less in one.
 
-    Of several that are equal in all the first stays.
+    Only what is there under the same adding rules can beat: a network that cannot add linearly has
+    no use for a level that does. Of several that are equal in all the first stays.
     """
     front: list[Offer] = []
-    places = [np.array(one.coordinates) for one in offers]
-    for at, mine in enumerate(places):
-        rivals = [other for place, other in enumerate(places) if place != at]
-        is_beaten = any((other <= mine).all() and (other < mine).any() for other in rivals)
-        is_again = any((other == mine).all() for other in places[:at])
+    for at, offer in enumerate(offers):
+        rules, place = {*offer.family.rules}, np.array(offer.coordinates)
+        rivals = [
+            (order, np.array(other.coordinates))
+            for order, other in enumerate(offers)
+            if order != at and rules <= {*other.family.rules}
+        ]
+        is_beaten = any((rival <= place).all() and (rival < place).any() for _, rival in rivals)
+        is_again = any(order < at and (rival == place).all() for order, rival in rivals)
         if not is_beaten and not is_again:
-            front.append(offers[at])
+            front.append(offer)
     return front
 
 
@@ -412,9 +413,10 @@ def _levels(table: pd.DataFrame, dataset: str) -> list[_Level]:
     texts = ("outcome", "invalid", "adversary", "knowledge", "adding")
     tidy = table.assign(**{name: table[name].fillna("") for name in texts})
     for row in tidy.to_dict("records"):
-        name, _, world = str(row["dataset"]).partition(":")
-        if name != dataset.partition(":")[0]:
+        name = str(row["dataset"])
+        if name != dataset and not name.startswith(f"{dataset}:"):
             continue  # of simulated people beside a recording
+        world = name.removeprefix(dataset).removeprefix(":")
         where = row["mechanism"], None if math.isnan(row["level"]) else float(row["level"])
         families[where] = Family(
             row["mechanism"], row["family"], row["adding"], protects=bool(row["protects"])
@@ -520,7 +522,8 @@ class _Frame:
         sides = [offer.shared if question.as_shared else offer.attacked]
         sides += [one for one in offer.beyond if one.adversary in question.against]
         for side in sides:
-            for name in (*DESCRIPTORS, WIDE):
+            # Of what was not tried it is said once.
+            for name in (*DESCRIPTORS, WIDE) if side.source else DESCRIPTORS:
                 limit = question.limits.get(EXPOSURE if name == WIDE else name)
                 if limit is None:
                     continue
