@@ -64,7 +64,7 @@ def families_in(rows: pd.DataFrame | Sequence[Mapping[str, Any]]) -> dict[str, F
     texts = ["mechanism", "family", "adding"]
     frame = pd.DataFrame(rows, columns=[*texts, "protects"]).drop_duplicates(texts)
     # Of a file that was read without care an empty text is missing; a summary does not say.
-    known = frame[texts].fillna("").itertuples(index=False, name=None)
+    known = frame[texts].astype(object).fillna("").itertuples(index=False, name=None)
     claims = frame["protects"].astype(object).fillna(value=True).astype(bool)
     return {
         mechanism: Family(mechanism, family, adding, protects=protects)

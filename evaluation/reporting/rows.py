@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial, reduce
 from html import escape
 from pathlib import Path
@@ -228,7 +228,10 @@ class Results:
     def families(self) -> dict[str, Family]:
         """The mechanisms of the run by name; the manifest says which claim to protect."""
         said = families_in(self.manifest.get("cells", ()))
-        return {name: said.get(name, one) for name, one in families_in(self.summary).items()}
+        return {
+            name: replace(one, protects=said[name].protects) if name in said else one
+            for name, one in families_in(self.summary).items()
+        }
 
     @cached_property
     def tasks(self) -> list[LinkedTask]:

@@ -411,7 +411,7 @@ def _levels(table: pd.DataFrame, dataset: str) -> list[_Level]:
     rows: dict[Where, list[_Row]] = {}
     families: dict[Where, Family] = {}
     texts = ("outcome", "invalid", "adversary", "knowledge", "adding")
-    tidy = table.assign(**{name: table[name].fillna("") for name in texts})
+    tidy = table.assign(**{name: table[name].astype(object).fillna("") for name in texts})
     for row in tidy.to_dict("records"):
         name = str(row["dataset"])
         if name != dataset and not name.startswith(f"{dataset}:"):
