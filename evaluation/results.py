@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from evaluation.analysis import linkability, paper, summary, weak_attacks
+from evaluation.analysis import horizons, linkability, paper, summary, weak_attacks
 from evaluation.analysis.bounds import gaps, linked_gaps
 from evaluation.analysis.decisions import decisions
 from evaluation.analysis.families import CLEAN, RAW, families_in
@@ -199,6 +199,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     said = verdict.verdict(
         judged, across, strongest=best, scored=halves, later=later, manifest=manifest
     )
+    said["robots"] = horizons.beaten_by_standing_still(found, scenes.found_later)
     results = Results(
         out=out,
         manifest=manifest,
@@ -216,6 +217,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         verdict=said,
         failed=pd.DataFrame(manifest.get("failed", []), columns=list(FAILED_COLUMNS)),
         strongest={task: source.attack for task, source in best.items()},
+        conflict_times=horizons.conflict_times(out, manifest),
         gallery=read_gallery(out),
     )
     told = [one.sentence for one in answers(results)]
@@ -261,6 +263,11 @@ class _Scenes:
     worlds: Mapping[str, Mapping[Key, Estimate]]  # Others, further horizons among them.
     own: _Judged  # At the run's own horizon.
     later: Mapping[float, _Judged]  # At further ones, s, ascending.
+
+    @property
+    def found_later(self) -> dict[float, Mapping[Key, Estimate]]:
+        """The metrics at further horizons."""
+        return {horizon_s: robots.found for horizon_s, robots in self.later.items()}
 
     @property
     def judged(self) -> list[_Judged]:

@@ -8,7 +8,6 @@ import numpy as np
 
 from evaluation.cells.sharing import guarded, handed, samples_of, showing
 from evaluation.cells.tables import Rows, descriptors, track_columns, track_means
-from evaluation.experiment.constants import horizon_of
 from isac_track.conflict import conflict_probability, is_conflict, minimum_separation
 from isac_track.errors import PluginError, SettingsError
 from isac_track.privacy import leakage_indicator
@@ -31,10 +30,12 @@ def sharing_rows(
     *,
     mechanism: Plugin,
     stages: StageSettings,
+    is_logged: bool = True,
 ) -> Rows:
     """Return the rows of the descriptors as shared, a track each, or of a predictor, a scene each.
 
     `scenes` are those of the release, without the samples that it left out; `mechanism` shared it.
+    `is_logged`: a robot's own estimates of the past are held against the truth, too.
     Raises PluginError if a predictor raises or breaks its contract, which names it, and
     SettingsError if conflicts are decided by a probability and a predictor has none.
     """
@@ -79,7 +80,7 @@ def sharing_rows(
         "probability": probability,
         "plr_robot": (
             _own_plr(who, robot_knows, granted, scenes, stages=stages)
-            if horizon_of(consumer.world) is None  # what it knows of the past is one for all
+            if is_logged
             else np.full(len(scenes), np.nan)
         ),
     }

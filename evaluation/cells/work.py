@@ -148,7 +148,14 @@ def _of_scenes(block: Block, *, tracks: Cut, stages: StageSettings, seed: int) -
         for consumer in consumers:
             note(mechanism.spec, consumer.label)
             if consumer.kind not in {"attack", "bound"}:
-                rows = sharing_rows(consumer, release, left, mechanism=mechanism, stages=stages)
+                rows = sharing_rows(
+                    consumer,
+                    release,
+                    left,
+                    mechanism=mechanism,
+                    stages=stages,
+                    is_logged=horizon_s is None,  # what a robot knows of the past is one for all
+                )
             else:
                 attacked = attacked or reconstruction.attacked_block(
                     scenes=scenes, sensed=sensed, repeats=Knowledge.REPEATS in granted, **of

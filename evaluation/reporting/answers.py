@@ -17,6 +17,7 @@ from evaluation.reporting.rows import HEADLINE, Results
 from evaluation.verdict import rules
 
 _MATTERS: Final = 0.05
+_MOST_AHEAD: Final = 2  # Robots of which misses at the further horizon are told.
 _LEADS: Final = {  # What an item's decision answers: the first that any item has.
     rules.DOES_NOT: "no",
     rules.TRACKS: "yes",
@@ -48,13 +49,16 @@ def answers(run: Results, of: Headline | None = None) -> tuple[Answer, ...]:
     is_headline = where[0] not in of.known or of.known[where[0]].family in (*SWEPT, CLEAN)
     who = of.attacked.measure.source.label if of.attacked else ""
     told = _told(run.verdict.get("items", ()))
-    found = {one: text for one in (*of.robots, *of.linked) if (text := _both(of, where, one))}
+    every = (*of.robots, *of.future[:_MOST_AHEAD], *of.linked)
+    found = {one: text for one in every if (text := _both(of, where, one))}
     said = paragraphs(
         "answers.sentences",
         _WORDS,
         of=of,
         level=of.name(where),
         lost=[(robot_name(one.measure.consumer), found[one]) for one in of.robots if one in found],
+        ahead=[(robot_name(one.measure.consumer), found[one]) for one in of.future if one in found],
+        beaten=_beaten(run.verdict.get("robots", ()), of.robots),
         shared=_both(of, where, of.shared),
         attacked=of.attacked and _both(of, where, of.attacked),
         other_law=of.attacked and of.at(where, of.attacked, other_law=True),
@@ -69,6 +73,18 @@ def answers(run: Results, of: Headline | None = None) -> tuple[Answer, ...]:
         Answer(question, topic, sentence[:1].upper() + sentence[1:])
         for (question, topic), sentence in zip(_QUESTIONS, said, strict=True)
     )
+
+
+def _beaten(
+    robots: Sequence[Mapping[str, Any]], shown: Sequence[Shown]
+) -> list[tuple[str, Mapping[str, Any]]]:
+    """Return the robots shown that lose to standing still, each where it does at most levels."""
+    worst: dict[str, Mapping[str, Any]] = {}
+    names = [robot.measure.consumer for robot in shown]
+    for record in sorted(robots, key=lambda record: -len(record["loses"])):
+        if record["loses"] and record["robot"] in names:
+            worst.setdefault(record["robot"], record)
+    return [(robot_name(name), worst[name]) for name in names if name in worst]
 
 
 def headline_of(run: Results) -> Headline:
@@ -120,7 +136,8 @@ def _both(of: Headline, where: Where, one: Shown) -> str:
     value = of.at(where, one)
     if value is None:
         return ""
-    raw = of.at((RAW, None), one) if one in of.robots and where[0] != RAW else None
+    is_robot = one in of.robots or one.is_later
+    raw = of.at((RAW, None), one) if is_robot and where[0] != RAW else None
     more = [f"raw {100 * raw.value:.1f} %"] if raw else []
     mine = of.known[where[0]]
     for twin in of.known.values():

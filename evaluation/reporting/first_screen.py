@@ -7,6 +7,7 @@ from itertools import groupby
 from typing import Any, Final
 
 from evaluation.analysis import weak_attacks
+from evaluation.analysis.keys import Where
 from evaluation.reporting.announcements import WIDTH, near, notices, scenes_text, wrapped
 from evaluation.reporting.answers import answers, headline_of
 from evaluation.reporting.headline import MOST_LEVELS, Headline, levels_of, screen_table
@@ -41,7 +42,7 @@ def first_screen(run: Results, *, before: int = 5) -> list[str]:
     fixed = len([*top, *lines, *last, *_read_on(run, _MANY)]) + 2 + 2
     most = max(_LEAST_LEVELS, min(MOST_LEVELS, LINES - before - fixed))
     levels, n_left_out = levels_of(of, most=most, named=recommended_levels(run))
-    grid = _grid(screen_table(of, levels)) if levels else []
+    grid = _fitting(of, levels) if levels else []
     return [*top, *grid, *lines, *_read_on(run, n_left_out), *last]
 
 
@@ -63,6 +64,13 @@ def data_line(manifest: Mapping[str, Any]) -> str:
         f"{crowd}{dataset['name']}: {dataset['tracks_used']} of {dataset['tracks']} tracks used, "
         f"{scenes_text(identity)}, seed {identity['seed']}"
     )
+
+
+def _fitting(of: Headline, levels: Sequence[Where]) -> list[str]:
+    """Return the first table in lines, with as many of its columns as there is room for."""
+    grids = (_grid(screen_table(of, levels, shown)) for shown in of.column_choices)
+    narrow = (grid for grid in grids if max(map(len, grid)) <= WIDTH)
+    return next(narrow, None) or _grid(screen_table(of, levels, [*of.column_choices][-1]))
 
 
 def _grid(table: Table, rooms: Sequence[int] = _HEADS) -> list[str]:

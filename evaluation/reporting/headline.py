@@ -1,8 +1,8 @@
 """The first table: what noise costs a robot, what is known, and who is found again, by level."""
 
 import math
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
 from typing import Final
@@ -13,9 +13,16 @@ import pandas as pd
 from evaluation.analysis.bounds import Gap, gaps
 from evaluation.analysis.families import CLEAN, SWEPT, Family, families_in
 from evaluation.analysis.keys import AS_SHARED, Key, Measure, Source, Where, worlds_of
-from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE, SUCCESS, SUCCESS_OF_100
+from evaluation.analysis.metrics import (
+    EXPOSURE,
+    MISSED_FUTURE,
+    MISSED_RATE,
+    SUCCESS,
+    SUCCESS_OF_100,
+)
 from evaluation.analysis.strongest import against_each, by_task, strongest
-from evaluation.experiment.constants import OTHER_LAW_WORLD
+from evaluation.experiment.constants import OTHER_LAW_WORLD, horizon_of, horizon_world
+from evaluation.experiment.presets import BASELINE
 from evaluation.reporting import table as make
 from evaluation.reporting.rows import HEADLINE, estimates, short_name, spoken
 from evaluation.reporting.table import Cell, Column, Table
@@ -28,7 +35,7 @@ ROBOTS: Final = {
     "kalman_cv:aware=true": "Kalman that is aware",
 }
 """Predictors that are shown if a run has them; their last word stands over a column, of two."""
-_BESIDE: Final = ("kalman_ca", "kalman_imm", "constant_position")
+_BESIDE: Final = ("kalman_ca", "kalman_imm", BASELINE)
 """Predictors that stand in the tables alone where there are two of those."""
 _MOST_ROBOTS: Final = 3
 TASKS: Final = {
@@ -40,7 +47,7 @@ TASKS: Final = {
 """Tasks that are shown if a run has them: over a column, of the last three, and in a sentence."""
 MOST_LEVELS: Final = 14
 _MISSED, _KNOWN, _FOUND = "missed", "known in 0.3 m", "found again"
-_METRICS = (MISSED_RATE, EXPOSURE, SUCCESS, SUCCESS_OF_100, "chance")
+_METRICS = (MISSED_RATE, MISSED_FUTURE, EXPOSURE, SUCCESS, SUCCESS_OF_100, "chance")
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +59,7 @@ class Shown:
     measure: Measure
     chance: float = math.nan
     candidates: float = math.nan  # Mean size of the gallery, where people are linked.
+    is_later: bool = False  # Whether it is read at the further horizon.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -67,15 +75,38 @@ class Headline:
     attacked: Shown | None  # After the strongest reconstruction.
     linked: Sequence[Shown]  # By the strongest linker of each task.
     wheres: Sequence[Where]  # All levels of the run: the ceiling comes last.
+    horizon_s: float | None = None  # The longest further horizon of the run.
+    later: Mapping[Key, Estimate] = field(default_factory=dict)  # What is known there.
 
     @property
     def columns(self) -> list[Shown]:
         """All that is tabled, in order."""
-        return [*self.robots[:2], self.shared, *filter(None, [self.attacked]), *self.linked[-3:]]
+        robots = [*self.robots[:2], *self.future[:2]]
+        return [*robots, self.shared, *filter(None, [self.attacked]), *self.linked[-3:]]
+
+    @property
+    def future(self) -> list[Shown]:
+        """Conflicts that are still to come at the further horizon, as the robots miss them."""
+        above = "" if self.horizon_s is None else f"future, {self.horizon_s:g} s"
+        robots = [
+            replace(robot, above=above, measure=robot.measure._replace(metric=MISSED_FUTURE))
+            for robot in self.robots
+        ]
+        later = [replace(robot, is_later=True) for robot in robots]
+        return [robot for robot in later if any(self.at(where, robot) for where in self.wheres)]
+
+    @property
+    def column_choices(self) -> Iterator[list[Shown]]:
+        """All that is tabled, and less and less of it, for who has less room."""
+        columns = self.columns
+        yield columns
+        for dropped in (*self.linked[-3:][1:], *self.future[:2][1:], *self.future[:1]):
+            columns = [shown for shown in columns if shown != dropped]
+            yield columns
 
     def at(self, where: Where, one: Shown, *, other_law: bool = False) -> Estimate | None:
         """Return a number at a level; None where it is not known."""
-        of = self.other_law if other_law else self.found
+        of = self.other_law if other_law else self.later if one.is_later else self.found
         found = of.get(one.measure.at(*where))
         return found if found is not None and math.isfinite(found.value) else None
 
@@ -106,6 +137,8 @@ def headline(
     found, known = estimates(own), families_in(own)
     if attacks is None:
         attacks = {task: one.attack for task, one in strongest(found, known).items()}
+    further = [seconds for name in world.unique() if (seconds := horizon_of(name)) is not None]
+    horizon_s = max(further, default=None)
     able = own.loc[own["metric"] == MISSED_RATE, "consumer"].unique().tolist()
     best, wheres = attacks.get(""), dict.fromkeys(key.where for key in found)
     return Headline(
@@ -117,6 +150,8 @@ def headline(
         shared=Shown(_KNOWN, "shared", AS_SHARED.measure(EXPOSURE)),
         attacked=Shown(_KNOWN, "attack", best.measure(EXPOSURE)) if best else None,
         linked=_linked(attacks, found, linkability),
+        horizon_s=horizon_s,
+        later={} if horizon_s is None else estimates(rows[world == horizon_world(horizon_s)]),
         wheres=sorted(wheres, key=lambda where: known[where[0]].family == CLEAN),
     )
 
@@ -213,9 +248,8 @@ def headline_table(of: Headline) -> Table:
     return make.built("headline", "", levels_of(of, most=len(of.wheres))[0], columns)
 
 
-def screen_table(of: Headline, levels: Sequence[Where]) -> Table:
+def screen_table(of: Headline, levels: Sequence[Where], shown: Sequence[Shown]) -> Table:
     """Return the first table without intervals, with chance and their typical half-width below."""
-    shown = of.columns
     rows = [
         [make.word(of.name(where)), *(replace(_cell(of, one, where), low="") for one in shown)]
         for where in levels

@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from functools import partial
 from operator import itemgetter
 from typing import Any
@@ -11,18 +11,29 @@ import pandas as pd
 
 from attacks.tasks.controls import CONTROLS
 from evaluation.analysis.families import CLEAN, LEVEL_UNITS, families_in
-from evaluation.analysis.keys import AS_SHARED, ORACLE, Source, is_attack, rows_of, where_text
+from evaluation.analysis.keys import (
+    AS_SHARED,
+    ORACLE,
+    Source,
+    is_attack,
+    rows_of,
+    where_text,
+    worlds_of,
+)
 from evaluation.analysis.linkability import INVALID, REMARKS, LinkedTask, remarks
 from evaluation.analysis.metrics import (
     DESCRIPTORS,
     EXPOSURE,
     METRICS,
+    MISSED_FUTURE,
+    MISSED_RATE,
     RECONSTRUCTION,
     SUCCESS,
     SUCCESS_OF_100,
     UTILITY,
 )
 from evaluation.analysis.strongest import most_knowing
+from evaluation.experiment.constants import horizon_of
 from evaluation.experiment.presets import IDENTITY, SHARED
 from evaluation.reporting import rows as picked
 from evaluation.reporting import table as make
@@ -39,6 +50,8 @@ MEANING = {mark: REMARKS[remark] for remark, mark in MARKS.items()}
 TOO_WEAK = "attack too weak"
 _USUAL = "informed"
 _LABEL_WIDTH = 30
+_FUTURE = "Missed future: of conflicts in which nobody is inside the safety radius at step 0."
+_STILL = "Standing still: constant_position, which expects nobody to move; each interval by itself."
 
 
 def laplace_notes(rows: pd.DataFrame) -> list[str]:
@@ -78,6 +91,47 @@ def sweep_tables(summary: pd.DataFrame) -> list[Table]:
         notes = [] if place else [f"Levels: {units}.", *laplace_notes(rows)]
         found.append(_by_level(name, f"All levels{title}", rows, columns, notes=notes))
     return [one for one in found if one.rows]
+
+
+def horizon_tables(summary: pd.DataFrame) -> list[Table]:
+    """Return what robots miss at every further horizon, a table each."""
+    worlds, found = worlds_of(summary), []
+    for world in worlds.unique():
+        if (horizon_s := horizon_of(world)) is None:
+            continue
+        rows = summary[worlds == world]
+        columns = [
+            Column(f"{METRICS[metric].head}, {robot}", partial(_cell, Source(robot), metric), "%")
+            for robot in rows["consumer"].unique()
+            for metric in (MISSED_RATE, MISSED_FUTURE, "false_alarm_rate")
+        ]
+        name, title = f"horizon-{horizon_s:g}s", f"Conflicts made for {horizon_s:g} s ahead"
+        found.append(_by_level(name, title, rows, columns, notes=[_FUTURE]))
+    return found
+
+
+def standing_table(robots: Iterable[Mapping[str, Any]]) -> Table:
+    """Return where a robot surely misses more than standing still, as `verdict.json` has it."""
+    records = [
+        {**level, "robot": record["robot"], "horizon_s": record["horizon_s"]}
+        for record in robots
+        for level in record["loses"]
+    ]
+    ends = ("difference", "ci_low", "ci_high")
+    columns = [
+        make.said("robot"),
+        make.said("horizon", _horizon_text),
+        make.said("level", lambda row: where_text(row["mechanism"], row["level"])),
+        make.counted("missed", "%", "missed", scale=100.0, digits=1),
+        make.counted("standing still", "%", "standing_still", scale=100.0, digits=1),
+        make.counted("more", "points", *ends, scale=100.0, digits=1, sign="+"),
+    ]
+    title = "Robots that miss more than standing still; 95 % intervals, paired"
+    return make.built("standing-still", title, records, columns, notes=[_STILL], n_keys=3)
+
+
+def _horizon_text(row: Mapping[str, Any]) -> str:
+    return "the run's own" if row["horizon_s"] is None else f"{row['horizon_s']:g} s"
 
 
 def _by_level(

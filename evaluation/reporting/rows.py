@@ -70,6 +70,8 @@ class Results:
     failed: pd.DataFrame  # Cells that could not be computed, and why; no other table holds them.
     strongest: Mapping[str, Source] = field(default_factory=dict)
     """Of every linkage task the attack that the verdict is about; under "" the reconstruction."""
+    conflict_times: pd.DataFrame = field(default_factory=pd.DataFrame)
+    """The share of conflicts in which somebody is inside by a time, at every horizon."""
     gallery: pd.DataFrame | None = None  # As in `gallery.parquet`; None without, and of `load`.
 
     @property

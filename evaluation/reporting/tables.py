@@ -67,6 +67,8 @@ def _everything(run: Results) -> Iterator[Part]:
         yield f"NOTICE: {notice}", "yellow"
     yield from who_is_linked(run.manifest)
     yield from measured.sweep_tables(run.ours)
+    yield from measured.horizon_tables(run.summary)
+    yield measured.standing_table(run.verdict.get("robots", ()))
     yield measured.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest))
     yield measured.attack_table(run.ours)
     yield from (bound_table(run), linked_bound_table(run))
@@ -96,6 +98,8 @@ def page_tables(run: Results) -> dict[str, Table]:
         answers.paper_table(run),
         answers.claims_table(run),
         *measured.sweep_tables(run.ours)[:1],
+        *measured.horizon_tables(run.summary),
+        measured.standing_table(run.verdict.get("robots", ())),
         answers.frontier_table(run),
         measured.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest)),
         bound_table(run),

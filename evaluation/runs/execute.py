@@ -14,6 +14,7 @@ import pyarrow as pa
 import isac_track
 from evaluation.cells.sample_tracks import chosen, gallery_rows
 from evaluation.cells.where import Failed, here, note
+from evaluation.experiment.constants import horizon_world
 from evaluation.experiment.fingerprint import OURS, has_strangers
 from evaluation.experiment.plan import Plan, Unit
 from evaluation.runs import pieces
@@ -64,10 +65,10 @@ def execute(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
     tell(ready.n_cells, ready.n_cells, "report: intervals, verdict, figures")
     without = {str(one[name]) for one in failed for name in ("spec", "consumer")}
     manifest["gallery_without"] = _write_gallery(ready, without)
-    # How many agents kept a place without clearance; None if no cell tells.
-    forecasts = [one for one in manifest["cells"] if one["kind"] == "predictor"][:1]
-    exhausted = [read_rows(out, one, columns=["exhausted"])["exhausted"] for one in forecasts]
-    manifest["exhausted_redraws"] = next((int(one.to_numpy().sum()) for one in exhausted), None)
+    manifest["exhausted_redraws"] = _exhausted(out, manifest["cells"], "")
+    for horizon_s, about in manifest["horizons"].items():
+        world = horizon_world(float(horizon_s))
+        about["exhausted_redraws"] = _exhausted(out, manifest["cells"], world)
     is_approximate = ready.settings.stages.linkage.candidates > 0
     if is_approximate and (losses := losses_of(out, manifest["cells"])):
         manifest["linkage"]["candidates"] = losses
@@ -121,6 +122,16 @@ def _computed(
         text = f"{len(failed)} cells failed and are left out: {reasons[0]}{more}"
         warnings.warn(text, FailedCellsWarning, stacklevel=5)
     return failed
+
+
+def _exhausted(out: Path, cells: Iterable[dict[str, Any]], world: str) -> int | None:
+    """Return how many agents of a world kept a place without clearance; None if no cell tells."""
+    forecasts = (entry for entry in cells if entry["kind"] == "predictor")
+    of_world = (entry for entry in forecasts if (entry.get("world") or "") == world)
+    entry = next(of_world, None)
+    if entry is None:
+        return None
+    return int(read_rows(out, entry, columns=["exhausted"])["exhausted"].to_numpy().sum())
 
 
 def borrow(ready: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None:

@@ -48,6 +48,7 @@ FRAMES: Final = {  # By the names of `Results`.
     "levels": "levels.csv",
     "decisions": "decisions.csv",
     "curves": "curves.csv",
+    "conflict_times": "conflict_times.csv",
     "linkability": "linkability.csv",
     "galleries": "gallery.csv",
     "failed": "failed.csv",

@@ -212,6 +212,13 @@ def describe(ready: Plan) -> dict[str, Any]:
             "interval_s": float(mean_interval_s(t=tracks.t, offsets=tracks.offsets).mean()),
         },
         "groups": sorted(set(tracks.group)),
+        "horizons": {
+            f"{horizon_s:g}": {
+                "tracks_used": len(tracks.further.get(horizon_s, ())),
+                "no_future": len(tracks) - len(tracks.further.get(horizon_s, ())),
+            }
+            for horizon_s in (settings.stages.conflict.horizons_s if axes.utility else ())
+        },
         "linkage": {"skipped": dict(axes.skipped), "tasks": tasks},
     }
 

@@ -51,8 +51,9 @@ def run(tmp_path_factory):
     one = write_walks(folder / "one.csv", n_people=12)
     pd.read_csv(one).assign(group="all").to_csv(one, index=False)
     of_one = {"dataset": str(one), "mechanisms": ("raw",), "attacks": (), "tasks": ()}
-    wide = {"stages": StageSettings().changed({"privacy.epsilon_m": 0.5})}
-    longer = {"stages": StageSettings().changed({"resample.min_duration_s": 28.0})}
+    usual = StageSettings().changed({"conflict.horizons_s": ()})
+    wide = {"stages": usual.changed({"privacy.epsilon_m": 0.5})}
+    longer = {"stages": usual.changed({"resample.min_duration_s": 28.0})}
     changes = {
         "base": {},
         "wide": wide,

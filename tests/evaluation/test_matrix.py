@@ -195,7 +195,7 @@ def test_the_default_falls_back_to_the_simulated_crowd_and_says_so(tmp_path, ran
     assert "notice: students03 is not here" in shown.err
     assert "plaza" in shown.out
     assert "plaza" in (out / "manifest.json").read_text(encoding="utf-8")
-    assert set(pd.read_csv(out / "summary.csv")["dataset"]) == {"plaza"}
+    assert set(pd.read_csv(out / "summary.csv")["dataset"]) == {"plaza", "plaza:horizon=3s"}
 
 
 def test_what_a_reader_must_know_is_a_notice(csv_recording, tmp_path, ran):

@@ -8,13 +8,18 @@ from helpers.recordings import tracks_of, write_csv
 
 from evaluation.experiment.settings import Settings
 from evaluation.runs.workers import spread
+from isac_track.config import StageSettings
 from isac_track.rng import stream
 
 
 def smoke(dataset, out=None, *, scenes=12, **changes):
-    """Settings of a run of one process, with one predictor, in which nobody attacks."""
+    """Settings of a run of one process, with one predictor and horizon; nobody attacks."""
     usual = {"mechanisms": ("raw", "fixed:0.7"), "predictors": ("least_squares",), "jobs": 1}
-    usual |= {"attacks": (), "tasks": ()} | changes
+    usual |= {"attacks": (), "tasks": ()}
+    if not isinstance(changes.get("stages"), StageSettings):
+        one_horizon = {"conflict.horizons_s": ()}
+        changes["stages"] = one_horizon | changes.get("stages", {})
+    usual |= changes
     return Settings(preset="smoke", dataset=str(dataset), scenes=scenes, out=out, **usual)
 
 

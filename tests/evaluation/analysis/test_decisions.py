@@ -70,14 +70,24 @@ def test_one_label_alone_has_no_curve_and_nan_is_refused():
 
 def test_a_run_leaves_curves_and_compares_with_the_first_predictor(csv_recording, tmp_path):
     two = ("least_squares", "least_squares:4")
-    settings = smoke(csv_recording, tmp_path / "run", scenes=40, predictors=two)
+    settings = smoke(
+        csv_recording,
+        tmp_path / "run",
+        scenes=40,
+        predictors=two,
+        stages={"conflict.horizons_s": 3},
+    )
     results = evaluation.run(settings, pictures=False)
-    rows = results.decisions.set_index(["mechanism", "consumer"])
+    own = results.decisions[results.decisions["dataset"] == results.dataset]
+    rows = own.set_index(["mechanism", "consumer"])
     assert set(results.decisions["reference"]) == {"least_squares"}
     assert (rows.xs("least_squares", level="consumer")["difference"] == 0).all()
     short = rows.loc["fixed", "least_squares:window=4"]
     assert short["area"] > rows.loc["fixed", "least_squares"]["area"]  # less data, worse
     assert 0 <= short["area_low"] <= short["area"] <= short["area_high"] <= 1
     assert short["false_alarm_rate"] == rows.loc["fixed", "least_squares"]["false_alarm_rate"]
-    assert len(results.curves) == 4 * 51
-    assert decisions((), results.manifest, {})[1].empty
+    assert len(results.curves) == 2 * 4 * 51  # at two horizons
+    later = results.decisions[results.decisions["dataset"] != results.dataset]
+    assert set(later["dataset"]) == {f"{results.dataset}:horizon=3s"}
+    assert len(later) == len(own) == 4
+    assert decisions((), results.manifest, {}, dataset="walks")[1].empty

@@ -126,7 +126,7 @@ class TestWhatARunLeaves:
         ]
         assert not drawn.summary.duplicated(KEY).any()
         assert set(drawn.summary["metric"]) == {
-            *("missed_conflict_rate", "false_alarm_rate", "distance_mae"),
+            *("missed_conflict_rate", "missed_future_rate", "false_alarm_rate", "distance_mae"),
             *("plr", "ael", "mel", "rmse"),
         }
         assert set(drawn.summary["unit"]) == {"fraction", "s", "m"}
@@ -159,7 +159,7 @@ class TestWhatARunLeaves:
         assert manifest["dataset"]["tracks"] == 12
         known = manifest["settings"]
         assert known["mechanisms"] == ["raw", "fid:1000", "fixed:0.7"]
-        assert known["stages"] == StageSettings().flat()
+        assert known["stages"] == finished.stages.flat()
         assert {"isac_track", "python", "machine", "libraries", "git_commit"} <= (
             manifest["environment"].keys()
         )
@@ -196,7 +196,8 @@ def test_further_scenes_are_for_utility_and_change_none_of_the_attacked(
     monkeypatch.setitem(PRESETS, "paper", few)
     for name in ("experiment.plan", "runs.pieces"):
         monkeypatch.setattr(f"evaluation.{name}.BLOCK_SCENES", 4)
-    usual = Settings(dataset=str(csv_recording), jobs=1, out=tmp_path / "more")
+    one_horizon = {"conflict.horizons_s": ()}
+    usual = Settings(dataset=str(csv_recording), jobs=1, out=tmp_path / "more", stages=one_horizon)
     run(usual)
     run(usual, scenes=4, out=tmp_path / "few")
     told = read_manifest(usual.out)
@@ -217,7 +218,7 @@ class TestAnotherRunInTheSameFolder:
     def test_with_a_mechanism_more_computes_only_its_cells(self, finished, drawn):
         kept = stamps(finished.out)
         after = run(finished, mechanisms=(*finished.mechanisms, "fixed:0.3", "clean")).summary
-        assert len(after) == len(drawn.summary) + 2 * 7
+        assert len(after) == len(drawn.summary) + 2 * 8
         common = after.merge(drawn.summary, on=list(drawn.summary.columns))
         assert len(common) == len(drawn.summary)
         assert_kept(kept)
@@ -282,7 +283,7 @@ class TestAnotherRunInTheSameFolder:
         notes = [finished.out / place / "mine.txt" for place in (".", "cells", "figures", "tables")]
         for note in notes:
             note.write_text("keep me", encoding="utf-8")
-        wider = StageSettings().changed({"privacy.epsilon_m": 0.5})
+        wider = finished.stages.changed({"privacy.epsilon_m": 0.5})
         run(finished, mechanisms=("raw",), fresh=True, stages=wider)  # whatever was there
         assert all(note.read_text(encoding="utf-8") == "keep me" for note in notes)
         assert len(list((finished.out / "cells").glob("*.parquet"))) == 1
@@ -367,12 +368,13 @@ def test_some_levels_are_computed_under_the_other_law_too(csv_recording, tmp_pat
     axes |= {"protections": (), "model": ()}
     few = replace(PRESETS["paper"], utility_scenes=4, other_law=("fid:1", "fixed:0.5"), **axes)
     monkeypatch.setitem(PRESETS, "paper", few)
-    settings = Settings(dataset=str(csv_recording), jobs=1, out=tmp_path / "both")
+    stages = StageSettings().changed({"conflict.horizons_s": ()})
+    settings = Settings(dataset=str(csv_recording), jobs=1, out=tmp_path / "both", stages=stages)
     both = run(settings)
     by_law = {
         law: run(
             replace(settings, out=tmp_path / law, mechanisms=few.mechanisms),
-            stages=StageSettings().changed({"sensing.law": law}),
+            stages=stages.changed({"sensing.law": law}),
         ).summary
         for law in ("radial", "isotropic")
     }
@@ -425,5 +427,7 @@ def test_intervals_cluster_by_group(settings, tmp_path, csv_recording):
     path = tmp_path / "grouped.csv"
     path.write_text("\n".join(grouped) + "\n", encoding="utf-8")
     results = run(settings, dataset=str(path))
-    assert set(results.summary["n"]) == {2}
-    assert len(summary.estimates(settings.out, results.manifest)[0]) == 3 * 7
+    # Of either group somebody is in a conflict, but not in one that is still to come.
+    every = results.summary[results.summary["metric"] != "missed_future_rate"]
+    assert set(every["n"]) == {2}
+    assert len(summary.estimates(settings.out, results.manifest)[0]) == 3 * 8

@@ -56,6 +56,7 @@ def options(tiny):
     """The same for the command."""
     words = f"--dataset={tiny.dataset} --preset=smoke --scenes=8 --mechanism=raw --jobs=1"
     words += " --mechanism=fixed:0.7 --predictor=least_squares --attack=none --task=none"
+    words += " --set=conflict.horizons_s=none"
     return words.split()
 
 
