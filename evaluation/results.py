@@ -41,7 +41,6 @@ from evaluation.reporting.answers import answers
 from evaluation.reporting.figures import figure
 from evaluation.reporting.finished import load
 from evaluation.reporting.progress import progress_bar
-from evaluation.reporting.recommendation import default_question
 from evaluation.reporting.rows import Results
 from evaluation.reporting.tables import write_tex, write_text
 from evaluation.runs import folder
@@ -51,7 +50,7 @@ from evaluation.runs.files import FRAMES, check_sound, locked, to_csv, write_who
 from evaluation.runs.manifest import FAILED_COLUMNS, read_manifest
 from evaluation.runs.workers import ahead, aside, given_back
 from evaluation.verdict import sections as verdict
-from evaluation.verdict.what_to_share import leading_handover, recommend
+from evaluation.verdict.what_to_share import default_question, leading_handover, recommend
 from isac_track.datasets import Dataset
 from isac_track.errors import DataError, SettingsError
 from isac_track.intervals import Estimate

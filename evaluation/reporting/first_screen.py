@@ -12,7 +12,7 @@ from evaluation.reporting.announcements import WIDTH, near, notices, scenes_text
 from evaluation.reporting.answers import answers, headline_of
 from evaluation.reporting.headline import MOST_LEVELS, Headline, levels_of, screen_table
 from evaluation.reporting.markup import paragraphs
-from evaluation.reporting.recommendation import recommendation_of, recommended_levels
+from evaluation.reporting.recommendation import recommended_levels
 from evaluation.reporting.result_tables import control_tests
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import Table, printable, shortened
@@ -124,7 +124,7 @@ def _doubts(run: Results, of: Headline) -> list[str]:
 
 def _next(run: Results) -> list[str]:
     """Return the next question: what may be shared if a robot may miss a little more than now."""
-    out, answer = shlex.quote(str(near(run.out))), recommendation_of(run)
+    out, answer = shlex.quote(str(near(run.out))), run.recommendation()
     if not (answer.raw and math.isfinite(answer.raw.cost.ci_high)):
         return [f"Next: python -m evaluation.report --verbose {out}"]
     missed = min(1.0, math.ceil(20.0 * (answer.raw.cost.ci_high + _SLACK)) / 20.0)

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any, Final
 
-from evaluation.analysis.families import Family
 from evaluation.analysis.keys import Where
 from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS, WIDE
 from evaluation.reporting import table as make
@@ -20,10 +19,8 @@ from evaluation.verdict.what_to_share import (
     Check,
     Criterion,
     Offer,
-    Question,
     Recommendation,
     Unknown,
-    recommend,
 )
 from isac_track.intervals import LEAST_CLUSTERS, Estimate
 from isac_track.privacy import WIDE_TIMES
@@ -48,27 +45,10 @@ _WHY: Final[dict[Unknown, str]] = {
 }
 
 
-def recommendation_of(run: Results, question: Question | None = None) -> Recommendation:
-    """Return what a finished run recommends, by default as the first screen asks."""
-    identity = run.manifest["identity"]
-    attacked = identity["scenes"]
-    asked = default_question(run.families) if question is None else question
-    scenes = attacked, identity.get("scenes_utility", attacked)
-    return recommend(run.levels, asked, dataset=run.dataset, scenes=scenes)
-
-
 def recommended_levels(run: Results) -> list[Where]:
     """Return the levels that the first screen names."""
-    answer = recommendation_of(run)
+    answer = run.recommendation()
     return [offer.where for offer in answer.proposals or answer.refused[:1]]
-
-
-def default_question(known: Mapping[str, Family]) -> Question:
-    """Return what the first screen asks: of a run of a single adding rule that alone."""
-    rules = {one.adding for one in known.values() if one.adding and one.protects}
-    usual = Question()
-    fitting = tuple(rule for rule in usual.adding if rule in rules)
-    return Question(adding=fitting or usual.adding)
 
 
 def epsilon_m(manifest: Mapping[str, Any]) -> float:
@@ -83,7 +63,7 @@ def said(part: str, **about: Any) -> list[str]:  # noqa: ANN401 - what a macro t
 
 def screen_sentence(run: Results) -> str:
     """Return the answer of the first screen."""
-    answer = recommendation_of(run)
+    answer = run.recommendation()
     return said("screen", answer=answer, limit=MOST_PLR)[0]
 
 

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from evaluation.analysis.linkability import LinkedTask
+    from evaluation.verdict.what_to_share import Question, Recommendation
     from isac_track.intervals import Estimate
 
 CONTROLS: Final = frozenset(spec.partition(":")[0] for spec in DISSOCIATION)
@@ -101,6 +102,18 @@ class Results:
         table = most.to_html(index=False, border=0, float_format="{:.4g}".format, na_rep="")
         said = "".join(f"<li>{escape(str(one))}</li>" for one in self.verdict.get("answer", ()))
         return f"<p>{escape(repr(self)[1:-1])}</p>{table}<ul>{said}</ul>"
+
+    def recommendation(self, question: Question | None = None) -> Recommendation:
+        """Return which levels may be shared, by default as the first screen asks.
+
+        It is what `evaluation.design` answers: levels that hold, what each costs, who breaks it.
+        """
+        from evaluation.verdict.what_to_share import default_question, recommend  # noqa: PLC0415 - see `load`
+
+        identity = self.manifest["identity"]
+        scenes = identity["scenes"], identity.get("scenes_utility", identity["scenes"])
+        asked = default_question(self.families) if question is None else question
+        return recommend(self.levels, asked, dataset=self.dataset, scenes=scenes)
 
     def frame(
         self, metric: str, *, after: str = "", task: str = "", robot: str = ""

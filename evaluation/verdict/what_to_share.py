@@ -119,6 +119,14 @@ class Question:
         return self.limits.get(LINKED, 1.0) < 1.0
 
 
+def default_question(known: Mapping[str, Family]) -> Question:
+    """Return what the first screen asks: of a run of a single adding rule that alone."""
+    rules = {one.adding for one in known.values() if one.adding and one.protects}
+    usual = Question()
+    fitting = tuple(rule for rule in usual.adding if rule in rules)
+    return Question(adding=fitting or usual.adding)
+
+
 @dataclass(frozen=True, slots=True)
 class Check:
     """One limit at one level."""
