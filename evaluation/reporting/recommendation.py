@@ -157,9 +157,7 @@ def _stands(
         if breaks is None:
             untried.append(side.adversary)
             continue
-        text = _left_by(side)
-        if is_brief:
-            text = f"{side.adversary} {numbers_text(EXPOSURE, side.value(EXPOSURE))}"
+        text = _briefly_left_by(side, limit) if is_brief else _left_by(side)
         (broken if breaks else held).append(text)
     return broken, held, untried
 
@@ -182,13 +180,21 @@ def _left_by(side: Attacked) -> str:
     return f"{side.adversary} ({known}, {numbers_text(WIDE, side.value(WIDE))} at 4/3)"
 
 
+def _briefly_left_by(side: Attacked, limit: float) -> str:
+    """Return what an adversary knows: at epsilon, or farther off if only that is too much."""
+    plr, wide = side.value(EXPOSURE), side.value(WIDE)
+    if plr.ci_high <= limit < wide.ci_high:
+        return f"{side.adversary} {numbers_text(WIDE, wide)} at 4/3 of epsilon"
+    return f"{side.adversary} {numbers_text(EXPOSURE, plr)}"
+
+
 def _broken_by(answer: Recommendation) -> list[str]:
     limit = answer.question.limits.get(EXPOSURE, 1.0)
     texts = []
     for offer in answer.proposals:
         for side in offer.beyond:
             if side.breaks(limit):
-                known = numbers_text(EXPOSURE, side.value(EXPOSURE))
+                known = _briefly_left_by(side, limit).removeprefix(f"{side.adversary} ")
                 texts.append(f"{side.adversary} breaks {level_name(offer)}: {known}")
     return texts
 
