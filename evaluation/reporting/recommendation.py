@@ -25,6 +25,8 @@ from evaluation.verdict.what_to_share import (
 from isac_track.intervals import LEAST_CLUSTERS, Estimate
 from isac_track.privacy import WIDE_TIMES
 
+_NOT_RUN: Final = ("no horizon", "no robot", "no handover", "adversary not tried")
+"""What a run does not have at any level: it is said without the limit that asks for it."""
 _SHOWN: Final = {MISSED: MISSED_RATE, LINKED: EXPOSURE, "false_alarm": "false_alarm_rate"}
 """Metrics that numbers with other names are shown like."""
 _BRIEF: Final = {EXPOSURE: "PLR", WIDE: "at 4/3 of epsilon", LINKED: "linkage", MISSED: "missed"}
@@ -123,7 +125,8 @@ def _subject(check: Check, task: str) -> str:
     if name == LINKED:
         return f"linkage {_silence(task)}"
     if name == SUCCESS:
-        return f"rank 1 in {its_task}" + (f" by {label}" if label else "")
+        linker = check.source.attack.label if check.source else "nobody"
+        return f"rank 1 in {its_task} by {linker}"
     if name in (MISSED, "false_alarm"):
         return "missed conflicts" if name == MISSED else "false alarms"
     head = METRICS[WIDE].head if name == WIDE else METRICS[name].head
@@ -138,13 +141,21 @@ def _told_check(check: Check) -> str:
     return f"{text} of raw's" if name == LINKED else text
 
 
-def _why(check: Check, criterion: Criterion) -> str:
+def _cause(check: Check, answer: Recommendation) -> str:
     """Return why something cannot be said, and which option would add it."""
-    code, at = check.unknown, criterion.horizon_s
+    code, at = check.unknown, answer.question.criterion.horizon_s
     if code is None:
         return ""
     shown = "this horizon" if at is None else f"{at:g} s"
     return _WHY[code].format(adversary=check.adversary, horizon=shown, at=at)
+
+
+def _why(check: Check, answer: Recommendation) -> str:
+    """Return the same with what it is about, but of what the run does not have at all."""
+    cause = _cause(check, answer)
+    if check.unknown in _NOT_RUN:
+        return cause
+    return f"{_subject(check, answer.task)}: cannot say, {cause}"
 
 
 def _stands(
@@ -165,7 +176,7 @@ def _stands(
 def _brief_failures(offer: Offer, answer: Recommendation) -> list[str]:
     """Return which limits a level does not hold, with the numbers alone."""
     texts = [
-        _why(check, answer.question.criterion)
+        _why(check, answer)
         if check.unknown
         else f"{_BRIEF.get(check.name, check.name)} {_told_check(check)}"
         for check in offer.failing
@@ -224,9 +235,8 @@ def _missing(answer: Recommendation) -> list[str]:
     """Return what the run cannot say, each with the option that adds it."""
     checks = (check for offer in answer.refused for check in offer.failing)
     by_code = {(check.unknown, check.adversary): check for check in checks if check.unknown}
-    criterion = answer.question.criterion
     texts = [
-        _why(check, criterion) for (code, _), check in by_code.items() if code in answer.missing
+        _cause(check, answer) for (code, _), check in by_code.items() if code in answer.missing
     ]
     return list(dict.fromkeys(texts))
 
