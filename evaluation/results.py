@@ -22,7 +22,7 @@ from evaluation.analysis.galleries import TPR, galleries
 from evaluation.analysis.keys import AS_SHARED, Key, Source, horizons_in, judged_at
 from evaluation.analysis.levels import levels
 from evaluation.analysis.linked_people import read_probes
-from evaluation.analysis.matching import Sweeps, matched
+from evaluation.analysis.matching import FUTURE, Sweeps, matched
 from evaluation.analysis.metrics import ACHIEVED, EXPOSURE, SUCCESS, SUCCESS_OF_100
 from evaluation.analysis.pooled import Answered, answered, answers_of, to_frame
 from evaluation.analysis.strongest import cross_fitted, strongest
@@ -169,21 +169,24 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     with aside(partial(_of_links, out, manifest)) as of_links:
         scenes = _of_scenes(out, manifest)
         links = of_links()
-    linked, sums = links.found, links.sums | scenes.attacked
-    found, attacked = scenes.found, scenes.attacked
+    linked, sums = links.estimates, links.sums | scenes.attacked
+    found, attacked = scenes.estimates, scenes.attacked
     flagged, looked = weak_attacks.flags(found, slow=weak_attacks.slow_attacks(manifest))
     sweeps = Sweeps({**found, **scenes.own.at_raw_alarms, **linked}, known)
     best = strongest(sweeps.found, known)
     few = {key: one for key, one in sweeps.found.items() if key.metric in (EXPOSURE, SUCCESS, TPR)}
     with aside(partial(_of_people, out, manifest, Sweeps(few, known), best)) as of_people:
-        at_equal = matched(sweeps, predictors=predictors, dataset=dataset)
+        at_equal = [matched(sweeps, predictors=predictors, dataset=dataset)]
         crossed, halves = cross_fitted(attacked, known, best.get("", AS_SHARED), seed=seed)
         frontiers = [frontier(sweeps, predictors=predictors, dataset=dataset, sums=sums, seed=seed)]
         for horizon_s, robots in scenes.later.items():
             at_horizon = Sweeps(judged_at(sweeps.found, robots.every), known)
-            name = f"{dataset}:{horizon_world(horizon_s)}"
+            about: dict[str, Any] = {"dataset": dataset, "world": horizon_world(horizon_s)}
             frontiers.append(
-                frontier(at_horizon, predictors=predictors, dataset=name, sums=sums, seed=seed)
+                frontier(at_horizon, predictors=predictors, sums=sums, seed=seed, **about)
+            )
+            at_equal.append(
+                matched(at_horizon, predictors=predictors[:1], criteria=(FUTURE,), **about)
             )
         tidy = summary.to_frame(
             {**found, **linked}, worlds=scenes.worlds, known=known, dataset=dataset
@@ -198,18 +201,19 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     said = verdict.verdict(
         judged, across, strongest=best, scored=halves, later=later, manifest=manifest
     )
-    said["robots"] = horizons.beaten_by_standing_still(found, scenes.found_later)
+    said["robots"] = horizons.beaten_by_standing_still(found, scenes.estimates_later)
+    every_match = pd.concat(at_equal, ignore_index=True)
     results = Results(
         out=out,
         manifest=manifest,
         summary=tidy,
         paper_table=paper.paper_table(sweeps, dataset=dataset),
-        claims=paper.claims(sweeps, at_equal, dataset=dataset, history=manifest["history"]),
-        matched=at_equal,
+        claims=paper.claims(sweeps, every_match, dataset=dataset, history=manifest["history"]),
+        matched=every_match,
         frontier=pd.concat(frontiers, ignore_index=True),
         levels=_levels_of(manifest, scenes, links),
-        decisions=pd.concat([one.decided for one in scenes.judged], ignore_index=True),
-        curves=pd.concat([one.curves for one in scenes.judged], ignore_index=True),
+        decisions=pd.concat([robots.decided for robots in scenes.judged], ignore_index=True),
+        curves=pd.concat([robots.curves for robots in scenes.judged], ignore_index=True),
         flags=pd.concat([flagged, far], ignore_index=True) if len(far) else flagged,
         linkability=links.table,
         galleries=in_galleries,
@@ -227,7 +231,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
 class _Links:
     """What the cells of linkage tell."""
 
-    found: dict[Key, Estimate]
+    estimates: dict[Key, Estimate]
     sums: dict[Key, Summed]
     table: pd.DataFrame  # `linkability.csv`
 
@@ -242,7 +246,7 @@ def _of_links(out: Path, manifest: Mapping[str, Any]) -> _Links:
 class _Judged:
     """Robots judged at a horizon: what each metric is, and how misses trade for false alarms."""
 
-    found: Mapping[Key, Estimate]
+    estimates: Mapping[Key, Estimate]
     at_raw_alarms: Mapping[Key, Estimate]
     curves: pd.DataFrame
     decided: pd.DataFrame
@@ -250,23 +254,23 @@ class _Judged:
     @property
     def every(self) -> dict[Key, Estimate]:
         """All estimates, those at raw's false-alarm rate among them."""
-        return {**self.found, **self.at_raw_alarms}
+        return {**self.estimates, **self.at_raw_alarms}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Scenes:
     """What the cells of scenes tell."""
 
-    found: Mapping[Key, Estimate]
+    estimates: Mapping[Key, Estimate]
     attacked: dict[Key, Summed]
     worlds: Mapping[str, Mapping[Key, Estimate]]  # Others, further horizons among them.
     own: _Judged  # At the run's own horizon.
     later: Mapping[float, _Judged]  # At further ones, s, ascending.
 
     @property
-    def found_later(self) -> dict[float, Mapping[Key, Estimate]]:
+    def estimates_later(self) -> dict[float, Mapping[Key, Estimate]]:
         """The metrics at further horizons."""
-        return {horizon_s: robots.found for horizon_s, robots in self.later.items()}
+        return {horizon_s: robots.estimates for horizon_s, robots in self.later.items()}
 
     @property
     def judged(self) -> list[_Judged]:
@@ -296,12 +300,12 @@ def _of_scenes(out: Path, manifest: Mapping[str, Any]) -> _Scenes:
 def _judged(
     scored: Sequence[summary.Scored],
     manifest: Mapping[str, Any],
-    found: Mapping[Key, Estimate],
+    estimates: Mapping[Key, Estimate],
     *,
     dataset: str,
 ) -> _Judged:
-    curves, decided, at_raw_alarms = decisions(scored, manifest, found, dataset=dataset)
-    return _Judged(found, at_raw_alarms, curves, decided)
+    curves, decided, at_raw_alarms = decisions(scored, manifest, estimates, dataset=dataset)
+    return _Judged(estimates, at_raw_alarms, curves, decided)
 
 
 def _try_candidates(ready: Plan, update: Callable[[int, int, str], None]) -> None:
@@ -341,7 +345,7 @@ def _tell_trial(
 def _levels_of(manifest: Mapping[str, Any], scenes: _Scenes, links: _Links) -> pd.DataFrame:
     """Return what a site gets and pays at each level."""
     return levels(
-        {**scenes.found, **scenes.own.at_raw_alarms, **links.found},
+        {**scenes.estimates, **scenes.own.at_raw_alarms, **links.estimates},
         sums=links.sums | scenes.attacked,
         horizons={horizon_world(at): robots.every for at, robots in scenes.later.items()},
         linked=links.table,

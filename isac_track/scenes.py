@@ -107,7 +107,8 @@ def _at_horizon(
     window = settings.conflict.window
     ahead, _ = seconds_grid(t=tracks.t, offsets=tracks.offsets, window=window, horizon_s=horizon_s)
     wholes = [whole_of[name] for name in tracks.source]
-    covered = np.array([grid[-1] <= one.t[-1] for grid, one in zip(ahead, wholes, strict=True)])
+    ends_s = np.array([whole.t[-1] for whole in wholes])
+    covered = ahead[:, -1] <= ends_s
     rows = np.flatnonzero(covered)
     if rows.size < settings.scenes.agents:
         return None

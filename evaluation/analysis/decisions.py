@@ -109,8 +109,8 @@ def _curves(
     )
 
 
-def _missed_at(one: Curve, false_alarm: Estimate) -> Estimate:
-    missed = one.missed_at(false_alarm.drawn)
+def _missed_at(rates: Curve, false_alarm: Estimate) -> Estimate:
+    missed = rates.missed_at(false_alarm.drawn)
     return estimate_of(missed, n=false_alarm.n, effective=false_alarm.effective)
 
 
@@ -150,9 +150,12 @@ def decisions(
                 at = found[alarms.at(*where)].drawn
                 at_reference[where] = at, drawn.missed_at(at)
             if is_separation and raw_alarm is not None:
-                for metric, one in ((EQUAL_ALARMS, drawn), (FUTURE_EQUAL_ALARMS, future)):
-                    key = Measure(consumer, metric).at(*where)
-                    at_raw_alarms |= {} if one is None else {key: _missed_at(one, raw_alarm)}
+                pairs = ((EQUAL_ALARMS, drawn), (FUTURE_EQUAL_ALARMS, future))
+                at_raw_alarms |= {
+                    Measure(consumer, metric).at(*where): _missed_at(rates, raw_alarm)
+                    for metric, rates in pairs
+                    if rates is not None
+                }
             points.append(drawn.points())
             future_points.append(future.points() if future else np.full(N_POINTS, np.nan))
             level = np.nan if where[1] is None else where[1]

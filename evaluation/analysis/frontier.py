@@ -16,9 +16,18 @@ import pandas as pd
 from evaluation.analysis.families import RAW
 from evaluation.analysis.keys import AS_SHARED, Key, Source
 from evaluation.analysis.linkability import dataset_of
-from evaluation.analysis.matching import CRITERIA, Sweeps, interpolated, places, with_ends
+from evaluation.analysis.matching import (
+    AT_EQUAL_ALARMS,
+    CRITERIA,
+    FUTURE,
+    Sweeps,
+    interpolated,
+    places,
+    with_ends,
+)
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, ROBOTS_OWN, SUCCESS
 from evaluation.analysis.strongest import GROUPS, against_each, by_task, cross_fitted, success_of
+from evaluation.experiment.constants import horizon_of
 from evaluation.runs.cell_files import Summed
 from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, Estimate
 from isac_track.types import Bools, Floats, Ints
@@ -92,10 +101,13 @@ def frontier(
     *,
     predictors: Sequence[str],
     dataset: str,
+    world: str = "",
     sums: Mapping[Key, Summed] | None = None,
     seed: int = 0,
 ) -> pd.DataFrame:
     """Return a row for each mechanism, robot, criterion, target and number: `COLUMNS`.
+
+    `world` is the further horizon, if it is one, that the robots of `sweeps` are judged at.
 
     docs/metrics.md says what they are. A target out of reach keeps its row without numbers. There
     is no interval, and nothing is held against another, with fewer than `ENOUGH_LEVELS` levels (raw
@@ -138,7 +150,7 @@ def frontier(
                     gap = values[:n_rows] - left[WHITE][:n_rows]
                     told_of |= with_ends(GAP, gap, can_say & is_dense[WHITE])
                 about = asdict(sweeps.known[name]) | measure._asdict()
-                about |= {"dataset": dataset_of(measure.consumer, dataset=dataset)}
+                about |= {"dataset": dataset_of(measure.consumer, dataset=dataset, world=world)}
                 about |= {"robot": robot, "criterion": criterion, "n": sweeps.n(name, measure)}
                 rows += [
                     about | {"target": at} | {of: values[place] for of, values in told_of.items()}
@@ -148,6 +160,21 @@ def frontier(
         for row in rows[first:]:
             row["dominated"] = beaten.get((row["mechanism"], row["target"]), pd.NA)
     return pd.DataFrame(rows, columns=COLUMNS).astype({"dominated": "boolean"})
+
+
+def usual_price(every: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows at the price by which levels are chosen, unless another is asked for.
+
+    That is the rise of missed conflicts that are still to come, at raw's false alarms and at the
+    longest further horizon; of the run's own horizon where there is no other. A table without such
+    conflicts is priced by all of them.
+    """
+    horizons = every["dataset"].map(lambda name: horizon_of(name.rpartition(":")[2]) or 0.0)
+    rows: pd.DataFrame = every[horizons == horizons.max()]
+    to_come: pd.DataFrame = rows[rows["criterion"] == FUTURE]
+    is_known = bool((to_come["level"].notna() | to_come["value"].notna()).any())
+    all_of_them: pd.DataFrame = rows[rows["criterion"] == AT_EQUAL_ALARMS]
+    return to_come if is_known else all_of_them
 
 
 def _curves(sweeps: Sweeps, one: Told) -> dict[str, Floats]:

@@ -70,15 +70,15 @@ def _distribution(out: Path, entry: Mapping[str, Any], manifest: Mapping[str, An
     return pd.DataFrame(rows, columns=TIME_COLUMNS[1:])
 
 
-def beaten_by_standing_still(found: Found, later: Mapping[float, Found]) -> list[dict[str, Any]]:
+def beaten_by_standing_still(own: Found, later: Mapping[float, Found]) -> list[dict[str, Any]]:
     """Return a record for each robot and horizon: where it surely misses more than `BASELINE`.
 
-    `found` is of the run's own horizon, `later` of further ones, s. The comparison is paired, same
+    `own` is of the run's own horizon, `later` of further ones, s. The comparison is paired, same
     scenes and draws, at the same level; fewer than `FEWEST_EFFECTIVE` effective clusters say
     nothing. `levels` counts the levels compared, `loses` names those where it loses.
     """
     records = []
-    for horizon_s, at_horizon in ((None, found), *later.items()):
+    for horizon_s, at_horizon in ((None, own), *later.items()):
         robots: dict[str, list[dict[str, Any]]] = {}
         for key, missed in at_horizon.items():
             still = at_horizon.get(Measure(BASELINE, MISSED_RATE).at(*key.where))

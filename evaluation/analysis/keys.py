@@ -124,16 +124,16 @@ def horizons_in(entries: Iterable[Mapping[str, Any]]) -> list[float]:
     return sorted(seconds for world in worlds if (seconds := horizon_of(world)) is not None)
 
 
-def judged_at(found: Found, at_horizon: Found) -> Found:
+def judged_at(own: Found, at_horizon: Found) -> Found:
     """Return the estimates of a run with its robots judged at another horizon.
 
     What that horizon has replaces the run's own number: of robots; all else is one for both. A
     robot that is not read there is left out, lest two horizons are compared.
     """
-    robots = {key.consumer for key in found if key.metric == MISSED_RATE}
+    robots = {key.consumer for key in own if key.metric == MISSED_RATE}
     absent = robots - {key.consumer for key in at_horizon}
-    own = {key: one for key, one in found.items() if key.consumer not in absent}
-    return {**own, **at_horizon}
+    rest = {key: estimate for key, estimate in own.items() if key.consumer not in absent}
+    return {**rest, **at_horizon}
 
 
 def worlds_of(frame: pd.DataFrame) -> pd.Series[str]:

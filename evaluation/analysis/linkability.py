@@ -44,10 +44,11 @@ Cards: TypeAlias = "Sequence[tuple[Mapping[str, Any], LinkageOutcome]]"
 
 
 @lru_cache(maxsize=1024)
-def dataset_of(consumer: str, *, dataset: str) -> str:
-    """Return the data set that a row is about: a simulated task has its own."""
+def dataset_of(consumer: str, *, dataset: str, world: str = "") -> str:
+    """Return the data set that a row is about: a simulated task has its own, and so has a world."""
     task = TASKS.get(consumer.partition("/")[0])
-    return TWO_SESSIONS if task is not None and task.simulated else dataset
+    name = TWO_SESSIONS if task is not None and task.simulated else dataset
+    return f"{name}:{world}" if world else name
 
 
 def cards(

@@ -5,7 +5,7 @@ of it while false alarms are held at raw's rate, at the same of conflicts that a
 at an equal PLR as shared.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Final, TypeAlias
 
@@ -127,7 +127,14 @@ class Sweeps:
         return min((self.found[key].n for key in keys if key in self.found), default=0)
 
 
-def matched(sweeps: Sweeps, *, predictors: Sequence[str], dataset: str) -> pd.DataFrame:
+def matched(
+    sweeps: Sweeps,
+    *,
+    predictors: Sequence[str],
+    dataset: str,
+    world: str = "",
+    criteria: Collection[str] = (*CRITERIA, PLR),
+) -> pd.DataFrame:
     """Return every mechanism with levels against fixed noise: every criterion, rule and measure.
 
     Both curves end in one raw; what is matched and what is compared are made monotone over the
@@ -137,7 +144,8 @@ def matched(sweeps: Sweeps, *, predictors: Sequence[str], dataset: str) -> pd.Da
 
     Descriptors as shared are compared for every predictor; the same after each attack, and what
     each linker achieves, for the first one. A mechanism is compared under its own adding rule, one
-    that declares none under both; FID comes first. `sweeps` are of every metric of the run.
+    that declares none under both; FID comes first. `sweeps` are of every metric of the run; `world`
+    is the further horizon, if it is one, at which their robots are judged.
 
     The columns are `COLUMNS`. `at` is the rise of the missed rate over raw, or the PLR as shared;
     `missed_conflict_rate` is that of raw plus the rise. `defined` is the share of replicates that
@@ -150,16 +158,17 @@ def matched(sweeps: Sweeps, *, predictors: Sequence[str], dataset: str) -> pd.Da
     measures = shared + [
         one for one in attacked if one.metric in (ACHIEVED if one.source.task else DESCRIPTORS)
     ]
-    criteria = [
+    matched_by = [
         (criterion, Measure(predictor, metric), predictor, shared if place else measures)
         for place, predictor in enumerate(predictors)
         for criterion, metric in CRITERIA.items()
+        if criterion in criteria
     ]
-    if _SHOWN in shared:
-        criteria.append((PLR, _SHOWN, "", [one for one in measures if one != _SHOWN]))
+    if _SHOWN in shared and PLR in criteria:
+        matched_by.append((PLR, _SHOWN, "", [one for one in measures if one != _SHOWN]))
     parts = [
         {
-            "dataset": dataset_of(measure.consumer, dataset=dataset),
+            "dataset": dataset_of(measure.consumer, dataset=dataset, world=world),
             "criterion": criterion,
             "adding": adding,
             "predictor": predictor,
@@ -173,8 +182,8 @@ def matched(sweeps: Sweeps, *, predictors: Sequence[str], dataset: str) -> pd.Da
         for fixed in [sweeps.named(FIXED, adding=adding)]
         for mechanism in sweeps.swept(adding)
         if mechanism != fixed
-        for curves in [sweeps.curves(mechanism, fixed, {*measures, *(of[1] for of in criteria)})]
-        for criterion, by, predictor, wanted in criteria
+        for curves in [sweeps.curves(mechanism, fixed, {*measures, *(of[1] for of in matched_by)})]
+        for criterion, by, predictor, wanted in matched_by
         for measure, points in _compared(curves, by, wanted)
     ]
     table = pd.DataFrame(parts, columns=COLUMNS)

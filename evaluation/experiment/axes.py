@@ -140,9 +140,9 @@ class Axes:
     def robots_at(self, horizon_s: float) -> tuple[Consumer, ...]:
         """Return the predictors at a further horizon: those that are read in all scenes."""
         return tuple(
-            replace(one, world=horizon_world(horizon_s))
-            for one in self.consumers
-            if one.kind == "predictor" and one.spec in self.utility
+            replace(consumer, world=horizon_world(horizon_s))
+            for consumer in self.consumers
+            if consumer.kind == "predictor" and consumer.spec in self.utility
         )
 
     def readers_in(self, world: str, task: Task) -> tuple[Consumer, ...]:

@@ -6,13 +6,15 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from evaluation.analysis import paper
-from evaluation.analysis.frontier import GAP, LEVEL_READ, VALUE
+from evaluation.analysis.frontier import GAP, LEVEL_READ, VALUE, usual_price
 from evaluation.analysis.keys import AS_SHARED, Source, rows_of, where_text
-from evaluation.analysis.matching import AT_EQUAL_ALARMS, MISSED
+from evaluation.analysis.matching import AT_EQUAL_ALARMS, FUTURE, MISSED
 from evaluation.analysis.metrics import EXPOSURE, METRICS, OF_ROBOT, SUCCESS, SUCCESS_OF_100
 from evaluation.analysis.strongest import HEADLINE
+from evaluation.experiment.constants import horizon_of
 from evaluation.reporting import table as make
 from evaluation.reporting.markup import paragraphs
 from evaluation.reporting.result_tables import laplace_notes
@@ -23,6 +25,7 @@ from evaluation.verdict import rules
 CRITERIA = {  # By what operating points are matched.
     MISSED: "equal rise of missed conflicts",
     AT_EQUAL_ALARMS: "the same, at equal false alarms",
+    FUTURE: "equal rise of missed future conflicts, at equal false alarms",
     "plr": "equal PLR as shared",
 }
 _EFFECTS = {
@@ -104,7 +107,8 @@ def frontier_table(run: Results) -> Table:
     is_told = of["metric"].isin([EXPOSURE, OF_ROBOT, SUCCESS, SUCCESS_OF_100])
     records: dict[tuple[Any, ...], dict[str, Any]] = {}
     heads: dict[str, None] = {}
-    for row in rows_of(of[is_told & (of["criterion"] == AT_EQUAL_ALARMS)]):
+    priced = usual_price(of[is_told]) if len(of) else of
+    for row in rows_of(priced):
         source = Source(row["consumer"], row["knowledge"])
         whose = "attacked" if source.knowledge in HEADLINE else f"after {source.knowledge}"
         whose = "shared" if source == AS_SHARED else whose
@@ -127,6 +131,7 @@ def frontier_table(run: Results) -> Table:
     ]
     title = "What is left where missed conflicts have risen so far over raw, at raw's false alarms"
     notes = [
+        price_text(priced),
         "Empty: out of reach of the levels that were run. More: frontier.csv.",
         "No interval: fewer than 4 levels within 3 points, or too few people.",
         "Beaten: another is surely better by over 2 points in attacked PLR or linkage, it in none.",
@@ -134,6 +139,15 @@ def frontier_table(run: Results) -> Table:
         *laplace_notes(of.round({"level": 2})),
     ]
     return make.built("frontier", title, records.values(), columns, notes=notes, n_keys=4)
+
+
+def price_text(priced: pd.DataFrame) -> str:
+    """Return by which missed conflicts rows of a frontier are priced, in a sentence."""
+    if not (priced["criterion"] == FUTURE).any():
+        return "The price: missed conflicts, at raw's false alarms."
+    horizon_s = horizon_of(str(priced["dataset"].iloc[0]).rpartition(":")[2])
+    ahead = "" if horizon_s is None else f" {horizon_s:g} s ahead"
+    return f"The price: missed conflicts that are still to come{ahead}, at raw's false alarms."
 
 
 def flag_table(run: Results) -> Table:
@@ -193,6 +207,12 @@ def _untestable(records: Sequence[Mapping[str, Any]]) -> list[str]:
     ]
 
 
+def _criterion_text(item: Mapping[str, Any]) -> str:
+    horizon_s = item.get("horizon_s")
+    text = CRITERIA.get(item["criterion"], item["criterion"])
+    return text if horizon_s is None else f"{text}, {horizon_s:g} s ahead"
+
+
 def _power(item: Mapping[str, Any]) -> str:
     power = item["power"]
     return f"equal {100 * power[rules.TRACKS]:.0f} %, 10 points {100 * power[rules.DOES_NOT]:.0f} %"
@@ -209,5 +229,5 @@ def _told(item: Mapping[str, Any]) -> dict[str, Any]:
         "about": item["subject"] or ("as shared" if is_claim else ""),
         "what it says": item["sentence"] + (f" {decision}: {why.rstrip('.')}." if why else ""),
         "descriptor": METRICS[descriptor].head if descriptor in METRICS else descriptor,
-        "criterion": CRITERIA.get(item["criterion"], item["criterion"]),
+        "criterion": _criterion_text(item),
     }

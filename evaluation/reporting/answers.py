@@ -57,7 +57,11 @@ def answers(run: Results, of: Headline | None = None) -> tuple[Answer, ...]:
         of=of,
         level=of.name(where),
         lost=[(robot_name(one.measure.consumer), found[one]) for one in of.robots if one in found],
-        ahead=[(robot_name(one.measure.consumer), found[one]) for one in of.future if one in found],
+        ahead=[
+            (robot_name(robot.measure.consumer), found[robot])
+            for robot in of.future
+            if robot in found
+        ],
         beaten=_beaten(run.verdict.get("robots", ()), of.robots),
         shared=_both(of, where, of.shared),
         attacked=of.attacked and _both(of, where, of.attacked),

@@ -97,10 +97,13 @@ class Headline:
 
     @property
     def column_choices(self) -> Iterator[list[Shown]]:
-        """All that is tabled, and less and less of it, for who has less room."""
+        """All that is tabled, and less and less of it, for who has less room.
+
+        First go the later tasks, then future conflicts, those of the first robot before.
+        """
         columns = self.columns
         yield columns
-        for dropped in (*self.linked[-3:][1:], *self.future[:2][1:], *self.future[:1]):
+        for dropped in (*self.linked[-3:][1:], *self.future[:2]):
             columns = [shown for shown in columns if shown != dropped]
             yield columns
 

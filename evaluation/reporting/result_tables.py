@@ -95,7 +95,7 @@ def sweep_tables(summary: pd.DataFrame) -> list[Table]:
 
 def horizon_tables(summary: pd.DataFrame) -> list[Table]:
     """Return what robots miss at every further horizon, a table each."""
-    worlds, found = worlds_of(summary), []
+    worlds, tables = worlds_of(summary), []
     for world in worlds.unique():
         if (horizon_s := horizon_of(world)) is None:
             continue
@@ -106,8 +106,8 @@ def horizon_tables(summary: pd.DataFrame) -> list[Table]:
             for metric in (MISSED_RATE, MISSED_FUTURE, "false_alarm_rate")
         ]
         name, title = f"horizon-{horizon_s:g}s", f"Conflicts made for {horizon_s:g} s ahead"
-        found.append(_by_level(name, title, rows, columns, notes=[_FUTURE]))
-    return found
+        tables.append(_by_level(name, title, rows, columns, notes=[_FUTURE]))
+    return tables
 
 
 def standing_table(robots: Iterable[Mapping[str, Any]]) -> Table:

@@ -98,14 +98,14 @@ class _About:
 
 
 def _claim(
-    measure: Measure, found: Sequence[Floats], about: _About, people: tuple[int, float]
+    measure: Measure, curves: Sequence[Floats], about: _About, people: tuple[int, float]
 ) -> Draft:
     """Return an item from both mechanisms at the rises, (1 + B, P) each.
 
     `people` are the clusters that it rests on, and the effective ones.
     """
-    (ours, theirs), (n, effective) = found, people
-    of, mechanism = about.compared, about.mechanism
+    (ours, theirs), (n, effective) = curves, people
+    mechanism = about.mechanism
     gaps = ours - theirs
     reached = np.isfinite(gaps[0]) & (np.isfinite(gaps[1:]).mean(axis=0) >= MIN_DEFINED)
     targets = np.array(TARGETS)
@@ -121,7 +121,7 @@ def _claim(
         for at, gap in zip(targets[reached], gaps[:, reached].T, strict=True)
     ]
     source = measure.source
-    descriptor = "" if of == LINKED else measure.metric
+    descriptor = "" if about.compared == LINKED else measure.metric
     gallery = "100" if measure.metric == SUCCESS_OF_100 else "the candidates of this run"
     where = about.where
     who = mechanism or "FID"
@@ -129,7 +129,7 @@ def _claim(
         AS_IS: f"{NAME.get(descriptor, '')} as shared",
         AFTER: f"{NAME.get(descriptor, '')} after {source.consumer}",
         LINKED: f"the share of people found among {gallery} in {source.task}",
-    }[of]
+    }[about.compared]
     share = f", {100 * relative:+.0f} % of fixed noise's" if np.isfinite(relative) else ""
     than = f"under {who} than under fixed noise: {{}}{share}."
     least = f"{100 * targets[0]:g} points"
@@ -137,7 +137,7 @@ def _claim(
         adding=about.adding,
         descriptor=descriptor,
         task=source.task,
-        subject="" if of == AS_IS else source.attack.label,
+        subject="" if about.compared == AS_IS else source.attack.label,
         criterion=about.criterion,
         effect=estimate_of(mean, n=n, effective=effective),
         parted_at=0.0,
@@ -152,8 +152,8 @@ def _claim(
         },
         untestable="" if reached.any() else f"not both surely miss {least} more than raw",
         details={
-            "of": of,
-            **({"metric": measure.metric} if of == LINKED else {}),
+            "of": about.compared,
+            **({"metric": measure.metric} if about.compared == LINKED else {}),
             "relative": known(relative),
             "range": [float(targets[reached][place]) for place in (0, -1)] if points else None,
             "unreached": targets[~reached].tolist(),

@@ -1,20 +1,33 @@
 """A run with further horizons: what it adds, and that it changes nothing else."""
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.finished_runs import make_summary
 from helpers.small_runs import smoke, write_walks
 
 import evaluation
 from evaluation.analysis.decisions import curve
-from evaluation.analysis.keys import horizons_in, worlds_of
+from evaluation.analysis.frontier import usual_price
+from evaluation.analysis.horizons import TIME_COLUMNS, beaten_by_standing_still
+from evaluation.analysis.keys import Measure, horizons_in, worlds_of
 from evaluation.analysis.metrics import MISSED_FUTURE, MISSED_RATE
 from evaluation.analysis.summary import clusters, weights_of
 from evaluation.experiment.constants import horizon_of, horizon_world, is_world
-from evaluation.experiment.presets import PRESETS
+from evaluation.experiment.presets import BASELINE, PRESETS
+from evaluation.reporting import tables
+from evaluation.reporting.announcements import notices
+from evaluation.reporting.answers import answers
+from evaluation.reporting.figures.conflict_times import figures
+from evaluation.reporting.first_screen import first_screen
+from evaluation.reporting.headline import Shown, headline
 from evaluation.runs.cell_files import read_rows
 from evaluation.verdict.items import Draft
-from isac_track.intervals import Estimate
+from isac_track.intervals import Estimate, estimate_of
+from isac_track.rng import stream
 
 ROBOTS = ("least_squares", "kalman_cv", "constant_position")
 KEYS = ["dataset", "mechanism", "level", "consumer", "knowledge", "metric"]
@@ -53,8 +66,8 @@ def test_nothing_of_the_papers_horizon_changes(made):
 def test_rates_are_those_that_counting_gives(made, world):
     run = made["both"]
     name = f"{run.dataset}:{world}" if world else run.dataset
-    entries = [one for one in run.manifest["cells"] if one["kind"] == "predictor"]
-    entries = [one for one in entries if (one["world"] or "") == world]
+    entries = [entry for entry in run.manifest["cells"] if entry["kind"] == "predictor"]
+    entries = [entry for entry in entries if (entry["world"] or "") == world]
     assert len(entries) == 6 * len(ROBOTS)
     for entry in entries:
         columns = ["conflict", "predicted", "inside_now", "time_to_conflict_s", "separation_m"]
@@ -89,7 +102,7 @@ def test_a_longer_horizon_has_more_conflicts_to_come(made):
 
 def test_decisions_hold_future_conflicts_at_the_same_false_alarms(made):
     run = made["both"]
-    entry = next(one for one in run.manifest["cells"] if one.get("world") == WORLD)
+    entry = next(entry for entry in run.manifest["cells"] if entry.get("world") == WORLD)
     columns = ["group", "conflict", "inside_now", "predicted_separation_m"]
     table = read_rows(run.out, entry, columns=columns)
     rows = table.to_pandas()
@@ -101,10 +114,10 @@ def test_decisions_hold_future_conflicts_at_the_same_false_alarms(made):
         cluster=rows["cluster"].to_numpy(),
         weights=weights_of(run.manifest),
     )
-    told = run.decisions[run.decisions["dataset"] == f"{run.dataset}:{WORLD}"]
-    told = told[(told["mechanism"] == "raw") & (told["consumer"] == entry["consumer"])].iloc[0]
-    at = np.full(1001, told["false_alarm_rate"])
-    assert told["missed_future_rate"] == pytest.approx(of_scenes.missed_at(at)[0])
+    shown = run.decisions[run.decisions["dataset"] == f"{run.dataset}:{WORLD}"]
+    shown = shown[(shown["mechanism"] == "raw") & (shown["consumer"] == entry["consumer"])].iloc[0]
+    at = np.full(1001, shown["false_alarm_rate"])
+    assert shown["missed_future_rate"] == pytest.approx(of_scenes.missed_at(at)[0])
 
 
 def test_the_frontier_holds_each_criterion_at_each_horizon(made):
@@ -123,17 +136,17 @@ def test_the_frontier_holds_each_criterion_at_each_horizon(made):
 
 def test_the_claim_is_stated_with_future_conflicts_at_both_horizons(made):
     items = made["both"].verdict["items"]
-    claims = [one for one in items if one["section"] == "claim"]
-    asked = {(one["criterion"], one.get("horizon_s")) for one in claims}
+    claims = [entry for entry in items if entry["section"] == "claim"]
+    asked = {(entry["criterion"], entry.get("horizon_s")) for entry in claims}
     assert asked == {
         ("missed", None),
         ("missed_at_equal_false_alarms", None),
         ("missed_future", None),
         ("missed_future", 3.0),
     }
-    assert len({one["id"] for one in claims}) == len(claims)
-    said = {one["sentence"] for one in claims if one.get("horizon_s")}
-    assert all(" (3 s ahead, " in one for one in said)
+    assert len({entry["id"] for entry in claims}) == len(claims)
+    said = {entry["sentence"] for entry in claims if entry.get("horizon_s")}
+    assert all(" (3 s ahead, " in entry for entry in said)
 
 
 def test_every_preset_compares_its_robots_with_nobody_moving_on():
@@ -160,3 +173,166 @@ def test_items_of_two_horizons_have_two_names():
     own, later = (Draft(**about, details=details) for details in ({}, {"horizon_s": 3.0}))
     assert own.names == ["linear", "missed_future"]
     assert later.names == ["linear", "missed_future", WORLD]
+
+
+class TestTimesToConflict:
+    def test_are_the_shares_that_counting_gives(self, made):
+        run = made["both"]
+        assert list(run.conflict_times.columns) == TIME_COLUMNS
+        for world in ("", WORLD):
+            name = f"{run.dataset}:{world}" if world else run.dataset
+            entry = next(
+                entry
+                for entry in run.manifest["cells"]
+                if entry["kind"] == "predictor" and (entry.get("world") or "") == world
+            )
+            times = read_rows(run.out, entry, columns=["time_to_conflict_s"]).to_pandas()
+            times = times["time_to_conflict_s"].dropna().to_numpy()
+            shown = run.conflict_times[run.conflict_times["dataset"] == name]
+            expected = [(times <= by_s + 1e-9).mean() for by_s in shown["by_s"]]
+            assert shown["value"].to_numpy() == pytest.approx(expected)
+            assert shown["by_s"].iloc[0] == 0.0
+            assert shown["by_s"].iloc[-1] == times.max()
+            assert shown["value"].iloc[-1] == 1.0
+            assert np.isnan(shown["ci_low"].iloc[-1])  # by construction
+            assert (np.diff(shown["value"]) >= 0).all()
+
+    def test_are_a_figure_with_a_panel_for_each_horizon(self, made):
+        (figure,) = figures(made["both"])
+        assert figure.name == "time_to_conflict"
+        headings = [heading for heading, _ in figure.panels]
+        assert headings[0].startswith("the run's own horizon: ")
+        assert headings[1].startswith("3 s ahead: ")
+        assert {chart.x_label for _, chart in figure.panels} == {"time from now (s)"}
+        assert not list(figures(replace(made["both"], conflict_times=pd.DataFrame())))
+
+
+class TestStandingStill:
+    WHERE = ("fixed", 0.7)
+
+    def robots(self, missed, *, robot="least_squares", clusters=40):
+        """A robot's misses and those of standing still, in replicates that differ alike."""
+        noise = stream(0, "test", "standing").normal(0.0, 0.01, 400)
+        ends = {"n": clusters, "effective": float(clusters)}
+        return {
+            Measure(robot, MISSED_RATE).at(*self.WHERE): estimate_of(
+                np.append(missed, missed + noise), **ends
+            ),
+            Measure(BASELINE, MISSED_RATE).at(*self.WHERE): estimate_of(
+                np.append(0.3, 0.3 + 0.9 * noise), **ends
+            ),
+        }
+
+    def test_a_robot_that_surely_misses_more_is_told_so(self):
+        own, later = self.robots(0.29), {3.0: self.robots(0.31)}
+        first, second = beaten_by_standing_still(own, later)
+        assert (first["robot"], first["horizon_s"], first["levels"]) == ("least_squares", None, 1)
+        assert first["loses"] == []
+        (level,) = second["loses"]
+        assert second["horizon_s"] == 3.0
+        assert (level["mechanism"], level["level"]) == self.WHERE
+        assert level["difference"] == pytest.approx(0.01)
+        # Paired: both intervals by themselves, +- 2 points, would tell nothing.
+        assert 0.0 < level["ci_low"] < 0.01 < level["ci_high"] < 0.02
+
+    def test_few_people_tell_nothing_and_standing_still_is_no_robot(self):
+        (record,) = beaten_by_standing_still(self.robots(0.5, clusters=19), {})
+        assert record["loses"] == []
+        assert record["robot"] == "least_squares"
+        assert beaten_by_standing_still({}, {3.0: {}}) == []
+
+    def test_the_first_screen_says_so(self, made):
+        run = made["both"]
+        loses = [{"mechanism": "fixed", "level": 0.7}] * 2
+        robots = [
+            {"robot": "least_squares", "horizon_s": None, "levels": 6, "loses": loses[:1]},
+            {"robot": "least_squares", "horizon_s": 3.0, "levels": 6, "loses": loses},
+            {"robot": "kalman_cv", "horizon_s": 3.0, "levels": 6, "loses": []},
+        ]
+        shown = answers(replace(run, verdict=run.verdict | {"robots": robots}))[0].sentence
+        assert shown.endswith(
+            "Standing still misses fewer than the paper's line at 2 of 6 levels (3 s ahead)."
+        )
+        assert "Future conflicts, 3 s ahead: the paper's line " in shown
+        alone = answers(replace(made["alone"], verdict={}))[0].sentence
+        assert "ahead" not in alone
+        assert "Standing still" not in alone
+
+
+def test_the_first_table_shows_future_conflicts_and_fits(made):
+    lines = first_screen(made["both"])
+    # No path is broken, however long.
+    assert max(len(line) for line in lines if str(made["both"].out) not in line) <= 80
+    heads = next(place for place, line in enumerate(lines) if line.startswith("in %"))
+    assert "future, 3 s" in lines[heads - 1]
+    assert lines[heads].split()[-5:] == ["line", "Kalman", "line", "Kalman", "shared"]
+    assert "future" not in " ".join(first_screen(made["alone"]))
+
+
+@pytest.mark.parametrize("n_linked", [0, 1, 2, 3])
+def test_columns_give_way_where_there_is_no_room(n_linked):
+    first = headline(make_summary(predictors=("least_squares", "kalman_cv")))
+    robots = first.robots
+    linked = [Shown("found again", f"task-{n}", Measure(f"t{n}", "rank1")) for n in range(n_linked)]
+    later = {
+        robot.measure._replace(metric=MISSED_FUTURE).at(*where): Estimate(0.5, 0.4, 0.6)
+        for robot in robots
+        for where in first.wheres
+    }
+    wide = replace(first, linked=linked, horizon_s=3.0, later=later)
+    choices = [[shown.name for shown in columns] for columns in wide.column_choices]
+    assert len(choices) == 1 + max(n_linked - 1, 0) + 2
+    assert choices[0][:4] == ["line", "Kalman", "line", "Kalman"]
+    assert all(len(more) == len(less) + 1 for more, less in pairwise(choices))
+    assert choices[-2][:3] == ["line", "Kalman", "Kalman"]  # the better robot's stay longer
+    # The missed conflicts of the paper, and the first task, stay.
+    assert choices[-1][:2] == ["line", "Kalman"]
+    assert choices[-1][-1:] == (["task-0"] if n_linked else ["attack"])
+
+
+def test_the_frontier_is_read_at_the_price_of_future_conflicts_at_the_longest_horizon():
+    rows = [
+        {"dataset": f"walks{world}", "criterion": criterion, "level": level, "value": 0.5}
+        for world in ("", ":horizon=1s", ":horizon=3s")
+        for criterion in ("missed", "missed_at_equal_false_alarms", "missed_future")
+        for level in (0.1, np.nan)
+    ]
+    every = pd.DataFrame(rows)
+    read = usual_price(every)
+    assert set(read["dataset"]) == {"walks:horizon=3s"}
+    assert set(read["criterion"]) == {"missed_future"}
+    own = usual_price(every[every["dataset"] == "walks"])
+    assert set(own["criterion"]) == {"missed_future"}
+    without = every[every["criterion"] != "missed_future"]
+    assert set(usual_price(without)["criterion"]) == {"missed_at_equal_false_alarms"}
+
+
+def test_tables_of_a_run_hold_each_horizon(made):
+    pages = tables.page_tables(made["both"])
+    table = pages["horizon-3s"]
+    names = [column.name for column in table.columns]
+    assert "missed future, constant_position" in names
+    assert len(table.rows) == 6
+    assert "horizon-3s" not in tables.page_tables(made["alone"])
+    shown = (made["both"].out / "tables.txt").read_text("utf-8")
+    assert "Conflicts made for 3 s ahead" in shown
+
+
+def test_the_papers_claim_is_stated_with_future_conflicts(made):
+    claims = set(made["both"].claims["claim"])
+    for rate in ("missed-conflict rate", "missed-future rate", "missed-future rate 3 s ahead"):
+        assert f"at every matched {rate}: FID has lower PLR" in claims
+
+
+def test_tracks_that_end_before_the_horizon_are_said(made):
+    manifest = made["both"].manifest
+    used = manifest["dataset"]["tracks_used"]
+    assert manifest["horizons"] == {
+        "3": {"tracks_used": used, "no_future": 0, "exhausted_redraws": 0}
+    }
+    assert made["alone"].manifest["horizons"] == {}
+    few = {"3": {"tracks_used": used - 2, "no_future": 2, "exhausted_redraws": 1}}
+    shown = notices(manifest | {"horizons": few | {"9": {"tracks_used": 0, "no_future": used}}})
+    assert "3 s ahead: 2 tracks end before that and are not used there" in shown
+    assert "no conflicts 9 s ahead: too few recordings last so long after the history" in shown
+    assert any(line.startswith("3 s ahead: 1 background agents found no place") for line in shown)

@@ -47,14 +47,14 @@ def distances(scenes):
     """Distances of every agent at every step, (S, A, H): the robot goes straight on."""
     way = scenes.robot_destination - scenes.robot_start
     heading = way / np.linalg.norm(way, axis=1, keepdims=True)
-    found = []
+    apart = []
     for scene in range(len(scenes)):
         for agent in range(4):
             row = 4 * scene + agent
             elapsed = scenes.t_future[row] - scenes.t_future[row, 0]
             robot = scenes.robot_start[scene] + 1.4 * elapsed[:, None] * heading[scene]
-            found.append(np.linalg.norm(robot - scenes.xy_future[row], axis=1))
-    return np.array(found).reshape(len(scenes), 4, -1)
+            apart.append(np.linalg.norm(robot - scenes.xy_future[row], axis=1))
+    return np.array(apart).reshape(len(scenes), 4, -1)
 
 
 class TestGrid:
@@ -78,8 +78,8 @@ class TestGrid:
         robot = robot_positions(later, settings=SETTINGS.conflict)
         agents = later.xy_future.reshape(robot.shape)
         elapsed = (later.t_future - later.t_future[:, :1]).reshape(robot.shape[:3])
-        more = [np.concatenate([one, one[:, :, -1:].repeat(9, axis=2)], axis=2)
-                for one in (robot, agents, elapsed)]  # fmt: skip
+        more = [np.concatenate([values, values[:, :, -1:].repeat(9, axis=2)], axis=2)
+                for values in (robot, agents, elapsed)]  # fmt: skip
         apart = minimum_separation(robot=more[0], agents=more[1])
         assert np.array_equal(apart, later.separation)
         first = time_to_conflict_s(
@@ -120,19 +120,19 @@ class TestTimeToConflict:
         return np.repeat(stand[:, :, None, :], 4, axis=2)
 
     def test_it_is_the_first_step_at_which_any_agent_is_inside(self):
-        found = time_to_conflict_s(
+        times = time_to_conflict_s(
             robot=self.ROBOT, agents=self.agents(), elapsed_s=self.ELAPSED, safety_radius_m=1.0
         )
-        np.testing.assert_array_equal(found, [2.0, 0.0, np.nan])
+        np.testing.assert_array_equal(times, [2.0, 0.0, np.nan])
 
     def test_every_agent_has_a_clock_of_its_own(self):
         elapsed = self.ELAPSED * np.array([0.5, 3.0])[:, None]
         agents = self.agents()
         agents[1, 1] = [2.5, 0.0]
-        found = time_to_conflict_s(
+        times = time_to_conflict_s(
             robot=self.ROBOT, agents=agents, elapsed_s=elapsed, safety_radius_m=1.0
         )
-        np.testing.assert_array_equal(found, [1.0, 6.0, np.nan])
+        np.testing.assert_array_equal(times, [1.0, 6.0, np.nan])
 
     def test_shapes_must_agree(self):
         with pytest.raises(ValueError, match="must have one shape"):
@@ -147,8 +147,8 @@ class TestTimeToConflict:
         conflict = np.array([True, True, True, True, False])
         inside = np.array([True, False, False, False, False])
         predicted = np.array([False, False, True, True, True])
-        found = missed_future_rate(conflict=conflict, inside_now=inside, predicted=predicted)
-        assert found == pytest.approx(1 / 3)
+        rate = missed_future_rate(conflict=conflict, inside_now=inside, predicted=predicted)
+        assert rate == pytest.approx(1 / 3)
         nobody = missed_future_rate(conflict=inside, inside_now=inside, predicted=predicted)
         assert np.isnan(nobody)
         with pytest.raises(ValueError, match="must have one shape"):
@@ -175,7 +175,7 @@ class TestScenesOfAFurtherHorizon:
     def test_the_robot_starts_and_heads_the_same_way_with_the_same_people(self, known, later):
         own = scenes_of(known)
         assert np.array_equal(own.robot_start, later.robot_start)
-        ways = [one.robot_destination - one.robot_start for one in (own, later)]
+        ways = [scenes.robot_destination - scenes.robot_start for scenes in (own, later)]
         turns = [np.arctan2(way[:, 1], way[:, 0]) for way in ways]
         np.testing.assert_allclose(*turns)
         assert np.array_equal(own.track, later.track)
@@ -228,7 +228,10 @@ class TestScenesOfAFurtherHorizon:
         assert list(known.further) == [1.2]
         # Of one person the recording ends earlier: 26 s of 30 s, of which 0.7 s are left.
         stop = np.searchsorted(short.t, 26.0)
-        parts = [(short.t[:stop], short.xy[:stop]), *((one.t, one.xy) for one in list(long)[1:])]
+        parts = [
+            (short.t[:stop], short.xy[:stop]),
+            *((track.t, track.xy) for track in list(long)[1:]),
+        ]
         cutting = Tracks(
             np.concatenate([t for t, _ in parts]),
             np.concatenate([xy for _, xy in parts]),
@@ -245,9 +248,9 @@ class TestScenesOfAFurtherHorizon:
         assert known.source[0] not in longer.source
         assert longer.no_future == known.no_future + len(known) - len(longer)
         for row, name in enumerate(longer.source):
-            mine = known.source.index(name)
+            place = known.source.index(name)
             ours = longer.xy[longer.offsets[row] : longer.offsets[row + 1]]
-            theirs = known.xy[known.offsets[mine] : known.offsets[mine + 1]]
+            theirs = known.xy[known.offsets[place] : known.offsets[place + 1]]
             assert np.array_equal(ours, theirs)
         scenes_of(longer, n_scenes=4)
 
@@ -279,7 +282,7 @@ def test_no_horizon_is_one_clear_line(typed):
 def test_in_two_of_three_conflicts_of_the_paper_somebody_is_inside_already(students03):
     known = cut(students03.tracks, settings=SETTINGS, seed=0)
     known = with_horizons(known, students03.tracks, settings=SETTINGS)
-    own, later = (scenes_of(one, n_scenes=1000) for one in (known, known.further[HORIZON_S]))
+    own, later = (scenes_of(cut_at, n_scenes=1000) for cut_at in (known, known.further[HORIZON_S]))
     share = own.inside_now[own.conflict].mean()
     assert share == pytest.approx(2 / 3, abs=4 * np.sqrt(2 / 9 / own.conflict.sum()))
     # Three seconds ahead most are still to come.

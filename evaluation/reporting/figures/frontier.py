@@ -5,11 +5,11 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.frontier import VALUE, WHITE
+from evaluation.analysis.frontier import VALUE, WHITE, usual_price
 from evaluation.analysis.keys import AS_SHARED, Source, rows_of
-from evaluation.analysis.matching import AT_EQUAL_ALARMS
 from evaluation.analysis.metrics import EXPOSURE
 from evaluation.analysis.strongest import HEADLINE
+from evaluation.reporting.answer_tables import price_text
 from evaluation.reporting.charts import LOOKS, PERCENT, Axis, Curve, Look, Mark, curves_chart
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.rows import Results, family_of
@@ -21,7 +21,9 @@ _MOST = LOOKS - 1  # Families of a panel beside white noise.
 def figures(run: Results) -> Iterator[Figure]:
     """Yield attacked PLR over the rise of misses, six families a panel beside white noise."""
     of = run.frontier
-    of = of[(of["metric"] == EXPOSURE) & (of["criterion"] == AT_EQUAL_ALARMS)]
+    if of.empty:
+        return
+    of = usual_price(of[of["metric"] == EXPOSURE])
     of = of[(of["consumer"] != AS_SHARED.consumer) & of["value"].notna()]
     panels, key = [], dict[str, Look]()
     counts = of.groupby(["mechanism", "robot"], sort=False)["target"].nunique()
@@ -46,7 +48,7 @@ def figures(run: Results) -> Iterator[Figure]:
                 x, y = Axis("rise of missed conflicts (points)"), Axis("PLR, attacked (%)")
                 panels.append((f"{robot}{which}", curves_chart(curves, x=x, y=y, marked=marked)))
     title = "PLR after attack where misses have risen"
-    said = "At raw's false alarms. Hollow: after repeats, an anchor, companions. Down is better."
+    said = f"{price_text(of)} Hollow: after repeats, an anchor, companions. Down is better."
     yield Figure("frontier", "plane", title, panels, 2, key, said)
 
 
