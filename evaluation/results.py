@@ -19,13 +19,14 @@ from evaluation.analysis.decisions import decisions
 from evaluation.analysis.families import CLEAN, RAW, families_in
 from evaluation.analysis.frontier import frontier
 from evaluation.analysis.galleries import TPR, galleries
-from evaluation.analysis.keys import AS_SHARED, Key, Source, horizons_in, judged_at
+from evaluation.analysis.keys import Key, Source, horizons_in, judged_at
 from evaluation.analysis.levels import levels
-from evaluation.analysis.linked_people import read_probes
+from evaluation.analysis.linked_people import Choices, read_probes
 from evaluation.analysis.matching import FUTURE, Sweeps, matched
-from evaluation.analysis.metrics import ACHIEVED, EXPOSURE, SUCCESS, SUCCESS_OF_100
+from evaluation.analysis.metrics import ACHIEVED, ASSIGNED, EXPOSURE, SUCCESS, SUCCESS_OF_100
 from evaluation.analysis.pooled import Answered, answered, answers_of, to_frame
-from evaluation.analysis.strongest import cross_fitted, strongest
+from evaluation.analysis.strongest import HEADLINE, cross_fitted, strongest
+from evaluation.analysis.strongest_table import Strongest, strongest_on_each, strongest_table
 from evaluation.experiment.constants import (
     BLOCK_SCENES,
     MOST_SCENES,
@@ -58,7 +59,9 @@ from isac_track.intervals import Estimate
 __all__ = ["Results", "build", "load", "rebuild", "run", "sized", "study"]
 _one_thread = partial(threadpool_limits, limits=1, user_api="blas")
 """Keep linear algebra to this thread: its matrices are small, and others would only spin."""
-_DRAWN: Final = (*ACHIEVED, SUCCESS_OF_100)  # What is compared of linkers, and has replicates.
+_DRAWN: Final = (*ACHIEVED, ASSIGNED, SUCCESS_OF_100)
+"""What is compared of linkers, and has replicates."""
+_OF_PEOPLE: Final = (EXPOSURE, SUCCESS, ASSIGNED, TPR)  # What is asked of who is linked.
 
 
 def run(
@@ -164,27 +167,36 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
 def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     """Return all that the cells of a run tell, and how much was looked at for flags."""
     manifest = read_manifest(out)
-    dataset, seed = manifest["dataset"]["name"], manifest["identity"]["seed"]
+    dataset = manifest["dataset"]["name"]
     predictors, known = manifest["settings"]["predictors"], families_in(manifest["cells"])
     with aside(partial(_of_links, out, manifest)) as of_links:
         scenes = _of_scenes(out, manifest)
         links = of_links()
     linked, sums = links.estimates, links.sums | scenes.attacked
-    found, attacked = scenes.estimates, scenes.attacked
+    found = scenes.estimates
     flagged, looked = weak_attacks.flags(found, slow=weak_attacks.slow_attacks(manifest))
     sweeps = Sweeps({**found, **scenes.own.at_raw_alarms, **linked}, known)
     best = strongest(sweeps.found, known)
-    few = {key: one for key, one in sweeps.found.items() if key.metric in (EXPOSURE, SUCCESS, TPR)}
-    with aside(partial(_of_people, out, manifest, Sweeps(few, known), best)) as of_people:
+    few = {key: one for key, one in sweeps.found.items() if key.metric in _OF_PEOPLE}
+    crossed = {
+        task: cross_fitted(sums, known, source, by=SUCCESS if task else EXPOSURE)
+        for task, source in best.items()
+    }
+    on_each = strongest_on_each(sweeps.found, sums, known)
+    choices = {(task, ""): of.choices for task, of in crossed.items() if task}
+    choices |= {
+        (one.source.task, one.mechanism): one.crossed.choices
+        for one in on_each
+        if one.source.task and one.among == HEADLINE
+    }
+    of_run = out, manifest, Sweeps(few, known), best, choices
+    with aside(partial(_of_people, *of_run)) as of_people:
         at_equal = [matched(sweeps, predictors=predictors, dataset=dataset)]
-        crossed, halves = cross_fitted(attacked, known, best.get("", AS_SHARED), seed=seed)
-        frontiers = [frontier(sweeps, predictors=predictors, dataset=dataset, sums=sums, seed=seed)]
+        frontiers = [frontier(sweeps, predictors=predictors, dataset=dataset, attacks=on_each)]
         for horizon_s, robots in scenes.later.items():
             at_horizon = Sweeps(judged_at(sweeps.found, robots.every), known)
             about: dict[str, Any] = {"dataset": dataset, "world": horizon_world(horizon_s)}
-            frontiers.append(
-                frontier(at_horizon, predictors=predictors, sums=sums, seed=seed, **about)
-            )
+            frontiers.append(frontier(at_horizon, predictors=predictors, attacks=on_each, **about))
             at_equal.append(
                 matched(at_horizon, predictors=predictors[:1], criteria=(FUTURE,), **about)
             )
@@ -193,13 +205,19 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         )
         far = weak_attacks.far_from_optimum(gaps(tidy))
         in_galleries, across = of_people()
-    judged = Sweeps({**sweeps.found, **crossed}, known) if crossed else sweeps
+    estimates = {key: one for of in crossed.values() for key, one in of.estimates.items()}
+    judged = Sweeps({**sweeps.found, **estimates}, known)
     later = {
         horizon_s: Sweeps(judged_at(judged.found, robots.every), known)
         for horizon_s, robots in scenes.later.items()
     }
     said = verdict.verdict(
-        judged, across, strongest=best, scored=halves, later=later, manifest=manifest
+        judged,
+        across,
+        strongest=best,
+        scored={task: of.choices for task, of in crossed.items()},
+        later=later,
+        manifest=manifest,
     )
     said["robots"] = horizons.beaten_by_standing_still(found, scenes.estimates_later)
     every_match = pd.concat(at_equal, ignore_index=True)
@@ -211,7 +229,8 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         claims=paper.claims(sweeps, every_match, dataset=dataset, history=manifest["history"]),
         matched=every_match,
         frontier=pd.concat(frontiers, ignore_index=True),
-        levels=_levels_of(manifest, scenes, links),
+        levels=_levels_of(manifest, scenes, links, attacks=on_each),
+        attacked=strongest_table(on_each, sweeps.found, dataset=dataset),
         decisions=pd.concat([robots.decided for robots in scenes.judged], ignore_index=True),
         curves=pd.concat([robots.curves for robots in scenes.judged], ignore_index=True),
         flags=pd.concat([flagged, far], ignore_index=True) if len(far) else flagged,
@@ -326,7 +345,10 @@ def _try_candidates(ready: Plan, update: Callable[[int, int, str], None]) -> Non
         and (not entry.get("world") or horizon_of(entry["world"]) is not None)
     ]
     few = manifest | {"cells": needed}
-    table = _levels_of(few, _of_scenes(ready.out, few), _of_links(ready.out, few))
+    scenes, links = _of_scenes(ready.out, few), _of_links(ready.out, few)
+    estimates = {**scenes.estimates, **links.estimates}
+    attacks = strongest_on_each(estimates, links.sums | scenes.attacked, families_in(needed))
+    table = _levels_of(few, scenes, links, attacks=attacks)
     dataset, question = manifest["dataset"]["name"], default_question(families_in(needed))
     offers = recommend(table, question, dataset=dataset).candidates
     wheres = {offer.where for offer in offers}
@@ -342,24 +364,29 @@ def _tell_trial(
     update(n_cells, n_cells, f"levels to propose: {text}")
 
 
-def _levels_of(manifest: Mapping[str, Any], scenes: _Scenes, links: _Links) -> pd.DataFrame:
+def _levels_of(
+    manifest: Mapping[str, Any], scenes: _Scenes, links: _Links, *, attacks: Sequence[Strongest]
+) -> pd.DataFrame:
     """Return what a site gets and pays at each level."""
     return levels(
         {**scenes.estimates, **scenes.own.at_raw_alarms, **links.estimates},
-        sums=links.sums | scenes.attacked,
+        attacks=attacks,
         horizons={horizon_world(at): robots.every for at, robots in scenes.later.items()},
         linked=links.table,
         known=families_in(manifest["cells"]),
         dataset=manifest["dataset"]["name"],
-        seed=manifest["identity"]["seed"],
     )
 
 
 def _of_people(
-    out: Path, manifest: Mapping[str, Any], sweeps: Sweeps, best: Mapping[str, Source]
+    out: Path,
+    manifest: Mapping[str, Any],
+    sweeps: Sweeps,
+    best: Mapping[str, Source],
+    choices: Mapping[tuple[str, str], Choices],
 ) -> tuple[pd.DataFrame, dict[str, list[dict[str, Any]]]]:
     """Return what rests on who is linked: over the gallery's size, and the verdict's parts."""
-    probes = read_probes(out, manifest, sweeps, strongest=best)
+    probes = read_probes(out, manifest, sweeps, strongest=best, choices=choices)
     dataset, seed = manifest["dataset"]["name"], manifest["identity"]["seed"]
     in_galleries = galleries(probes, sweeps.found, dataset=dataset, seed=seed)
     return in_galleries, verdict.of_people(probes, sweeps, strongest=best, manifest=manifest)

@@ -25,8 +25,9 @@ from evaluation.analysis.matching import (
     places,
     with_ends,
 )
-from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, ROBOTS_OWN, SUCCESS
-from evaluation.analysis.strongest import GROUPS, against_each, by_task, cross_fitted, success_of
+from evaluation.analysis.metrics import DESCRIPTORS, ROBOTS_OWN, SUCCESS, SUCCESS_OF_100
+from evaluation.analysis.strongest import success_of
+from evaluation.analysis.strongest_table import Strongest, strongest_on_each
 from evaluation.experiment.constants import horizon_of
 from evaluation.runs.cell_files import Summed
 from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, Estimate
@@ -68,31 +69,26 @@ class Told(NamedTuple):
     is_axis: bool = False  # Whether mechanisms are held against one another by it.
 
 
-def told(
-    sweeps: Sweeps, sums: Mapping[Key, Summed], *, seed: int
-) -> tuple[list[Told], dict[Key, Estimate]]:
+def told(sweeps: Sweeps, attacks: Sequence[Strongest]) -> tuple[list[Told], dict[Key, Estimate]]:
     """Return what is told of every mechanism, and the estimates that are not those of the run.
 
     As shared, and after the strongest reconstruction and linker of each of `GROUPS`: chosen against
-    each mechanism by itself and, where `sums` are known, on one half of the people and scored on
-    the other, and swapped.
+    each mechanism by itself, cross-fitted where sums over people are known.
     """
     found = [Told(name, dict.fromkeys(sweeps.known, AS_SHARED)) for name in DESCRIPTORS]
     crossed: dict[Key, Estimate] = {}
-    mine: dict[tuple[str, str], dict[Key, Summed]] = {}
-    for key, one in sums.items():
-        mine.setdefault((key.mechanism, key.measure.source.task), {})[key] = one
-    every = ((by, by_task(sweeps.found, metric=by)) for by in (EXPOSURE, SUCCESS))
-    for by, task, blocks in ((by, *one) for by, tasks in every for one in tasks.items()):
-        for among in GROUPS:
-            whose = against_each(blocks, among=among)
-            if RAW not in whose:
-                continue
-            for name, source in whose.items():
-                own = mine.get((name, task), {})
-                crossed |= cross_fitted(own, sweeps.known, source, seed=seed, by=by)[0]
+    every: dict[tuple[str, tuple[str, ...]], dict[str, Source]] = {}
+    for attack in attacks:
+        every.setdefault((attack.source.task, attack.among), {})[attack.mechanism] = attack.source
+    for (task, _), whose in every.items():
+        if RAW in whose:
             names = (success_of(sweeps.found, whose[RAW]),) if task else DESCRIPTORS
             found += [Told(name, whose, is_axis=name == names[0]) for name in names]
+    for attack in attacks:
+        for where in attack.wheres:
+            for metric in (SUCCESS, SUCCESS_OF_100) if attack.source.task else DESCRIPTORS:
+                if estimate := attack.at(where, metric, sweeps.found):
+                    crossed[attack.source.measure(metric).at(*where)] = estimate
     return found, crossed
 
 
@@ -103,7 +99,7 @@ def frontier(
     dataset: str,
     world: str = "",
     sums: Mapping[Key, Summed] | None = None,
-    seed: int = 0,
+    attacks: Sequence[Strongest] | None = None,
 ) -> pd.DataFrame:
     """Return a row for each mechanism, robot, criterion, target and number: `COLUMNS`.
 
@@ -112,9 +108,12 @@ def frontier(
     docs/metrics.md says what they are. A target out of reach keeps its row without numbers. There
     is no interval, and nothing is held against another, with fewer than `ENOUGH_LEVELS` levels (raw
     is one) whose missed rate is within `NEAR` of the target, with less than `MIN_DEFINED` of the
-    replicates in reach, or of too few people. `sums` are as in `told`.
+    replicates in reach, or of too few people. `attacks` are the
+    strongest ones, by default those of `sweeps` with the `sums` of `strongest_on_each`.
     """
-    every, crossed = told(sweeps, sums or {}, seed=seed)
+    if attacks is None:
+        attacks = strongest_on_each(sweeps.found, sums or {}, sweeps.known)
+    every, crossed = told(sweeps, attacks)
     sweeps = Sweeps({**sweeps.found, **crossed}, sweeps.known)
     shared = [(one, _curves(sweeps, one)) for one in every]
     rows: list[dict[str, Any]] = []

@@ -64,6 +64,11 @@ class Measure(NamedTuple):
         """Whose it is."""
         return Source(self.consumer, self.knowledge)
 
+    @property
+    def label(self) -> str:
+        """For people: whose it is, and whether all are matched at once."""
+        return self.source.label + ", joint" * (self.metric == "rank1_assigned")
+
     def at(self, mechanism: str, level: float | None) -> Key:
         """Return what a row of the summary about it at one level is about."""
         return Key(mechanism, level, *self)

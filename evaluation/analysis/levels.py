@@ -6,8 +6,7 @@ adversaries; and how often the strongest linker of a task finds a person again, 
 what it finds under raw. Raw is there, too, and mechanisms that do not protect are not.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -20,20 +19,17 @@ from evaluation.analysis.metrics import (
     COSTS,
     DESCRIPTORS,
     DISTANCE,
-    EXPOSURE,
     FALSE_ALARMS,
     LINKAGE_SHARE,
     MEDIAN,
-    SUCCESS,
     SUCCESS_OF_100,
     WIDE,
 )
-from evaluation.analysis.strongest import GROUPS, HEADLINE, against_each, by_task, cross_fitted
-from evaluation.runs.cell_files import Summed
+from evaluation.analysis.strongest import HEADLINE, against_each, by_task, success_of
+from evaluation.analysis.strongest_table import ONE_RELEASE, Strongest
 from isac_track.intervals import Estimate, estimate_of
 from isac_track.linkability import GALLERY
 
-ONE_RELEASE: Final = "one release"  # Group of the headline's adversaries: blind and informed.
 COLUMNS: Final = [
     *("dataset", "mechanism", "level", "family", "adding", "protects"),
     *("adversary", "consumer", "knowledge", "metric", "value", "ci_low", "ci_high", "n"),
@@ -43,51 +39,9 @@ _OF_ROBOTS: Final = (*COSTS, FALSE_ALARMS)
 _UNKNOWN: Final = Estimate(np.nan)
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Strongest:
-    """The strongest attack of a group of adversaries on one mechanism, and what it achieves."""
-
-    task: str  # Empty: it reconstructs.
-    adversary: str  # `ONE_RELEASE`, or an adversary with a name.
-    source: Source
-    numbers: Found  # At the levels of the mechanism.
-
-
 def group_name(among: tuple[str, ...]) -> str:
     """Return the name of a group of adversaries."""
     return ONE_RELEASE if among == HEADLINE else among[0]
-
-
-def strongest_on_each(
-    found: Found, sums: Mapping[Key, Summed], known: Mapping[str, Family], *, seed: int, by: str
-) -> dict[str, list[Strongest]]:
-    """Return the strongest attacks on every mechanism, by mechanism; `by` is what they rank by.
-
-    Each is chosen against the mechanism alone and, where `sums` are known, on one half of the
-    people and scored on the other, and the reverse: this is the only place that asks who is
-    strongest where a level is recommended.
-    """
-    own: dict[tuple[str, str], dict[Key, Summed]] = {}
-    for key, one in sums.items():
-        own.setdefault((key.mechanism, key.measure.source.task), {})[key] = one
-    best: dict[str, list[Strongest]] = {}
-    for task, levels in by_task(found, metric=by).items():
-        for among in GROUPS:
-            for name, source in against_each(levels, among=among).items():
-                mine = own.get((name, task), {})
-                crossed = cross_fitted(mine, known, source, seed=seed, by=by)[0]
-                wheres = [where for where in levels if where[0] == name]
-                numbers = _numbers(found, source, wheres) | crossed
-                best.setdefault(name, []).append(
-                    Strongest(task, group_name(among), source, numbers)
-                )
-    return best
-
-
-def _numbers(found: Found, source: Source, wheres: list[Where]) -> dict[Key, Estimate]:
-    metrics = (*DESCRIPTORS, *DISTANCE, SUCCESS, SUCCESS_OF_100, "chance")
-    keys = (source.measure(metric).at(*where) for metric in metrics for where in wheres)
-    return {key: found[key] for key in keys if key in found}
 
 
 def linked_share(linked: Estimate, chance: float, raw: Estimate, raw_chance: float) -> Estimate:
@@ -108,22 +62,20 @@ def linked_share(linked: Estimate, chance: float, raw: Estimate, raw_chance: flo
 def levels(
     found: Found,
     *,
-    sums: Mapping[Key, Summed],
+    attacks: Sequence[Strongest],
     horizons: Mapping[str, Found],
     linked: pd.DataFrame,
     known: Mapping[str, Family],
     dataset: str,
-    seed: int,
 ) -> pd.DataFrame:
     """Return a row for each number of raw and of every level that claims to protect: `COLUMNS`.
 
-    `found` is every estimate of the run, misses at raw's false alarms among them, `sums` those of
-    the attacks by cluster, `horizons` the estimates of robots by further horizon (as in `dataset`,
-    behind the name), `linked` is `linkability.csv`.
+    `found` is every estimate of the run, misses at raw's false alarms among them, `attacks` are the
+    strongest on each mechanism, `horizons` the estimates of robots by further horizon (as in
+    `dataset`, behind the name), `linked` is `linkability.csv`.
     """
     chosen = {name for name, one in known.items() if one.protects or one.family == RAW}
     own = {key: one for key, one in found.items() if key.mechanism in chosen}
-    its_sums = {key: one for key, one in sums.items() if key.mechanism in chosen}
     rows = list(_of_robots(own, "", known, dataset))
     for world, of_world in horizons.items():
         some = {key: one for key, one in of_world.items() if key.mechanism in chosen}
@@ -133,19 +85,32 @@ def levels(
         for key, one in own.items()
         if key.measure.source == AS_SHARED and key.metric in {*DESCRIPTORS, *DISTANCE}
     ]
-    for by, metrics in ((EXPOSURE, (*DESCRIPTORS, MEDIAN)), (WIDE, (WIDE,))):
-        on_each = strongest_on_each(own, its_sums, known, seed=seed, by=by)
-        rows += [
-            _row(key, one, known, dataset, adversary=best.adversary)
-            for bests in on_each.values()
-            for best in bests
-            if not best.task
-            for key, one in best.numbers.items()
-            if key.metric in metrics
-        ]
-    on_each = strongest_on_each(own, its_sums, known, seed=seed, by=SUCCESS)
-    rows += _of_linkers(on_each, linked, known, dataset)
+    some_attacks = [attack for attack in attacks if attack.mechanism in chosen]
+    rows += _of_reconstructions(some_attacks, own, known, dataset)
+    rows += _of_linkers(some_attacks, own, linked, known, dataset)
     return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def _of_reconstructions(
+    attacks: Sequence[Strongest], found: Found, known: Mapping[str, Family], dataset: str
+) -> Iterator[dict[str, Any]]:
+    """Yield what the strongest reconstructions leave."""
+    farther = by_task(found, metric=WIDE).get("", {})
+    for attack in attacks:
+        if attack.source.task:
+            continue
+        # Farther off another attack may be the stronger one.
+        at_wide = against_each(farther, among=attack.among).get(attack.mechanism, attack.source)
+        for where in attack.wheres:
+            for metric in (*DESCRIPTORS, MEDIAN, WIDE):
+                key, source = attack.source.measure(metric).at(*where), attack.source
+                estimate = attack.at(where, metric, found)
+                if metric == WIDE and key not in attack.crossed.estimates:
+                    source = at_wide
+                    estimate = found.get(source.measure(WIDE).at(*where))
+                if estimate is not None:
+                    own = source.measure(metric).at(*where)
+                    yield _row(own, estimate, known, dataset, adversary=group_name(attack.among))
 
 
 def _of_robots(
@@ -158,56 +123,49 @@ def _of_robots(
 
 
 def _of_linkers(
-    on_each: Mapping[str, list[Strongest]],
+    attacks: Sequence[Strongest],
+    found: Found,
     linked: pd.DataFrame,
     known: Mapping[str, Family],
     dataset: str,
 ) -> Iterator[dict[str, Any]]:
     """Yield what the strongest linker of each task finds, and its share of what raw leaves."""
-    cards = (
-        {
-            (row["mechanism"], row["level"], row["consumer"], row["knowledge"]): row
-            for row in linked[linked["cohort"] == "all"].to_dict("records")
-        }
-        if len(linked)
-        else {}
-    )
-    cards = {
-        (name, None if np.isnan(level) else level, consumer, knowledge): row
-        for (name, level, consumer, knowledge), row in cards.items()
-    }
-    raws = {one.task: one for one in on_each.get(RAW, ()) if one.task}
-    for bests in on_each.values():
-        for best in (one for one in bests if one.task and one.adversary == ONE_RELEASE):
-            raw = raws.get(best.task)
-            metric = _rank_of(raw or best)
-            for where in dict.fromkeys(key.where for key in best.numbers):
-                key = best.source.measure(metric).at(*where)
-                card = cards.get((*where, *best.source), {})
-                about = {of: str(card.get(of) or "") for of in ("outcome", "invalid")}
-                about["adversary"] = best.adversary
-                data = dataset_of(best.source.consumer, dataset=dataset)
-                rank = best.numbers.get(key, _UNKNOWN)
-                yield _row(key, rank, known, data) | about
-                chance = _chance(best, metric, where)
-                yield _row(key._replace(metric="chance"), Estimate(chance), known, data) | about
-                if raw is not None:
-                    at_raw = raw.numbers.get(raw.source.measure(metric).at(RAW, None), _UNKNOWN)
-                    its_chance = _chance(raw, metric, (RAW, None))
-                    share = linked_share(rank, chance, at_raw, its_chance)
-                    yield _row(key._replace(metric=LINKAGE_SHARE), share, known, data) | about
+    cards = _cards(linked)
+    linkers = [one for one in attacks if one.source.task and one.among == HEADLINE]
+    raws = {one.source.task: one for one in linkers if known[one.mechanism].family == RAW}
+    for linker in linkers:
+        raw = raws.get(linker.source.task)
+        metric = success_of(found, (raw or linker).source)
+        data = dataset_of(linker.source.consumer, dataset=dataset)
+        for where in linker.wheres:
+            key = linker.source.measure(metric).at(*where)
+            card = cards.get((*where, *linker.source), {})
+            about = {name: str(card.get(name) or "") for name in ("outcome", "invalid")}
+            about["adversary"] = group_name(linker.among)
+            rank = linker.at(where, metric, found) or _UNKNOWN
+            chance = _chance(linker.source, metric, where, found)
+            yield _row(key, rank, known, data) | about
+            yield _row(key._replace(metric="chance"), Estimate(chance), known, data) | about
+            if raw is not None:
+                at_raw = raw.at(raw.wheres[0], metric, found) or _UNKNOWN
+                its_chance = _chance(raw.source, metric, raw.wheres[0], found)
+                share = linked_share(rank, chance, at_raw, its_chance)
+                yield _row(key._replace(metric=LINKAGE_SHARE), share, known, data) | about
 
 
-def _rank_of(one: Strongest) -> str:
-    """Return rank 1 of 100 where a task has so many candidates, else rank 1."""
-    values = (of.value for key, of in one.numbers.items() if key.metric == SUCCESS_OF_100)
-    return SUCCESS_OF_100 if any(map(np.isfinite, values)) else SUCCESS
+def _cards(linked: pd.DataFrame) -> dict[tuple[Any, ...], dict[Any, Any]]:
+    """Return the rows of `linkability.csv` of everybody, by level and linker."""
+    cards = {}
+    for row in linked[linked["cohort"] == "all"].to_dict("records") if len(linked) else ():
+        level = None if np.isnan(row["level"]) else row["level"]
+        cards[row["mechanism"], level, row["consumer"], row["knowledge"]] = row
+    return cards
 
 
-def _chance(one: Strongest, metric: str, where: Where) -> float:
+def _chance(source: Source, metric: str, where: Where, found: Found) -> float:
     if metric == SUCCESS_OF_100:
         return 1.0 / GALLERY
-    return one.numbers.get(one.source.measure("chance").at(*where), _UNKNOWN).value
+    return found.get(source.measure("chance").at(*where), _UNKNOWN).value
 
 
 def _row(

@@ -9,17 +9,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, Final
+from types import MappingProxyType
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW
-from evaluation.analysis.keys import Source
+from evaluation.analysis.keys import Measure, Source
 from evaluation.analysis.matching import Sweeps
-from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
-from evaluation.analysis.strongest import against_each, by_task
+from evaluation.analysis.metrics import ASSIGNED, DESCRIPTORS, METRICS, SUCCESS, SUCCESS_OF_100
+from evaluation.analysis.strongest import against_each, by_task, first_half
 from evaluation.cells.link_scores import COMPANIONS
 from evaluation.cells.link_setup import SIDES
 from evaluation.cells.tables import ON_TRIAL
@@ -35,7 +36,9 @@ _WHOSE: Final = ("search", "source")
 _COLUMN_OF: Final = {name: METRICS[name].column for name in DESCRIPTORS} | dict(
     zip(ON_TRIAL, ON_TRIAL, strict=True)
 )
-_OF_PROBES: Final = (*_WHOSE, "group", "above", "tied", "chance", *COMPANIONS)
+_OF_PROBES: Final = (*_WHOSE, "group", "above", "tied", "chance", "assigned", *COMPANIONS)
+Choices: TypeAlias = "Mapping[str, Sequence[Measure]]"
+_NO_CHOICES: Final[Mapping[tuple[str, str], Choices]] = MappingProxyType({})
 _OF_WINDOWS: Final = ("side", *_WHOSE, *COVARIATES, *_COLUMN_OF.values())
 
 
@@ -55,7 +58,8 @@ class LinkedProbes:
     """By descriptor, those on trial among them, (N, 2): in the probe and in the gallery release"""
     covariates: Floats  # (N, K) `COVARIATES` of either release
     strangers: Ints
-    """(3, N) candidates without companions: above the mate, as high (the mate included), in all"""
+    """(3, N) of `linker`: candidates without companions: above the mate, as high (mate included),
+    in all"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -83,12 +87,20 @@ class LinkedTask:
 
 
 def read_probes(
-    out: Path, manifest: Mapping[str, Any], sweeps: Sweeps, *, strongest: Mapping[str, Source]
+    out: Path,
+    manifest: Mapping[str, Any],
+    sweeps: Sweeps,
+    *,
+    strongest: Mapping[str, Source],
+    choices: Mapping[tuple[str, str], Choices] = _NO_CHOICES,
 ) -> dict[str, list[LinkedProbes]]:
     """Return who is linked at every level, by task, in the order of the run.
 
     `strongest` is by task its strongest linker. Raw, fixed noise and FID are linked by it, every
-    other mechanism by who is strongest there. Raises DataError if a cell cannot be read.
+    other mechanism by who is strongest there. `choices` are by task and mechanism, or "" for raw,
+    fixed noise and FID, whom either half of the people chose (`CrossFitted.choices`): the other
+    half is linked by that. Without them all are linked by the strongest, probe by probe. Raises
+    DataError if a cell cannot be read.
     """
     place = itemgetter("mechanism", "level", "consumer", "knowledge")
     cells = {place(entry): entry for entry in manifest["cells"] if not entry.get("world")}
@@ -103,13 +115,60 @@ def read_probes(
                 linked = cells.get((*where, *who.get(where[0], usual)))
                 windows = cells.get((*where, f"{task}/{WINDOWS}", ""))
                 if linked and windows:
-                    probes.append(_probes(out, linked, windows))
+                    chosen = choices.get((task, "" if where[0] in swept else where[0]), {})
+                    pairs = {
+                        metric: [(cells.get((*where, *one.source)), one.metric) for one in both]
+                        for metric, both in chosen.items()
+                    }
+                    probes.append(_probes(out, linked, windows, pairs))
     return found
 
 
-def _probes(out: Path, linked: Mapping[str, Any], windows: Mapping[str, Any]) -> LinkedProbes:
+def _mated(out: Path, linked: Mapping[str, Any]) -> pa.Table:
+    """Return the rows of the probes of a cell that have a mate."""
     probes = read_rows(out, linked, columns=_OF_PROBES, beside=_OF_WINDOWS)
-    probes = probes.filter(pc.greater_equal(probes["above"], 0))
+    return probes.filter(pc.greater_equal(probes["above"], 0))
+
+
+def _strangers(probes: pa.Table) -> Ints:
+    """Return `LinkedProbes.strangers` of the rows of a cell."""
+    counts = (probes[name].to_numpy() for name in ("above", "tied", *COMPANIONS))
+    above, tied, *along = (column.astype(np.int64) for column in counts)
+    chance = probes["chance"].to_numpy()
+    return among_strangers(above, tied, chance, np.stack(along, axis=1))
+
+
+def _hits(probes: pa.Table, metric: str) -> Floats:
+    """Return how often the mate of each probe of a cell is named, (N,)."""
+    if metric == ASSIGNED:
+        named: list[str] = probes["assigned"].cast(pa.string()).to_pylist()
+        return np.array([name == "mate" for name in named], dtype=np.float64)
+    if metric == SUCCESS_OF_100:
+        return first_among(_strangers(probes))
+    above, tied = (probes[name].to_numpy().astype(np.int64) for name in ("above", "tied"))
+    return expected_hit(above, tied)
+
+
+def _crossed_hits(
+    out: Path, pair: Sequence[tuple[Mapping[str, Any] | None, str]], group: Sequence[str]
+) -> Floats | None:
+    """Return how often mates are named, each half of the people linked by the other's choice."""
+    (first, by_first), (second, by_second) = pair
+    if first is None or second is None:
+        return None
+    clusters, cluster = np.unique(group, return_inverse=True)
+    is_first = first_half(tuple(clusters.tolist()))[cluster]
+    hits = (_hits(_mated(out, second), by_second), _hits(_mated(out, first), by_first))
+    return np.where(is_first, *hits)
+
+
+def _probes(
+    out: Path,
+    linked: Mapping[str, Any],
+    windows: Mapping[str, Any],
+    pairs: Mapping[str, Sequence[tuple[Mapping[str, Any] | None, str]]],
+) -> LinkedProbes:
+    probes = _mated(out, linked)
     tracks = read_rows(out, windows, columns=_OF_WINDOWS, beside=_OF_PROBES)
     names, sides = _names(tracks), []
     for side in SIDES:
@@ -120,19 +179,20 @@ def _probes(out: Path, linked: Mapping[str, Any], windows: Mapping[str, Any]) ->
         values = tracks[column].to_numpy().astype(np.float64)
         return np.column_stack([values[side] for side in sides])
 
-    counts = (probes[name].to_numpy() for name in ("above", "tied", *COMPANIONS))
-    above, tied, *along = (one.astype(np.int64) for one in counts)
-    chance = probes["chance"].to_numpy()
-    strangers = among_strangers(above, tied, chance, np.stack(along, axis=1))
-    clusters, cluster = np.unique(probes["group"].to_numpy().astype(str), return_inverse=True)
+    group = probes["group"].to_numpy().astype(str)
+    clusters, cluster = np.unique(group, return_inverse=True)
+    hits = {}
+    for metric in (SUCCESS, SUCCESS_OF_100):
+        crossed = _crossed_hits(out, pairs[metric], group) if metric in pairs else None
+        hits[metric] = _hits(probes, metric) if crossed is None else crossed
     return LinkedProbes(
         mechanism=linked["mechanism"],
         level=linked["level"],
         linker=Source(linked["consumer"], linked["knowledge"]),
-        hit=expected_hit(above, tied),
-        hit_among=first_among(strangers),
-        strangers=strangers,
-        chance=chance,
+        hit=hits[SUCCESS],
+        hit_among=hits[SUCCESS_OF_100],
+        strangers=_strangers(probes),
+        chance=probes["chance"].to_numpy(),
         cluster=cluster,
         clusters=tuple(clusters.tolist()),
         descriptors={name: both(column) for name, column in _COLUMN_OF.items()},

@@ -137,6 +137,7 @@ OF_ROBOT: Final = "plr_robot"  # What a robot itself knows of where somebody was
 ROBOTS_OWN: Final = (ERROR, OF_ROBOT)  # What is told of a robot at a price.
 EXPOSURE: Final = "plr"  # The descriptor that reconstructions are ranked by.
 SUCCESS: Final = "rank1"  # What linkers are ranked by.
+ASSIGNED: Final = "rank1_assigned"  # The same where all probes are matched at once.
 SUCCESS_OF_100: Final = "rank1_g100"  # The same in a gallery of 100: what compares over runs.
 LINKAGE_SHARE: Final = "linkage_share"
 """Rank 1 less chance as a share of what it is under raw, paired; in `levels.csv` alone."""

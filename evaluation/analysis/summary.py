@@ -64,7 +64,7 @@ def estimates(
     or in another one. Raises DataError if a cell cannot be read.
     """
     weights = weights_of(manifest)
-    n = weights.shape[1]
+    n, names = weights.shape[1], tuple(manifest["groups"])
     found: dict[Key, Estimate] = {}
     scored: list[Scored] = []
     attacked: dict[Key, Summed] = {}
@@ -97,7 +97,7 @@ def estimates(
                 roots = np.sqrt(one.replicates)
                 found[key] = Estimate(value, low, high, one.n, roots, effective=one.effective)
         attacked |= {
-            key: Summed(one, weights, used)
+            key: Summed(one, weights, used, names=names)
             for key, one in zip(keys, of_clusters, strict=True)
             if key.knowledge and key.metric in {*DESCRIPTORS, *DISTANCE}
         }

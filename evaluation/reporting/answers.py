@@ -93,7 +93,9 @@ def _beaten(
 
 def headline_of(run: Results) -> Headline:
     """Return what the first table of a run shows."""
-    return headline(run.summary, attacks=run.strongest, linkability=run.linkability)
+    return headline(
+        run.summary, attacks=run.strongest, linkability=run.linkability, attacked=run.attacked
+    )
 
 
 def reference(of: Headline) -> Where:

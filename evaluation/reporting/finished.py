@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from evaluation.analysis.keys import keys_of
-from evaluation.analysis.metrics import EXPOSURE, SUCCESS
+from evaluation.analysis.metrics import ASSIGNED, EXPOSURE, SUCCESS
 from evaluation.analysis.strongest import strongest
 from evaluation.reporting.rows import Results
 from evaluation.runs.files import FRAMES, made_of
@@ -32,7 +32,7 @@ def load(out: Path | str) -> Results:
     found["flags"] = pd.DataFrame(found["flags"]["flags"], columns=found["flags"].get("columns"))
     results = Results(out=out, manifest=manifest, **found)
     rows = results.measured
-    rows = rows[rows["metric"].isin([EXPOSURE, SUCCESS]) & (rows["knowledge"] != "")]
+    rows = rows[rows["metric"].isin([EXPOSURE, SUCCESS, ASSIGNED]) & (rows["knowledge"] != "")]
     # Their values alone are asked for, and what makes estimates takes long to import.
     known: Any = dict(zip(keys_of(rows), map(_Known, rows["value"]), strict=True))
     best = strongest(known, results.families)

@@ -14,13 +14,15 @@ from evaluation.analysis.bounds import Gap, gaps
 from evaluation.analysis.families import CLEAN, SWEPT, Family, families_in
 from evaluation.analysis.keys import AS_SHARED, Key, Measure, Source, Where, worlds_of
 from evaluation.analysis.metrics import (
+    ASSIGNED,
     EXPOSURE,
     MISSED_FUTURE,
     MISSED_RATE,
     SUCCESS,
     SUCCESS_OF_100,
 )
-from evaluation.analysis.strongest import against_each, by_task, strongest
+from evaluation.analysis.strongest import against_each, by_task, rule_of, strongest
+from evaluation.analysis.strongest_table import ONE_RELEASE
 from evaluation.experiment.constants import OTHER_LAW_WORLD, horizon_of, horizon_world
 from evaluation.experiment.presets import BASELINE
 from evaluation.reporting import table as make
@@ -47,7 +49,7 @@ TASKS: Final = {
 """Tasks that are shown if a run has them: over a column, of the last three, and in a sentence."""
 MOST_LEVELS: Final = 14
 _MISSED, _KNOWN, _FOUND = "missed", "known in 0.3 m", "found again"
-_METRICS = (MISSED_RATE, MISSED_FUTURE, EXPOSURE, SUCCESS, SUCCESS_OF_100, "chance")
+_METRICS = (MISSED_RATE, MISSED_FUTURE, EXPOSURE, SUCCESS, ASSIGNED, SUCCESS_OF_100, "chance")
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,8 +134,13 @@ def headline(
     *,
     attacks: Mapping[str, Source] | None = None,
     linkability: pd.DataFrame | None = None,
+    attacked: pd.DataFrame | None = None,
 ) -> Headline:
-    """Return what comes first of a summary; `attacks` are the strongest, by default of its own."""
+    """Return what comes first of a summary; `attacks` are the strongest, by default of its own.
+
+    `attacked` are the numbers of the strongest against each mechanism, as in `strongest.csv`.
+    Without them who is strongest against each is read off the summary, without cross-fitting.
+    """
     rows = summary[summary["metric"].isin(_METRICS)]
     world = worlds_of(rows)
     own = rows[world == ""]
@@ -146,7 +153,12 @@ def headline(
     best, wheres = attacks.get(""), dict.fromkeys(key.where for key in found)
     return Headline(
         known=known,
-        found=found | _own_strongest(found, known, attacks),
+        found=found
+        | (
+            _own_strongest(found, known, attacks)
+            if attacked is None or attacked.empty
+            else _cross_fitted(attacked, attacks)
+        ),
         other_law=estimates(rows[world == OTHER_LAW_WORLD]),
         gaps=gaps(summary),
         robots=_robots(able),
@@ -168,25 +180,38 @@ def _robots(able: Sequence[str]) -> list[Shown]:
     return [Shown(_MISSED, robot_name(of).split()[-1], Measure(of, MISSED_RATE)) for of in names]
 
 
+def _cross_fitted(attacked: pd.DataFrame, attacks: Mapping[str, Source]) -> dict[Key, Estimate]:
+    """Return, under the headline's name, the strongest against each mechanism, cross-fitted."""
+    rows = attacked[attacked["adversary"] == ONE_RELEASE]
+    tasks = rows["task"].astype(object).fillna("")
+    return {
+        _headline(task, attacks).measure(key.metric).at(*key.where): estimate
+        for task, (key, estimate) in zip(tasks, estimates(rows).items(), strict=True)
+        if task in attacks
+    }
+
+
 def _own_strongest(
     found: Mapping[Key, Estimate], known: Mapping[str, Family], attacks: Mapping[str, Source]
 ) -> dict[Key, Estimate]:
-    """Return, under the headline's name, who is strongest against each other mechanism."""
+    """Return, under the headline's name, who is strongest against each other mechanism.
+
+    Of rank 1 it is that of the better of both ways to name mates.
+    """
     # The headline is chosen over raw, fixed noise and FID: others it would flatter.
-    mine: dict[Key, Estimate] = {}
+    own: dict[Key, Estimate] = {}
     for by, metrics in ((EXPOSURE, (EXPOSURE,)), (SUCCESS, (SUCCESS, SUCCESS_OF_100))):
         for task, blocks in by_task(found, metric=by).items():
-            best = against_each(blocks)
-            for name in dict.fromkeys(name for name, _ in blocks):
-                if task in attacks and known[name].family not in (*SWEPT, CLEAN):
-                    headline = _headline(task, attacks)
-                    source = best.get(name, headline)
-                    mine |= {
-                        headline.measure(metric).at(*where): found[key]
-                        for where, metric in product(blocks, metrics)
-                        if where[0] == name and (key := source.measure(metric).at(*where)) in found
-                    }
-    return mine
+            if task not in attacks:
+                continue
+            best, headline = against_each(blocks), _headline(task, attacks)
+            for where, metric in product(blocks, metrics):
+                is_usual = known[where[0]].family in (*SWEPT, CLEAN)
+                source = headline if is_usual else best.get(where[0], headline)
+                rule = rule_of(found, source) if metric == SUCCESS else metric
+                if (key := source.measure(rule).at(*where)) in found:
+                    own[headline.measure(metric).at(*where)] = found[key]
+    return own
 
 
 def _headline(task: str, attacks: Mapping[str, Source]) -> Source:

@@ -73,6 +73,8 @@ class Results:
     """Of every linkage task the attack that the verdict is about; under "" the reconstruction."""
     conflict_times: pd.DataFrame = field(default_factory=pd.DataFrame)
     """The share of conflicts in which somebody is inside by a time, at every horizon."""
+    attacked: pd.DataFrame = field(default_factory=pd.DataFrame)
+    """Numbers of the strongest attack against each mechanism, cross-fitted: `strongest.csv`."""
     gallery: pd.DataFrame | None = None  # As in `gallery.parquet`; None without, and of `load`.
 
     @property

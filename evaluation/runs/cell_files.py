@@ -93,6 +93,12 @@ class Summed(NamedTuple):
     sums: Floats  # (2, U) numerator and denominator within each cluster that has any
     weights: Floats  # (B, C) how often each cluster is drawn
     used: Ints | slice = slice(None)  # (U,) which of these it is
+    names: tuple[str, ...] = ()  # (C,) of the clusters; empty: they are called by their numbers
+
+    @property
+    def clusters(self) -> tuple[str, ...]:
+        """Names of all clusters, (C,)."""
+        return self.names or tuple(map(str, range(self.weights.shape[1])))
 
     def whole(self) -> Floats:
         """Return the sums of all clusters, (2, C)."""
@@ -282,7 +288,10 @@ def _outcomes(
                 ratios = (over @ weights.T / (under @ weights.T)).astype(np.float32)
             for one, *sums, ratio in zip(of_draws, over, under, ratios, strict=True):
                 _, _, replicates, summed = found[one]
-                replicates[metric], summed[metric] = ratio, Summed(np.stack(sums), weights)
+                replicates[metric], summed[metric] = (
+                    ratio,
+                    Summed(np.stack(sums), weights, names=names),
+                )
     for about, mine, replicates, summed in found:
         effective = {name: effective_clusters(one.sums[1]) for name, one in summed.items()}
         names = [metrics[code] for code in codes[mine]]

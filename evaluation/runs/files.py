@@ -46,6 +46,7 @@ FRAMES: Final = {  # By the names of `Results`.
     "matched": "matched.csv",
     "frontier": "frontier.csv",
     "levels": "levels.csv",
+    "attacked": "strongest.csv",
     "decisions": "decisions.csv",
     "curves": "curves.csv",
     "conflict_times": "conflict_times.csv",
@@ -61,7 +62,8 @@ WRITTEN: Final = (  # All that a run leaves beside its manifest, its cells, and 
 _TEXTS: Final = {  # Columns of text; all others are numbers or truth values.
     *("dataset", "mechanism", "family", "adding", "consumer", "knowledge", "metric", "unit"),
     *("claim", "answer", "evidence", "criterion", "predictor", "robot", "score", "reference"),
-    *("cohort", "outcome", "invalid", "spec", "kind", "why", "adversary"),
+    *("cohort", "outcome", "invalid", "spec", "kind", "why"),
+    *("task", "adversary", "first_choice", "second_choice"),
 }
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{16}\.tmp")
 _NOT_FOLLOWED = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)

@@ -11,9 +11,10 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from evaluation.analysis.keys import Source
+from evaluation.analysis.keys import Measure, Source
 from evaluation.analysis.linked_people import LinkedProbes, by_cluster
 from evaluation.analysis.matching import FUTURE, Sweeps
+from evaluation.analysis.metrics import EXPOSURE
 from evaluation.verdict import claim, inflation, rules
 from evaluation.verdict.items import Draft, decided
 from evaluation.verdict.validity import validity
@@ -51,17 +52,17 @@ def verdict(
     across: Mapping[str, Sequence[dict[str, Any]]],
     *,
     strongest: Mapping[str, Source],
-    scored: Sequence[Source] = (),
+    scored: Mapping[str, Mapping[str, Sequence[Measure]]] | None = None,
     later: Mapping[float, Sweeps] | None = None,
     manifest: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Return the verdict of a run as in `verdict.json`.
 
     The claim is read with the first predictor of the run. `across` is what `of_people` returns;
-    `strongest` is by task its strongest linker, under "" the strongest reconstruction. `scored` are
-    those that its descriptors in `sweeps` come from, if they are others: what either half of the
-    people chose. `later` are the same with robots judged at further horizons, s: there the claim
-    is read with conflicts that are still to come.
+    `strongest` is by task its strongest linker, under "" the strongest reconstruction. `scored`
+    are by task and by the metric that ranks whom either half of the people chose: from these come
+    the numbers in `sweeps` that bear the strongest's name. `later` are the same with robots judged
+    at further horizons, s: there the claim is read with conflicts that are still to come.
     """
     attacks = [attack for task, attack in strongest.items() if not task]
     dataset = manifest["dataset"]
@@ -77,9 +78,16 @@ def verdict(
         *decided(rules.CLAIM, claims),
         *decided(rules.INFLATION, inflation.inflation(sweeps, attacks)),
     ]
-    for one in items:
-        if scored and (one["section"] == rules.INFLATION or one.get("of") == claim.AFTER):
-            one["scored"] = [source.label for source in scored]
+    for item in items:
+        is_after = item["section"] == rules.INFLATION or item.get("of") == claim.AFTER
+        if is_after or item.get("of") == claim.LINKED:
+            choices = (scored or {}).get(item["task"], {})
+            ranked = EXPOSURE if is_after else str(item.get("metric"))
+            labels = [
+                choice.label.removeprefix(f"{item['task']}/") for choice in choices.get(ranked, ())
+            ]
+            if {*labels} - {item["subject"]}:
+                item["scored"] = labels
     return {
         "dataset": dataset["name"],
         "simulated": bool(dataset.get("simulated", False)),

@@ -17,7 +17,6 @@ import pandas as pd
 from attacks.tasks.task_list import TASKS
 from evaluation.analysis.families import ADDING_RULES, RAW, Family
 from evaluation.analysis.keys import AS_SHARED, Source, Where
-from evaluation.analysis.levels import ONE_RELEASE
 from evaluation.analysis.metrics import (
     DESCRIPTORS,
     EQUAL_ALARMS,
@@ -33,6 +32,7 @@ from evaluation.analysis.metrics import (
     WIDE,
 )
 from evaluation.analysis.strongest import BEYOND
+from evaluation.analysis.strongest_table import ONE_RELEASE
 from isac_track.errors import SettingsError, did_you_mean
 from isac_track.intervals import Estimate
 

@@ -12,8 +12,8 @@ from evaluation.analysis import decisions, frontier, linkability, matching, pape
 from evaluation.analysis import levels as levels_table
 from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.keys import Source
-from evaluation.analysis.levels import ONE_RELEASE
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, MISSED_FUTURE, OF_ROBOT, UTILITY
+from evaluation.analysis.strongest_table import ONE_RELEASE
 from evaluation.reporting.rows import Results
 from evaluation.runs.files import FRAMES
 from evaluation.runs.manifest import FAILED_COLUMNS

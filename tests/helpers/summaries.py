@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.levels import COLUMNS, ONE_RELEASE
+from evaluation.analysis.levels import COLUMNS
+from evaluation.analysis.strongest_table import ONE_RELEASE
 from evaluation.experiment.fingerprint import code_hash
 from evaluation.experiment.presets import PRESETS
 from evaluation.runs.files import from_csv, to_csv

@@ -7,8 +7,9 @@ from helpers.mechanisms import families_of
 
 from evaluation.analysis.families import Family
 from evaluation.analysis.keys import Key
-from evaluation.analysis.levels import COLUMNS, ONE_RELEASE, levels, linked_share
+from evaluation.analysis.levels import COLUMNS, levels, linked_share
 from evaluation.analysis.metrics import EQUAL_ALARMS, FUTURE_EQUAL_ALARMS
+from evaluation.analysis.strongest_table import ONE_RELEASE, strongest_on_each
 from isac_track.intervals import LEAST_CLUSTERS, Estimate, percentile_interval
 
 LINKER = "handover-1s/kinematic"
@@ -65,8 +66,14 @@ def run():
     at = [("clean", np.nan), ("raw", np.nan), ("ou", 0.4), ("offset", 0.3)]
     linked = make_linkability(at, tasks={"handover-1s": {"kinematic": 0.4}}, dataset="walks")
     linked.loc[linked["mechanism"] == "ou", "invalid"] = "noise_level"
-    about = {"sums": {}, "horizons": {"horizon=3s": horizon}, "linked": linked, "known": known}
-    return levels(found, **about, dataset="walks", seed=0)
+    attacks = strongest_on_each(found, {}, known)
+    about = {
+        "attacks": attacks,
+        "horizons": {"horizon=3s": horizon},
+        "linked": linked,
+        "known": known,
+    }
+    return levels(found, **about, dataset="walks")
 
 
 def test_raw_and_what_claims_to_protect_are_there():

@@ -10,6 +10,7 @@ from evaluation.analysis.families import families_in
 from evaluation.analysis.keys import Key, Source
 from evaluation.analysis.linked_people import LinkedProbes, by_cluster, read_probes
 from evaluation.analysis.matching import Sweeps
+from evaluation.analysis.strongest import first_half
 from evaluation.runs.manifest import read_manifest
 from isac_track.intervals import Estimate
 
@@ -71,14 +72,13 @@ def test_other_mechanisms_are_linked_by_whoever_is_strongest_there(run):
     found, _, probes = run
     for task, linker in TASKS.items():
         who = {one.mechanism: one.linker for one in probes[task]}
-        rivals = {
-            key.measure.source: one.value
-            for key, one in found.items()
-            if key.mechanism == "offset"
-            and key.metric == "rank1"
-            and key.knowledge
-            and key.measure.source.task == task
-        }
+        rivals = {}
+        for rule in ("rank1", "rank1_assigned"):  # a linker counts by the better of both
+            for key, one in found.items():
+                is_linker = key.knowledge and key.measure.source.task == task
+                if key.mechanism == "offset" and key.metric == rule and is_linker:
+                    source = key.measure.source
+                    rivals[source] = max(one.value, rivals.get(source, 0.0))
         assert len(rivals) > 1
         assert who == {"raw": linker, "fixed": linker, "offset": max(rivals, key=rivals.get)}
 
@@ -100,3 +100,22 @@ def test_of_a_hundred_candidates_where_all_have_as_many(among, gallery):
     )
     assert level.probes.tolist() == [2.0, 1.0]
     assert level.descriptors["plr"] == pytest.approx(np.array([[0.7, 0.0], [3.0, 0.0]]))
+
+
+def test_each_half_of_the_people_is_linked_by_whom_the_other_half_chose(run):
+    found, out, _ = run
+    manifest = read_manifest(out)
+    sweeps = Sweeps(found, families_in(manifest["cells"]))
+    linker, other = TASKS["rerelease"], Source("rerelease/profile", "blind")
+    pair = [linker.measure("rank1"), other.measure("rank1_assigned")]
+    choices = {("rerelease", ""): {"rank1": pair}}
+    read = read_probes(out, manifest, sweeps, strongest=TASKS, choices=choices)
+    for level in read["rerelease"][:2]:
+        spec = SPECS[level.mechanism, level.level]
+        first, second = (rows_of(out, spec, *source) for source in (linker, other))
+        is_first = first_half(level.clusters)[level.cluster]
+        by_rank = np.where(first["above"] == 0, 1.0 / first["tied"].clip(lower=1), 0.0)
+        joint = (second["assigned"] == "mate").to_numpy() * 1.0
+        mated = (first["above"] >= 0).to_numpy()
+        assert 0 < is_first.sum() < is_first.size
+        assert level.hit.tolist() == np.where(is_first, joint[mated], by_rank[mated]).tolist()

@@ -5,10 +5,9 @@ import pytest
 from helpers.mechanisms import families_of
 
 from evaluation.analysis.keys import Source
-from evaluation.analysis.strongest import cross_fitted, strongest, strongest_of
+from evaluation.analysis.strongest import cross_fitted, first_half, rule_of, strongest, strongest_of
 from evaluation.runs.cell_files import Summed
 from isac_track.intervals import Estimate, cluster_weights
-from isac_track.rng import stream
 
 SHAPE, DTW = Source("rerelease/shape", "blind"), Source("rerelease/dtw", "informed")
 LEVELS = (("raw", None), ("fixed", 1.0), ("fid", 1.0))
@@ -65,7 +64,7 @@ def test_what_one_half_chose_is_scored_on_the_other():
     tracks = rng.integers(0, 5, n).astype(float)
     used = np.flatnonzero(tracks)  # the others are in no scene, and are not kept
     assert used.size < n
-    is_first = stream(7, "strongest", "halves").permutation(n) < n / 2
+    is_first = first_half(tuple(map(str, range(n))))
     own = {first: np.where(is_first, 0.9, 0.1), second: np.where(is_first, 0.2, 0.8)}
     shares = {source: share * tracks for source, share in own.items()}
     every = {
@@ -75,14 +74,52 @@ def test_what_one_half_chose_is_scored_on_the_other():
         for metric in ("plr", "mel")
     }
     sums = {key: Summed(one[:, used], weights, used) for key, one in every.items()}
-    found, halves = cross_fitted(sums, known := families_of(sums), first, seed=7)
-    assert halves == [first, second]
+    crossed = cross_fitted(sums, known := families_of(sums), first)
+    found = crossed.estimates
+    assert crossed.choices == {"plr": [first.measure("plr"), second.measure("plr")]}
     for key in (first.measure(metric).at(*where) for where in LEVELS for metric in ("plr", "mel")):
         theirs = every[second.measure(key.metric).at(*key.where)][0]
         scored = np.where(is_first, theirs, every[key][0])
         assert found[key].value == pytest.approx(scored.sum() / tracks.sum())
-        assert found[key].replicates == pytest.approx(weights @ scored / (weights @ tracks))
+        assert found[key].replicates == pytest.approx(
+            weights @ scored / (weights @ tracks), abs=1e-6
+        )
     assert found[first.measure("plr").at("raw", None)].value < 0.2
-    # Where both halves choose the headline its own estimates stand.
+    # Where both halves choose the headline its own numbers stand.
     alone = {key: one for key, one in sums.items() if key.consumer == "kalman_rts"}
-    assert cross_fitted(alone, known, first, seed=7) == ({}, [])
+    crossed = cross_fitted(alone, known, first)
+    assert crossed.choices == {"plr": [first.measure("plr")] * 2}
+    for key in alone:
+        own = every[key][0]
+        assert crossed.estimates[key].value == pytest.approx(own.sum() / tracks.sum())
+
+
+def test_a_linker_counts_by_the_better_way_to_name_mates():
+    """Per probe or all at once; rank 1 of a hundred has a choice of its own."""
+    n = 90
+    weights = cluster_weights(n_clusters=n, n_replicates=30, seed=0)
+    rates = {
+        SHAPE.measure("rank1"): 0.5,
+        SHAPE.measure("rank1_assigned"): 0.6,
+        SHAPE.measure("rank1_g100"): 0.3,
+        DTW.measure("rank1"): 0.7,
+        DTW.measure("rank1_assigned"): 0.8,
+        DTW.measure("rank1_g100"): 0.2,
+    }
+    sums = {
+        measure.at(*where): Summed(np.stack([np.full(n, rate), np.ones(n)]), weights)
+        for measure, rate in rates.items()
+        for where in LEVELS
+    }
+    known = families_of(sums)
+    crossed = cross_fitted(sums, known, SHAPE, by="rank1")
+    joint, per_probe = DTW.measure("rank1_assigned"), SHAPE.measure("rank1_g100")
+    assert crossed.choices == {"rank1": [joint] * 2, "rank1_g100": [per_probe] * 2}
+    assert joint.label == "rerelease/dtw (informed), joint"
+    for where in LEVELS:
+        of_all = crossed.estimates[SHAPE.measure("rank1").at(*where)]
+        of_100 = crossed.estimates[SHAPE.measure("rank1_g100").at(*where)]
+        assert (of_all.value, of_100.value) == pytest.approx((0.8, 0.3))
+    found = {key: Estimate(one.sums[0].mean()) for key, one in sums.items()}
+    assert strongest(found, known) == {"rerelease": DTW}
+    assert rule_of(found, DTW) == "rank1_assigned"
