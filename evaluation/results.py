@@ -329,13 +329,15 @@ def _judged(
 
 def _try_candidates(ready: Plan, update: Callable[[int, int, str], None]) -> None:
     """Let adversaries who know more attack the levels that would be proposed without them."""
-    if not trial(ready, specs=[one.spec for one in ready.axes.mechanisms]).units:
+    if not trial(ready, specs=[plugin.spec for plugin in ready.axes.mechanisms]).units:
         return
     manifest = read_manifest(ready.out)
     entries = manifest["cells"]
     # What those levels rest on; of all that is linked the leading handover.
     known = families_in(entries)
-    names = {name for name, one in known.items() if one.protects or one.family in (RAW, CLEAN)}
+    names = {
+        name for name, family in known.items() if family.protects or family.family in (RAW, CLEAN)
+    }
     leading = leading_handover({Source(entry["consumer"]).task for entry in entries})
     needed = [
         entry
@@ -352,7 +354,7 @@ def _try_candidates(ready: Plan, update: Callable[[int, int, str], None]) -> Non
     dataset, question = manifest["dataset"]["name"], default_question(families_in(needed))
     offers = recommend(table, question, dataset=dataset).candidates
     wheres = {offer.where for offer in offers}
-    specs = [one["spec"] for one in needed if (one["mechanism"], one["level"]) in wheres]
+    specs = [entry["spec"] for entry in needed if (entry["mechanism"], entry["level"]) in wheres]
     n_cells = ready.n_cells  # All are finished: these are few, and not told as a part of them.
     report = partial(_tell_trial, update, n_cells)
     execute_trial(trial(ready, specs=specs), report)

@@ -159,7 +159,7 @@ def trial(ready: Plan, *, specs: Iterable[str]) -> Plan:
     """
     settings, wanted = ready.settings, set(specs)
     breakers = PRESETS[settings.preset].breakers if settings.attacks is None else ()
-    some = tuple(one for one in ready.axes.mechanisms if one.spec in wanted and breakers)
+    some = tuple(level for level in ready.axes.mechanisms if level.spec in wanted and breakers)
     attacks = (plugins.parse("attacks", BREAKER)[0],)
     crossed = Axes(some, (), attacks, adversaries=breakers, trial=True)
     units, code_of = _units(crossed, settings, identity=ready.identity)

@@ -58,45 +58,45 @@ def answer_of(out: Path, question: Question) -> Answer:
     table = made_of(out, "levels.csv", columns=COLUMNS)
     identity, dataset = manifest["identity"], manifest["dataset"]["name"]
     scenes = identity["scenes"], identity.get("scenes_utility", identity["scenes"])
-    found = recommend(table, question, dataset=dataset, scenes=scenes)
-    if not (found.proposals or found.refused):
+    advice = recommend(table, question, dataset=dataset, scenes=scenes)
+    if not (advice.proposals or advice.refused):
         raise SettingsError(
             f"{out} has no level that claims to protect, with {' or '.join(question.adding)} "
             "adding; add some with the command of the run and --mechanism "
             f"fid:1..1000/10,adding={question.adding[0]}"
         )
-    return Answer(out, manifest, found)
+    return Answer(out, manifest, advice)
 
 
 def to_json(answer: Answer) -> dict[str, Any]:
     """Return the answer as plain values; what is unknown is None."""
-    found, manifest = answer.recommendation, answer.manifest
-    identity, dataset, question = manifest["identity"], manifest["dataset"], found.question
+    advice, manifest = answer.recommendation, answer.manifest
+    identity, dataset, question = manifest["identity"], manifest["dataset"], advice.question
     limits = {name: question.limits.get(name) for name in LIMITS}
     return {
-        "met": found.met,
-        "answer": words.sentence(found, simulated=dataset["simulated"]),
+        "met": advice.met,
+        "answer": words.sentence(advice, simulated=dataset["simulated"]),
         "out": str(answer.out),
         "dataset": dataset["name"],
         "simulated": bool(dataset["simulated"]),
         "scenes": identity["scenes"],
         "seed": identity["seed"],
-        "predictor": found.robot or None,
+        "predictor": advice.robot or None,
         "criterion": question.criterion.conflicts,
         "horizon_s": question.criterion.horizon_s,
         "adding": list(question.adding),
         "against": ["blind", "informed", *question.against],
         "limits": limits | {"as_shared": question.as_shared},
-        "not_answerable": list(found.missing),
-        "raw": _offer(found.raw, found) if found.raw else None,
-        "proposals": [_offer(one, found) for one in found.proposals],
-        "nearest": _offer(found.nearest, found) if found.nearest else None,
-        "refused": [_offer(one, found) for one in _of_each(found.refused)],
+        "not_answerable": list(advice.missing),
+        "raw": _offer(advice.raw, advice) if advice.raw else None,
+        "proposals": [_offer(offer, advice) for offer in advice.proposals],
+        "nearest": _offer(advice.nearest, advice) if advice.nearest else None,
+        "refused": [_offer(offer, advice) for offer in _nearest_levels(advice.refused)],
         "notes": notes(answer),
     }
 
 
-def _offer(offer: Offer, found: Recommendation) -> dict[str, Any]:
+def _offer(offer: Offer, advice: Recommendation) -> dict[str, Any]:
     """Return a level as plain values."""
     mechanism, level = offer.where
     return {
@@ -106,13 +106,15 @@ def _offer(offer: Offer, found: Recommendation) -> dict[str, Any]:
         "adding": offer.family.adding,
         "met": offer.met and not offer.lacks_rule,
         "missed": _number(offer.cost),
-        "robots": {name: _number(one) for name, one in offer.robots.items()},
+        "robots": {name: _number(rate) for name, rate in offer.robots.items()},
         "shared": _side(offer.shared),
         "after_attack": _side(offer.attacked),
-        "beyond": [_side(one, limit=found.question.limits.get(EXPOSURE)) for one in offer.beyond],
+        "beyond": [
+            _side(side, limit=advice.question.limits.get(EXPOSURE)) for side in offer.beyond
+        ],
         "linked": _linked(offer.linked) if offer.linked else None,
-        "tasks": [_linked(one) for one in offer.tasks],
-        "checks": [_check(one, found) for one in offer.checks],
+        "tasks": [_linked(task) for task in offer.tasks],
+        "checks": [_check(check, advice) for check in offer.checks],
     }
 
 
@@ -139,14 +141,14 @@ def _linked(linked: Linked) -> dict[str, Any]:
     }
 
 
-def _check(check: Check, found: Recommendation) -> dict[str, Any]:
+def _check(check: Check, advice: Recommendation) -> dict[str, Any]:
     return {
         "name": check.name,
         "adversary": check.adversary or None,
         "limit": _finite(check.limit),
         "measured": _number(check.measured),
         "status": check.status,
-        "reason": words.reason(check, found),
+        "reason": words.reason(check, advice),
     }
 
 
@@ -158,7 +160,7 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _of_each(offers: Iterable[Offer]) -> list[Offer]:
+def _nearest_levels(offers: Iterable[Offer]) -> list[Offer]:
     """Return of every mechanism the level that comes nearest."""
     nearest: dict[str, Offer] = {}
     for offer in offers:
@@ -168,15 +170,17 @@ def _of_each(offers: Iterable[Offer]) -> list[Offer]:
 
 def notes(answer: Answer) -> list[str]:
     """Return what else is to be known of the run and of the question."""
-    found, limits = answer.recommendation, answer.recommendation.question.limits
+    advice, limits = answer.recommendation, answer.recommendation.question.limits
     limit, closed = limits.get(EXPOSURE, 0.0), list[str]()
-    if 0.0 < limit < 1.0 and not found.question.as_shared:
+    if 0.0 < limit < 1.0 and not advice.question.as_shared:
         usual = {"q": steady.Q_M2_PER_S3, "dt_s": steady.INTERVAL_S}
         closed = told(plr=limit, epsilon_m=words.epsilon_m(answer.manifest), **usual)[:2]
-    raw = found.raw.checks if found.raw else ()
-    missed = [one for one in raw if one.name in ("missed", "false_alarm")]
-    raw_misses = [words.reason(one, found) for one in missed if one.status == "not met"]
-    lacks = [(words.level_name(one), one.lacks_rule) for one in found.refused if one.lacks_rule]
+    raw = advice.raw.checks if advice.raw else ()
+    missed = [check for check in raw if check.name in ("missed", "false_alarm")]
+    raw_misses = [words.reason(check, advice) for check in missed if check.status == "not met"]
+    lacks = [
+        (words.level_name(offer), offer.lacks_rule) for offer in advice.refused if offer.lacks_rule
+    ]
     return words.said(
         "notes",
         dataset=answer.manifest["dataset"],
@@ -188,27 +192,27 @@ def notes(answer: Answer) -> list[str]:
 
 def show(answer: Answer, *, console: Console | None = None) -> None:
     """Print the answer in one sentence, the levels behind it, and why not others."""
-    console, found = console or terminal.standard_output(), answer.recommendation
+    console, advice = console or terminal.standard_output(), answer.recommendation
     identity, epsilon = answer.manifest["identity"], words.epsilon_m(answer.manifest)
     about = (
         f"{answer.manifest['dataset']['name']}: {scenes_text(identity)}, seed {identity['seed']}; "
-        f"robot {found.robot or 'none'}; 95 % intervals, whose upper ends must meet the limits"
+        f"robot {advice.robot or 'none'}; 95 % intervals, whose upper ends must meet the limits"
     )
     units = ", ".join(f"{family} {unit}" for family, unit in LEVEL_UNITS.items())
     parts: list[str | tuple[str, str] | Table] = [
-        (words.sentence(found, simulated=answer.manifest["dataset"]["simulated"]), "bold"),
+        (words.sentence(advice, simulated=answer.manifest["dataset"]["simulated"]), "bold"),
         "",
         f"{about} (level: {units})",
-        answer_table(found),
+        answer_table(advice),
         "",
     ]
-    shown = found.proposals or found.unsettled or found.refused[:1]
-    parts += [f"- {words.offer_text(one, found, epsilon)}" for one in shown]
-    refused = [offer for offer in _of_each(found.refused) if offer not in shown]
+    shown = advice.proposals or advice.unsettled or advice.refused[:1]
+    parts += [f"- {words.offer_text(offer, advice, epsilon)}" for offer in shown]
+    refused = [offer for offer in _nearest_levels(advice.refused) if offer not in shown]
     if refused:
         parts += ["", "What others fail, at the level of each that comes nearest:"]
     for offer in refused:
-        failures = "; ".join(words.failures(offer, found))
+        failures = "; ".join(words.failures(offer, advice))
         parts.append(f"- {words.level_name(offer)}: {failures}")
     remarks = [f"NOTICE: {note}" for note in notes(answer)]
     if remarks:
@@ -229,10 +233,10 @@ def _print(parts: Iterable[str | tuple[str, str] | Table], console: Console) -> 
         terminal.show([(line, style) for line in lines or [""]], console=console)
 
 
-def answer_table(found: Recommendation) -> Table:
+def answer_table(advice: Recommendation) -> Table:
     """Return raw, the levels that are proposed, and the nearest of every other mechanism."""
-    named = [*filter(None, [found.raw]), *found.proposals, *found.unsettled]
-    rows = named + [offer for offer in _of_each(found.refused) if offer not in named]
+    named = [*filter(None, [advice.raw]), *advice.proposals, *advice.unsettled]
+    rows = named + [offer for offer in _nearest_levels(advice.refused) if offer not in named]
     columns = [
         make.said("", words.level_name),
         Column("missed", lambda offer: make.estimated(MISSED_RATE, offer.cost), "%"),

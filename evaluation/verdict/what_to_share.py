@@ -121,7 +121,7 @@ class Question:
 
 def default_question(known: Mapping[str, Family]) -> Question:
     """Return what the first screen asks: of a run of a single adding rule that alone."""
-    rules = {one.adding for one in known.values() if one.adding and one.protects}
+    rules = {family.adding for family in known.values() if family.adding and family.protects}
     usual = Question()
     fitting = tuple(rule for rule in usual.adding if rule in rules)
     return Question(adding=fitting or usual.adding)
@@ -297,13 +297,13 @@ def recommend(
     in. Raises SettingsError for a family or a robot that the run does not have.
     """
     known = _levels(table, dataset)
-    raw_rows = next((one for one in known if one.family.family == RAW), None)
-    rivals = [one for one in known if one.family.protects and one.family.is_added]
+    raw_rows = next((level for level in known if level.family.family == RAW), None)
+    rivals = [level for level in known if level.family.protects and level.family.is_added]
     _check_names(rivals, question)
     robots = dict.fromkeys(
-        row.source.consumer for one in known for row in one.rows if row.metric == EQUAL_ALARMS
+        row.source.consumer for level in known for row in level.rows if row.metric == EQUAL_ALARMS
     ) | dict.fromkeys(
-        row.source.consumer for one in known for row in one.rows if row.metric == FALSE_ALARMS
+        row.source.consumer for level in known for row in level.rows if row.metric == FALSE_ALARMS
     )
     if question.robot and question.robot not in robots:
         raise SettingsError(
@@ -311,18 +311,20 @@ def recommend(
             "these or add it with the command of the run"
         )
     robot = question.robot or _best_robot(known, question.criterion)
-    task = leading_handover({row.source.task for one in known for row in one.rows})
+    task = leading_handover({row.source.task for level in known for row in level.rows})
     frame = _Frame(question, robot, task, scenes, robots=tuple(robots))
     asked = [
-        one
-        for one in rivals
-        if (not question.only or {one.family.family, one.family.name} & {*question.only})
-        and {*one.family.rules} & {*question.adding}
+        level
+        for level in rivals
+        if (not question.only or {level.family.family, level.family.name} & {*question.only})
+        and {*level.family.rules} & {*question.adding}
     ]
-    offers = _under_all_rules([frame.offer(one) for one in asked], question.adding)
-    fitting = [one for one in offers if one.met and not one.lacks_rule]
+    offers = _under_all_rules([frame.offer(level) for level in asked], question.adding)
+    fitting = [offer for offer in offers if offer.met and not offer.lacks_rule]
     proposals = cheapest(non_dominated(fitting))
-    refused = sorted((one for one in offers if not one.met or one.lacks_rule), key=_distance)
+    refused = sorted(
+        (offer for offer in offers if not offer.met or offer.lacks_rule), key=_distance
+    )
     return Recommendation(
         question=question,
         robot=robot,
@@ -437,8 +439,8 @@ def _levels(table: pd.DataFrame, dataset: str) -> list[_Level]:
 
 
 def _check_names(levels: Iterable[_Level], question: Question) -> None:
-    families = [one.family for one in levels]
-    known = dict.fromkeys(text for one in families for text in (one.family, one.name))
+    families = [level.family for level in levels]
+    known = dict.fromkeys(text for family in families for text in (family.family, family.name))
     for name in question.only:
         if name not in known:
             hint = did_you_mean(name, known, quote="'") or f"; it has {', '.join(known)}"
@@ -528,7 +530,7 @@ class _Frame:
     def _exposure(self, offer: Offer) -> list[Check]:
         question, checks = self.question, list[Check]()
         sides = [offer.shared if question.as_shared else offer.attacked]
-        sides += [one for one in offer.beyond if one.adversary in question.against]
+        sides += [side for side in offer.beyond if side.adversary in question.against]
         for side in sides:
             # Of what was not tried it is said once.
             for name in (*DESCRIPTORS, WIDE) if side.source else DESCRIPTORS:
