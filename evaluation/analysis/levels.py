@@ -74,15 +74,15 @@ def levels(
     strongest on each mechanism, `horizons` the estimates of robots by further horizon (as in
     `dataset`, behind the name), `linked` is `linkability.csv`.
     """
-    chosen = {name for name, one in known.items() if one.protects or one.family == RAW}
-    own = {key: one for key, one in found.items() if key.mechanism in chosen}
+    chosen = {name for name, family in known.items() if family.protects or family.family == RAW}
+    own = {key: number for key, number in found.items() if key.mechanism in chosen}
     rows = list(_of_robots(own, "", known, dataset))
     for world, of_world in horizons.items():
-        some = {key: one for key, one in of_world.items() if key.mechanism in chosen}
+        some = {key: number for key, number in of_world.items() if key.mechanism in chosen}
         rows += _of_robots(some, world, known, dataset)
     rows += [
-        _row(key, one, known, dataset)
-        for key, one in own.items()
+        _row(key, number, known, dataset)
+        for key, number in own.items()
         if key.measure.source == AS_SHARED and key.metric in {*DESCRIPTORS, *DISTANCE}
     ]
     some_attacks = [attack for attack in attacks if attack.mechanism in chosen]
@@ -117,9 +117,9 @@ def _of_robots(
     found: Found, world: str, known: Mapping[str, Family], dataset: str
 ) -> Iterator[dict[str, Any]]:
     name = f"{dataset}:{world}" if world else dataset
-    for key, one in found.items():
+    for key, number in found.items():
         if key.metric in _OF_ROBOTS:
-            yield _row(key, one, known, name)
+            yield _row(key, number, known, name)
 
 
 def _of_linkers(
@@ -131,8 +131,10 @@ def _of_linkers(
 ) -> Iterator[dict[str, Any]]:
     """Yield what the strongest linker of each task finds, and its share of what raw leaves."""
     cards = _cards(linked)
-    linkers = [one for one in attacks if one.source.task and one.among == HEADLINE]
-    raws = {one.source.task: one for one in linkers if known[one.mechanism].family == RAW}
+    linkers = [attack for attack in attacks if attack.source.task and attack.among == HEADLINE]
+    raws = {
+        linker.source.task: linker for linker in linkers if known[linker.mechanism].family == RAW
+    }
     for linker in linkers:
         raw = raws.get(linker.source.task)
         metric = success_of(found, (raw or linker).source)
@@ -169,7 +171,7 @@ def _chance(source: Source, metric: str, where: Where, found: Found) -> float:
 
 
 def _row(
-    key: Key, one: Estimate, known: Mapping[str, Family], dataset: str, *, adversary: str = ""
+    key: Key, number: Estimate, known: Mapping[str, Family], dataset: str, *, adversary: str = ""
 ) -> dict[str, Any]:
     family = known[key.mechanism]
     return {
@@ -183,7 +185,7 @@ def _row(
         "consumer": key.consumer,
         "knowledge": key.knowledge,
         "metric": key.metric,
-        **{name: getattr(one, name) for name in ("value", "ci_low", "ci_high", "n")},
+        **{name: getattr(number, name) for name in ("value", "ci_low", "ci_high", "n")},
         "outcome": "",
         "invalid": "",
     }
