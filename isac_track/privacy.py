@@ -92,10 +92,10 @@ def described(
     """Return what is known of every trajectory, (`N_DESCRIBED`, N).
 
     PLR, AEL, MEL, number of segments, mean squared error in m^2, PLR at `WIDE_TIMES` epsilon, and
-    the median distance to the truth in m. As `exposure` of `leakage_indicator`, in one pass over sound arrays: `xy` and `truth` are (M, 2)
-    m. What was `moved`, from positions to others in a frame that is turned by the angle of the
-    unit number `turn`, takes these steps from `xy` in the true frame; what was not stays as it is,
-    bit by bit.
+    the median distance to the truth in m. As `exposure` of `leakage_indicator`, in one pass over
+    sound arrays: `xy` and `truth` are (M, 2) m. What was `moved`, from positions to others in a
+    frame that is turned by the angle of the unit number `turn`, takes these steps from `xy` in the
+    true frame; what was not stays as it is, bit by bit.
     """
     to, since = moved or (xy, xy)
     places = tuple(np.ascontiguousarray(one) for one in (xy, truth, to, since))
