@@ -1,29 +1,39 @@
 """Choose a level for a site: `python -m evaluation.design --max-missed 0.20 OUT`."""
 
+from __future__ import annotations
+
 import json
+import math
 import sys
-from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from evaluation.reporting import noise_plan
 from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
 from isac_track.errors import SettingsError
 from isac_track.kalman import steady
 
-_EPILOG = """\
-Of every family the strictest level of the run (the smallest eta, the largest d_sigma) that meets
---max-missed, and --max-false-alarm if given, is chosen, provided that every less strict one meets
-them as well. The other limits are judged at that level, after the strongest attack. All are met
-only if the upper end of the 95 % interval is at or below them. No level is interpolated.
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Sequence
 
-exit codes: 0 some family meets everything under every adding rule asked for; 1 none does, or it
+    from evaluation.verdict.what_to_share import Question
+
+_EPILOG = """\
+Levels of mechanisms that claim to protect are held against every limit, after the strongest attack
+of each adversary that counts. A limit holds only if the upper end of the 95 % interval is at or
+below it; what was not tried does not hold. Of the levels that hold everything those are shown that
+no other one beats (in missed conflicts, PLR after attack, and linkage), at most five, cheapest
+first. No level is interpolated.
+
+exit codes: 0 some level holds everything under every adding rule asked for; 1 none does, or it
 cannot be said; 2 wrong usage or data.
 
 examples:
-  python -m evaluation.design --max-missed 0.20 runs/students03-paper-0
-  python -m evaluation.design --max-missed 0.20 --max-plr 0.5 --family fid \\
-      --adding independent runs/students03-paper-0
-  python -m evaluation.design --max-missed 0.25 --max-rank1 0.1 --json OUT | jq .met
+  python -m evaluation.design runs/students03-paper-0
+  python -m evaluation.design --max-missed 0.20 --max-plr 0.3 --family ou runs/students03-paper-0
+  python -m evaluation.design --against repeats --against anchor runs/students03-paper-0
+  python -m evaluation.design --criterion missed --horizon run --json OUT | jq .met
   python -m evaluation.design --plan --max-plr 0.2    (without a run, from closed forms)
 """
 
@@ -72,32 +82,55 @@ def _plan(arguments: Sequence[str]) -> int:
 
 def _run(arguments: Sequence[str]) -> int:
     """Answer from a run."""
+    from evaluation.reporting.design_words import answer_of, show, to_json  # noqa: PLC0415 - heavy
+
+    options = _parser().parse_args(arguments)
+    answer = answer_of(options.out, _question(options))
+    if options.json:
+        print(json.dumps(to_json(answer), indent=1, allow_nan=False))
+    else:
+        show(answer)
+    return DONE if answer.recommendation.met else LIMIT_NOT_MET
+
+
+def _parser() -> Parser:
     from evaluation.analysis.families import ADDING_RULES  # noqa: PLC0415 - heavy
-    from evaluation.analysis.metrics import METRICS, SUCCESS  # noqa: PLC0415 - heavy
-    from evaluation.reporting.design_words import show, to_json  # noqa: PLC0415 - heavy
-    from evaluation.verdict.choose_level import ASKED, Limits, choose  # noqa: PLC0415 - heavy
+    from evaluation.analysis.metrics import METRICS  # noqa: PLC0415 - heavy
+    from evaluation.verdict.what_to_share import HORIZON_S, LIMITS, USUAL  # noqa: PLC0415 - heavy
 
     words = {
-        "missed": "missed conflicts, a fraction of all conflicts",
+        "missed": "missed conflicts of the robot at raw's false-alarm rate, a fraction",
         "false_alarm": "false alarms, a fraction of the scenes without a conflict",
-        SUCCESS: "rank 1 of the strongest attack, a fraction: in every task but those of simulated "
+        "plr": "PLR, a fraction, at epsilon and at 4/3 of it",
+        "rank1": "rank 1 of the strongest attack, a fraction: in every task but those of simulated "
         "people",
+        "linkage_share": "rank 1 above chance in the leading handover, as a fraction of raw's; 1: "
+        "not asked",
     }
     command = Parser(
         prog="python -m evaluation.design",
-        description="Choose a level for a site: the smallest eta of a run that meets a target of "
-        "utility, what is left of privacy there, and a plain yes or no.",
+        description="Choose a level for a site: which levels of a run hold limits of privacy and "
+        "utility, what each costs, and who breaks it.",
         epilog=_EPILOG,
     )
     add = command.add_argument
     add("out", type=Path, metavar="OUT", help="folder of a run")
-    for name, metric in ASKED.items():
+    for name, metric in LIMITS.items():
         shown = METRICS[metric]
-        what, unit = ("a fraction", "X") if shown.is_share else ("in s", "S")
-        about = words.get(name, f"{shown.head}, {what}")
+        kind, unit = ("a fraction", "X") if shown.is_share else ("in s", "S")
+        about = words.get(name, f"{shown.head}, {kind}")
+        usual = USUAL.get(name)
+        default = "" if usual is None else f" (default: {usual:g})"
         option = f"--max-{name.replace('_', '-')}"
-        add(option, type=float, required=name == "missed", metavar=unit, help=about)
-    add("--predictor", metavar="NAME", help="the robot's predictor (default: the run's first)")
+        add(option, type=float, default=usual, metavar=unit, help=f"{about}{default}")
+    about = "an adversary that counts beside blind and informed: repeats, anchor, companions, "
+    add("--against", action="append", default=[], metavar="NAME", help=f"{about}insider")
+    about = "conflicts to choose by: those still to come, or all (default: missed_future)"
+    choices = ("missed_future", "missed")
+    add("--criterion", choices=choices, default=choices[0], help=about)
+    about = f"within how many s they are; `run`: the run's own horizon (default: {HORIZON_S:g})"
+    add("--horizon", default=f"{HORIZON_S:g}", metavar="S", help=about)
+    add("--predictor", metavar="NAME", default="", help="the robot's (default: the run's best)")
     about = "a mechanism's family, such as fid; repeatable (default: every one of the run)"
     add("--family", action="append", default=[], metavar="NAME", help=about)
     about = "hold PLR, AEL and MEL against what was shared, not against the best reconstruction "
@@ -106,22 +139,32 @@ def _run(arguments: Sequence[str]) -> int:
     add("--adding", choices=[*ADDING_RULES, "both"], default="both", help=about)
     add("--json", action="store_true", help="print one JSON object and nothing else")
     add("--plan", action="store_true", help="answer without a run: --plan --help")
-    options = command.parse_args(arguments)
+    return command
 
-    asked = {name: getattr(options, f"max_{name}") for name in ASKED}
-    given = {name: limit for name, limit in asked.items() if limit is not None}
-    choice = choose(
-        options.out,
-        limits=Limits(given, as_shared=options.as_shared),
+
+def _question(options: argparse.Namespace) -> Question:
+    """Return the question that was typed; SettingsError for what no question can be."""
+    from evaluation.analysis.families import ADDING_RULES  # noqa: PLC0415 - heavy
+    from evaluation.verdict.what_to_share import LIMITS, Criterion, Question  # noqa: PLC0415 - heavy
+
+    horizon_s = None
+    if options.horizon != "run":
+        try:
+            horizon_s = float(options.horizon)
+        except ValueError:
+            horizon_s = math.nan
+        if not 0.0 < horizon_s < math.inf:
+            raise SettingsError(f"--horizon takes a time in s or `run`, got {options.horizon!r}")
+    asked = {name: getattr(options, f"max_{name}") for name in LIMITS}
+    return Question(
+        limits={name: limit for name, limit in asked.items() if limit is not None},
+        against=tuple(dict.fromkeys(options.against)),
+        criterion=Criterion(options.criterion, horizon_s),
+        robot=options.predictor,
         adding=ADDING_RULES if options.adding == "both" else (options.adding,),
-        predictor=options.predictor,
-        only=options.family,
+        only=tuple(options.family),
+        as_shared=options.as_shared,
     )
-    if options.json:
-        print(json.dumps(to_json(choice), indent=1, allow_nan=False))
-    else:
-        show(choice)
-    return DONE if choice.met else LIMIT_NOT_MET
 
 
 if __name__ == "__main__":

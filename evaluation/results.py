@@ -17,18 +17,25 @@ from evaluation.analysis import horizons, linkability, paper, summary, weak_atta
 from evaluation.analysis.bounds import gaps, linked_gaps
 from evaluation.analysis.by_speed import by_speed
 from evaluation.analysis.decisions import decisions
-from evaluation.analysis.families import families_in
+from evaluation.analysis.families import CLEAN, RAW, families_in
 from evaluation.analysis.frontier import frontier
 from evaluation.analysis.galleries import TPR, galleries
 from evaluation.analysis.keys import Key, Source, horizons_in, judged_at
+from evaluation.analysis.levels import levels
 from evaluation.analysis.linked_people import Choices, read_probes
 from evaluation.analysis.matching import FUTURE, Sweeps, matched
 from evaluation.analysis.metrics import ACHIEVED, ASSIGNED, EXPOSURE, SUCCESS, SUCCESS_OF_100
 from evaluation.analysis.pooled import Answered, answered, answers_of, to_frame
 from evaluation.analysis.strongest import HEADLINE, cross_fitted, strongest
-from evaluation.analysis.strongest_table import strongest_on_each, strongest_table
-from evaluation.experiment.constants import BLOCK_SCENES, MOST_SCENES, WORLDS, horizon_world
-from evaluation.experiment.plan import Plan, plan
+from evaluation.analysis.strongest_table import Strongest, strongest_on_each, strongest_table
+from evaluation.experiment.constants import (
+    BLOCK_SCENES,
+    MOST_SCENES,
+    WORLDS,
+    horizon_of,
+    horizon_world,
+)
+from evaluation.experiment.plan import Plan, plan, trial
 from evaluation.experiment.settings import Settings, check_drawing
 from evaluation.reporting import page, study_page
 from evaluation.reporting.announcements import plan_lines
@@ -40,11 +47,12 @@ from evaluation.reporting.rows import Results
 from evaluation.reporting.tables import write_tex, write_text
 from evaluation.runs import folder
 from evaluation.runs.cell_files import Summed, read_gallery
-from evaluation.runs.execute import execute
+from evaluation.runs.execute import execute, execute_trial
 from evaluation.runs.files import FRAMES, check_sound, locked, to_csv, write_whole
 from evaluation.runs.manifest import FAILED_COLUMNS, read_manifest
 from evaluation.runs.workers import ahead, aside, given_back
 from evaluation.verdict import sections as verdict
+from evaluation.verdict.what_to_share import default_question, leading_handover, recommend
 from isac_track.datasets import Dataset
 from isac_track.errors import DataError, SettingsError
 from isac_track.intervals import Estimate
@@ -88,6 +96,7 @@ def run(
     with given_back(), locked(ready.out), _one_thread(), numeric, shown as update:
         with ahead():
             execute(ready, update)
+            _try_candidates(ready, update)
         # One helps that is new: those of cells hold much, and strangers' plug-ins ran in them.
         with ahead(int(ready.jobs > 1), (__name__,)):
             return build(ready.out, pictures=pictures)
@@ -164,12 +173,12 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     predictors, known = manifest["settings"]["predictors"], families_in(manifest["cells"])
     with aside(partial(_of_links, out, manifest)) as of_links:
         scenes = _of_scenes(out, manifest)
-        linked, sums, table = of_links()
-    found, attacked = scenes.estimates, scenes.attacked
+        links = of_links()
+    linked, sums = links.estimates, links.sums | scenes.attacked
+    found = scenes.estimates
     flagged, looked = weak_attacks.flags(found, slow=weak_attacks.slow_attacks(manifest))
     sweeps = Sweeps({**found, **scenes.own.at_raw_alarms, **linked}, known)
     best = strongest(sweeps.found, known)
-    sums |= attacked
     few = {key: one for key, one in sweeps.found.items() if key.metric in _OF_PEOPLE}
     crossed = {
         task: cross_fitted(sums, known, source, by=SUCCESS if task else EXPOSURE)
@@ -182,26 +191,16 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         for one in on_each
         if one.source.task and one.among == HEADLINE
     }
-    about = out, manifest, Sweeps(few, known), best, choices
-    with aside(partial(_of_people, *about)) as of_people:
+    of_run = out, manifest, Sweeps(few, known), best, choices
+    with aside(partial(_of_people, *of_run)) as of_people:
         at_equal = [matched(sweeps, predictors=predictors, dataset=dataset)]
         frontiers = [frontier(sweeps, predictors=predictors, dataset=dataset, attacks=on_each)]
         for horizon_s, robots in scenes.later.items():
             at_horizon = Sweeps(judged_at(sweeps.found, robots.every), known)
-            world = horizon_world(horizon_s)
-            frontiers.append(
-                frontier(
-                    at_horizon, predictors=predictors, dataset=dataset, world=world, attacks=on_each
-                )
-            )
+            about: dict[str, Any] = {"dataset": dataset, "world": horizon_world(horizon_s)}
+            frontiers.append(frontier(at_horizon, predictors=predictors, attacks=on_each, **about))
             at_equal.append(
-                matched(
-                    at_horizon,
-                    predictors=predictors[:1],
-                    criteria=(FUTURE,),
-                    dataset=dataset,
-                    world=world,
-                )
+                matched(at_horizon, predictors=predictors[:1], criteria=(FUTURE,), **about)
             )
         tidy = summary.to_frame(
             {**found, **linked}, worlds=scenes.worlds, known=known, dataset=dataset
@@ -209,8 +208,8 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         far = weak_attacks.far_from_optimum(gaps(tidy))
         speeds = by_speed(out, manifest, sweeps.found, known=known, best=best)
         in_galleries, across = of_people()
-    cross_fits = {key: one for of in crossed.values() for key, one in of.estimates.items()}
-    judged = Sweeps({**sweeps.found, **cross_fits}, known)
+    estimates = {key: one for of in crossed.values() for key, one in of.estimates.items()}
+    judged = Sweeps({**sweeps.found, **estimates}, known)
     later = {
         horizon_s: Sweeps(judged_at(judged.found, robots.every), known)
         for horizon_s, robots in scenes.later.items()
@@ -233,11 +232,12 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         claims=paper.claims(sweeps, every_match, dataset=dataset, history=manifest["history"]),
         matched=every_match,
         frontier=pd.concat(frontiers, ignore_index=True),
+        levels=_levels_of(manifest, scenes, links, attacks=on_each),
         attacked=strongest_table(on_each, sweeps.found, dataset=dataset),
         decisions=pd.concat([robots.decided for robots in scenes.judged], ignore_index=True),
         curves=pd.concat([robots.curves for robots in scenes.judged], ignore_index=True),
         flags=pd.concat([flagged, far], ignore_index=True) if len(far) else flagged,
-        linkability=table,
+        linkability=links.table,
         galleries=in_galleries,
         speeds=speeds,
         verdict=said,
@@ -250,13 +250,19 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     return replace(results, verdict={"answer": told, **said}), looked
 
 
-def _of_links(
-    out: Path, manifest: Mapping[str, Any]
-) -> tuple[dict[Key, Estimate], dict[Key, Summed], pd.DataFrame]:
-    """Return what the cells of linkage tell: estimates and sums, and `linkability.csv`."""
+@dataclass(frozen=True, eq=False, slots=True)
+class _Links:
+    """What the cells of linkage tell."""
+
+    estimates: dict[Key, Estimate]
+    sums: dict[Key, Summed]
+    table: pd.DataFrame  # `linkability.csv`
+
+
+def _of_links(out: Path, manifest: Mapping[str, Any]) -> _Links:
     read = linkability.cards(out, manifest, drawn=_DRAWN)
     table = linkability.linkability(read, dataset=manifest["dataset"]["name"])
-    return summary.linkage_estimates(read), summary.linkage_sums(read), table
+    return _Links(summary.linkage_estimates(read), summary.linkage_sums(read), table)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -323,6 +329,59 @@ def _judged(
 ) -> _Judged:
     curves, decided, at_raw_alarms = decisions(scored, manifest, estimates, dataset=dataset)
     return _Judged(estimates, at_raw_alarms, curves, decided)
+
+
+def _try_candidates(ready: Plan, update: Callable[[int, int, str], None]) -> None:
+    """Let adversaries who know more attack the levels that would be proposed without them."""
+    if not trial(ready, specs=[plugin.spec for plugin in ready.axes.mechanisms]).units:
+        return
+    manifest = read_manifest(ready.out)
+    entries = manifest["cells"]
+    # What those levels rest on; of all that is linked the leading handover.
+    known = families_in(entries)
+    names = {
+        name for name, family in known.items() if family.protects or family.family in (RAW, CLEAN)
+    }
+    leading = leading_handover({Source(entry["consumer"]).task for entry in entries})
+    needed = [
+        entry
+        for entry in entries
+        if entry["mechanism"] in names
+        and Source(entry["consumer"]).task in ("", leading)
+        and (not entry.get("world") or horizon_of(entry["world"]) is not None)
+    ]
+    few = manifest | {"cells": needed}
+    scenes, links = _of_scenes(ready.out, few), _of_links(ready.out, few)
+    estimates = {**scenes.estimates, **links.estimates}
+    attacks = strongest_on_each(estimates, links.sums | scenes.attacked, families_in(needed))
+    table = _levels_of(few, scenes, links, attacks=attacks)
+    dataset, question = manifest["dataset"]["name"], default_question(families_in(needed))
+    offers = recommend(table, question, dataset=dataset).candidates
+    wheres = {offer.where for offer in offers}
+    specs = [entry["spec"] for entry in needed if (entry["mechanism"], entry["level"]) in wheres]
+    n_cells = ready.n_cells  # All are finished: these are few, and not told as a part of them.
+    report = partial(_tell_trial, update, n_cells)
+    execute_trial(trial(ready, specs=specs), report)
+
+
+def _tell_trial(
+    update: Callable[[int, int, str], None], n_cells: int, _done: int, _total: int, text: str
+) -> None:
+    update(n_cells, n_cells, f"levels to propose: {text}")
+
+
+def _levels_of(
+    manifest: Mapping[str, Any], scenes: _Scenes, links: _Links, *, attacks: Sequence[Strongest]
+) -> pd.DataFrame:
+    """Return what a site gets and pays at each level."""
+    return levels(
+        {**scenes.estimates, **scenes.own.at_raw_alarms, **links.estimates},
+        attacks=attacks,
+        horizons={horizon_world(at): robots.every for at, robots in scenes.later.items()},
+        linked=links.table,
+        known=families_in(manifest["cells"]),
+        dataset=manifest["dataset"]["name"],
+    )
 
 
 def _of_people(

@@ -2,26 +2,29 @@
 
 from math import nan, sqrt
 
+import numpy as np
+
 from isac_track.compiling import FLOAT, compiled, read, together, written
 from isac_track.types import Floats, Ints
 
 
-@compiled(together(*[read(2)] * 4), read(1), read(1, "int64"), together(*[FLOAT] * 4), written(2))
+@compiled(together(*[read(2)] * 4), read(1), read(1, "int64"), together(*[FLOAT] * 5), written(2))
 def described(
     places: tuple[Floats, ...], t: Floats, offsets: Ints, rule: tuple[float, ...], out: Floats
 ) -> None:
-    """Fill `out` (5, N) with PLR, AEL, MEL, segments and mean squared error of every track.
+    """Fill `out` (7, N) with what `isac_track.privacy.described` returns of every track.
 
-    The `rule` is the cosine and sine of the turn, epsilon in m, and 1 if a sample lasts by the
-    intervals beside it, 0 if all last their mean.
+    The `rule` is the cosine and sine of the turn, epsilon and the wider distance in m, and 1 if a
+    sample lasts by the intervals beside it, 0 if all last their mean.
     """
-    (xy, truth, moved_to, moved_from), (cos, sin, epsilon_m, by_segment) = places, rule
+    (xy, truth, moved_to, moved_from), (cos, sin, epsilon_m, wide_m, by_segment) = places, rule
     for i in range(offsets.size - 1):
         own = slice(offsets[i], offsets[i + 1])
         shared, true, to, since, clock = xy[own], truth[own], moved_to[own], moved_from[own], t[own]
         n = clock.size
         total_m2 = run_s = leaked_s = longest_s = 0.0
-        leaked = segments = leaks = 0
+        leaked = leaked_wide = segments = leaks = 0
+        away_m = np.empty(n)
         mean_s = (clock[n - 1] - clock[0]) / (n - 1) if n > 1 else 0.0
         before_s = clock[1] - clock[0] if n > 1 else 0.0
         for k in range(n):
@@ -31,7 +34,9 @@ def described(
             square_m2 = x * x + y * y
             total_m2 += square_m2
             # Without a branch: which samples leak is as hard to foretell as a coin.
-            leaked_before, leaks = leaks, int(sqrt(square_m2) < epsilon_m)
+            away_m[k] = sqrt(square_m2)
+            leaked_before, leaks = leaks, int(away_m[k] < epsilon_m)
+            leaked_wide += int(away_m[k] < wide_m)
             leaked += leaks
             segments += leaks * (1 - leaked_before)
             after_s = clock[k + 1] - clock[k] if k + 1 < n else before_s
@@ -46,3 +51,5 @@ def described(
         out[2, i] = nan if unknown else longest_s
         out[3, i] = segments
         out[4, i] = total_m2 / n
+        out[5, i] = leaked_wide / n
+        out[6, i] = np.median(away_m)

@@ -16,7 +16,7 @@ import types
 import typing
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
@@ -76,6 +76,7 @@ class Plugin:
     instance: Any  # The frozen object.
     family: str = ""  # Its name without parameters.
     adding: str = ""  # Adding rule that a mechanism declares; empty if it has none.
+    protects: bool = True  # Whether a mechanism claims to protect: a control does not.
     digest: str = ""  # Of what was given as an object: what its cells depend on beside its SPEC.
 
 
@@ -398,7 +399,24 @@ def configured(kind: Kind, name: str, cls: type, origin: str, changes: dict[str,
             parameters.append(f"{item.name}={_text(value)}")
     column = f"{name}:{','.join(parameters)}" if parameters else name
     spec = column if level is None else ",".join([f"{name}:{_text(level)}", *parameters])
-    return Plugin(column, level, spec, origin, instance, family=name, adding=adding)
+    protects = kind != "mechanisms" or claims_protection(instance, origin)
+    return Plugin(column, level, spec, origin, instance, name, adding, protects=protects)
+
+
+def _declared(instance: object, origin: str, attribute: str, default: object = None) -> Any:  # noqa: ANN401 - a stranger's
+    """Return what a plug-in declares; PluginError if asking fails: it may be a property."""
+    try:
+        return getattr(instance, attribute, default)
+    except Exception as error:
+        raise PluginError(f"{origin}.{attribute}: {told(error)}") from error
+
+
+def claims_protection(mechanism: object, origin: str) -> bool:
+    """Return whether a mechanism claims to protect; PluginError if it says neither yes nor no."""
+    protects = _declared(mechanism, origin, "protects", default=True)
+    if not isinstance(protects, bool):
+        raise PluginError(f"{origin}.protects must be True or False, got {quoted(protects)}")
+    return protects
 
 
 def check_declared(kind: Kind, instance: object, origin: str) -> str:
@@ -406,13 +424,9 @@ def check_declared(kind: Kind, instance: object, origin: str) -> str:
     from isac_track.protocols import kind_of  # noqa: PLC0415 - a list of names needs no numpy
     from isac_track.types import Adding, Knowledge  # noqa: PLC0415 - a list of names needs no numpy
 
-    def declared(attribute: str, default: object = None) -> Any:  # noqa: ANN401 - a stranger's
-        try:
-            return getattr(instance, attribute, default)
-        except Exception as error:  # it may be a property
-            raise PluginError(f"{origin}.{attribute}: {told(error)}") from error
-
+    declared = partial(_declared, instance, origin)
     if kind == "mechanisms":
+        claims_protection(instance, origin)
         # A rule for an error that is not there is none.
         adding = declared("adding") if declared("adds_error", default=True) else ""
         return adding if isinstance(adding, str) and adding in typing.get_args(Adding) else ""

@@ -6,11 +6,16 @@ They describe the samples as shared; they say nothing of what an adversary can r
 
 from dataclasses import dataclass
 from importlib import import_module
+from typing import Final
 
 import numpy as np
 
 from isac_track.config import IntervalsOf, PrivacySettings
 from isac_track.types import Bools, Floats, Ints, squared_lengths
+
+WIDE_TIMES: Final = 4.0 / 3.0
+"""Times epsilon: the distance at which errors that a mechanism parks just outside epsilon show."""
+N_DESCRIBED: Final = 7  # Numbers of each trajectory.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -64,7 +69,7 @@ def exposure(
         raise ValueError("offsets must run from 0 to M without an empty trajectory")
     # As of positions that are the truth where they leak, and lie beyond epsilon where not.
     away_m = np.repeat(2.0 * ~leaked[:, None], 2, axis=1)
-    plr, ael_s, mel_s, segments, _ = described(
+    plr, ael_s, mel_s, segments, *_ = described(
         xy=away_m,
         truth=np.zeros_like(away_m),
         t=t.astype(np.float64, copy=False),
@@ -84,17 +89,19 @@ def described(
     moved: tuple[Floats, Floats] | None = None,
     turn: complex = 1.0,
 ) -> Floats:
-    """Return PLR, AEL, MEL, segments and mean squared error, m^2, of every trajectory, (5, N).
+    """Return what is known of every trajectory, (`N_DESCRIBED`, N).
 
-    As `exposure` of `leakage_indicator`, in one pass over sound arrays: `xy` and `truth` are (M, 2)
-    m. What was `moved`, from positions to others in a frame that is turned by the angle of the
-    unit number `turn`, takes these steps from `xy` in the true frame; what was not stays as it is,
-    bit by bit.
+    PLR, AEL, MEL, number of segments, mean squared error in m^2, PLR at `WIDE_TIMES` epsilon, and
+    the median distance to the truth in m. As `exposure` of `leakage_indicator`, in one pass over
+    sound arrays: `xy` and `truth` are (M, 2) m. What was `moved`, from positions to others in a
+    frame that is turned by the angle of the unit number `turn`, takes these steps from `xy` in the
+    true frame; what was not stays as it is, bit by bit.
     """
     to, since = moved or (xy, xy)
     places = tuple(np.ascontiguousarray(one) for one in (xy, truth, to, since))
-    times, out = np.ascontiguousarray(t), np.empty((5, offsets.size - 1))
-    rule = turn.real, turn.imag, settings.epsilon_m, float(settings.intervals == "segment")
+    times, out = np.ascontiguousarray(t), np.empty((N_DESCRIBED, offsets.size - 1))
+    wide_m, by_segment = WIDE_TIMES * settings.epsilon_m, float(settings.intervals == "segment")
+    rule = turn.real, turn.imag, settings.epsilon_m, wide_m, by_segment
     import_module("isac_track._privacy_loop").described(places, times, offsets, rule, out)
     return out
 

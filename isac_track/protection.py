@@ -104,6 +104,7 @@ class Ou:
 
     adding: ClassVar[Adding] = "independent"
     law: ClassVar[ErrorLaw] = "isotropic"
+    protects: ClassVar[bool] = True
     errors_are_independent: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
@@ -128,6 +129,7 @@ class OuFid:
     sweep: ClassVar[str] = "log"
     adding: ClassVar[Adding] = "independent"
     law: ClassVar[ErrorLaw] = "isotropic"
+    protects: ClassVar[bool] = True
     errors_are_independent: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
@@ -152,6 +154,7 @@ class Laplace:
 
     adding: ClassVar[Adding] = "independent"
     law: ClassVar[ErrorLaw] = "isotropic"
+    protects: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         check_at_least("std_m", self.std_m, 0, " m")
@@ -187,6 +190,7 @@ class Forecast:
 
     adding: ClassVar[Adding] = "independent"
     law: ClassVar[ErrorLaw] = "isotropic"
+    protects: ClassVar[bool] = True
     errors_are_independent: ClassVar[bool] = False
 
     def __post_init__(self) -> None:

@@ -51,7 +51,8 @@ class Mechanism(Protocol):
     """Turns what was sensed into what is shared.
 
     A class attribute ``sweep = "log"`` or ``"linear"`` says how ``name:LOW..HIGH/COUNT``
-    spaces the first field.
+    spaces the first field; ``protects = False`` that it claims no protection, so that no level of
+    it is ever proposed to a site (without it a mechanism does claim that).
     """
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:

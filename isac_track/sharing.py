@@ -111,6 +111,7 @@ class Raw:
     """Share the raw sensing estimates."""
 
     adds_error: ClassVar[bool] = False
+    protects: ClassVar[bool] = False
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the raw estimates under pseudonyms."""
@@ -124,6 +125,8 @@ class Fixed:
     d_sigma: float  # m
     adding: Adding = "linear"
     law: ErrorLaw | None = None  # Law of the added error; None: that of the raw error.
+
+    protects: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         check_at_least("d_sigma", self.d_sigma, 0, " m")
@@ -144,6 +147,7 @@ class Fid:
     law: ErrorLaw | None = None  # Law of the added error; None: that of the raw error.
 
     sweep: ClassVar[str] = "log"
+    protects: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         positive("eta", self.eta)
@@ -161,6 +165,7 @@ class Clean:
     """Share the truth: no sensing error, nothing added. The ceiling of every attack."""
 
     adds_error: ClassVar[bool] = False
+    protects: ClassVar[bool] = False
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the true positions, declared with a standard deviation of 0 m."""

@@ -72,6 +72,7 @@ class Correlated:
     adding: Adding = "linear"
 
     errors_are_independent: ClassVar[bool] = False  # Without that no linear benchmark holds.
+    protects: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         check_at_least("d_sigma", self.d_sigma, 0, " m")
@@ -101,6 +102,7 @@ class Offset:
 
     adds_error: ClassVar[bool] = False
     errors_are_independent: ClassVar[bool] = False
+    protects: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         check_at_least("distance", self.distance, 0, " m")
@@ -123,6 +125,8 @@ class Thin:
     every: int  # One sample in so many is shared.
     adding: Adding = "linear"
     d_sigma: float = 0.0  # m
+
+    protects: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         check_at_least("every", self.every, 1)

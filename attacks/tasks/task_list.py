@@ -65,13 +65,11 @@ TASKS: Final[Mapping[str, Task]] = {
     task.name: task
     for task in (
         Task(
-            "rerelease",
-            "two logs of largely the same steps, without frame or clock",
-            is_one_stretch=True,
+            "rerelease", "two logs of the same steps, without frame or clock", is_one_stretch=True
         ),
         Task(
             "rerelease-framed",
-            "two logs of largely the same steps, in the true frame and on the true clock: the bound",
+            "two logs of the same steps, in the true frame and on the true clock: the bound",
             shows_scene=True,
             is_one_stretch=True,
         ),

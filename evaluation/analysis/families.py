@@ -26,6 +26,7 @@ class Family:
     mechanism: str  # As in the results: `fid:adding=independent`.
     family: str  # The plug-in's name without parameters: `fid`.
     adding: str  # The rule that it declares: `linear`, `independent`, or empty without one.
+    protects: bool = True  # Whether it claims to protect: controls, raw and clean do not.
 
     @property
     def rules(self) -> tuple[str, ...]:
@@ -57,12 +58,18 @@ class Family:
 def families_in(rows: pd.DataFrame | Sequence[Mapping[str, Any]]) -> dict[str, Family]:
     """Return the mechanisms of a run by name, in its order.
 
-    `rows` have `mechanism`, `family` and `adding`: a summary, or `manifest["cells"]`.
+    `rows` have `mechanism`, `family` and `adding`: a summary, or `manifest["cells"]`, which also
+    say whether each claims to protect.
     """
-    columns = pd.DataFrame(rows, columns=["mechanism", "family", "adding"]).drop_duplicates()
-    # Of a file that was read without care an empty text is missing.
-    known = columns.fillna("").itertuples(index=False, name=None)
-    return {mechanism: Family(mechanism, family, adding) for mechanism, family, adding in known}
+    texts = ["mechanism", "family", "adding"]
+    frame = pd.DataFrame(rows, columns=[*texts, "protects"]).drop_duplicates(texts)
+    # Of a file that was read without care an empty text is missing; a summary does not say.
+    known = frame[texts].astype(object).fillna("").itertuples(index=False, name=None)
+    claims = frame["protects"].astype(object).fillna(value=True).astype(bool)
+    return {
+        mechanism: Family(mechanism, family, adding, protects=protects)
+        for (mechanism, family, adding), protects in zip(known, claims, strict=True)
+    }
 
 
 def with_unit(mechanism: str) -> str:

@@ -6,10 +6,10 @@ A new metric is a row here, and the function that computes it.
 from dataclasses import dataclass
 from typing import Final, Literal
 
-Measured = Literal["predictor", "descriptor", "reconstruction", "linkage", "bound"]
+Measured = Literal["predictor", "descriptor", "reconstruction", "distance", "linkage", "bound"]
 """Of what a metric is: a predictor's utility; a privacy descriptor of positions, as shared and
-after a reconstruction; what else a reconstruction is measured by; what a linker achieves; what no
-attack does better in a world of the fitted motion."""
+after a reconstruction; what else a reconstruction is measured by; how far off positions are beyond
+epsilon; what a linker achieves; what no attack does better in a world of the fitted motion."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +83,8 @@ _ROWS: Final = (
         column="plr",
         over="benchmark_plr",
     ),
+    Metric("plr_wide", "PLR at 4/3 epsilon", "distance", column="plr_wide"),
+    Metric(*("median_error", "median error", "distance", "m"), digits=2, column="median_error_m"),
     Metric("plr_gap", "below the optimum", "bound", column="plr_gap", is_difference=True),
     Metric("rank1_optimum", "optimal rank 1", "bound"),
     Metric("rank1_gap", "below the optimum", "bound", is_difference=True),
@@ -116,6 +118,8 @@ def measured(*where: Measured) -> tuple[str, ...]:
 UTILITY: Final = measured("predictor")
 DESCRIPTORS: Final = measured("descriptor")  # Of privacy: PLR, AEL and MEL.
 RECONSTRUCTION: Final = measured("descriptor", "reconstruction")  # Of what an attack rebuilds.
+DISTANCE: Final = measured("distance")  # Whether errors lie just outside epsilon.
+WIDE, MEDIAN = DISTANCE
 GAP: Final = "plr_gap"  # In model worlds alone.
 RANK_OPTIMUM, RANK_GAP = "rank1_optimum", "rank1_gap"  # The same of rank 1.
 CEILING: Final = "plr_ceiling"
@@ -128,6 +132,7 @@ EQUAL_ALARMS: Final = "missed_at_equal_false_alarms"
 FUTURE_EQUAL_ALARMS: Final = "missed_future_at_equal_false_alarms"
 """Missed conflicts that are still to come, at that same rate; not in the summary."""
 COSTS: Final = (MISSED_RATE, MISSED_FUTURE, EQUAL_ALARMS, FUTURE_EQUAL_ALARMS)  # Of noise.
+FALSE_ALARMS: Final = "false_alarm_rate"
 ERROR: Final = "distance_mae"  # How far off the separation is that a robot foresees.
 OF_ROBOT: Final = "plr_robot"  # What a robot itself knows of where somebody was.
 ROBOTS_OWN: Final = (ERROR, OF_ROBOT)  # What is told of a robot at a price.
@@ -136,4 +141,6 @@ EXPOSURE: Final = "plr"  # The descriptor that reconstructions are ranked by.
 SUCCESS: Final = "rank1"  # What linkers are ranked by.
 ASSIGNED: Final = "rank1_assigned"  # The same where all probes are matched at once.
 SUCCESS_OF_100: Final = "rank1_g100"  # The same in a gallery of 100: what compares over runs.
+LINKAGE_SHARE: Final = "linkage_share"
+"""Rank 1 less chance as a share of what it is under raw, paired; in `levels.csv` alone."""
 ACHIEVED: Final = (SUCCESS, "auc")  # What is compared of a linker at equal cost.

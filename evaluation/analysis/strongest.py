@@ -32,9 +32,11 @@ from evaluation.analysis.metrics import (
     ASSIGNED,
     DESCRIPTORS,
     EXPOSURE,
+    MEDIAN,
     METRICS,
     SUCCESS,
     SUCCESS_OF_100,
+    WIDE,
 )
 from evaluation.experiment.presets import IDENTITY
 from isac_track.types import Bools, Floats, read_only
@@ -50,7 +52,7 @@ GROUPS: Final = (HEADLINE, *((name,) for name in BEYOND))  # Each has its strong
 RULES: Final = (SUCCESS, ASSIGNED)
 """How a linker names mates: for each probe its best candidate, or by the matching of them all."""
 _CHOICES: Final = {
-    EXPOSURE: (((EXPOSURE,), DESCRIPTORS),),
+    EXPOSURE: (((EXPOSURE,), (*DESCRIPTORS, MEDIAN)), ((WIDE,), (WIDE,))),
     SUCCESS: ((RULES, (SUCCESS,)), ((SUCCESS_OF_100,), (SUCCESS_OF_100,))),
 }
 """By what attacks are ranked: each choice of a strongest, by which metrics, and what it scores."""

@@ -21,6 +21,7 @@ from evaluation.analysis.linkability import Cards, dataset_of
 from evaluation.analysis.metrics import (
     BOUNDS,
     DESCRIPTORS,
+    DISTANCE,
     EXPOSURE,
     GAP,
     METRICS,
@@ -39,7 +40,7 @@ COLUMNS = [
     *("dataset", "mechanism", "level", "consumer", "knowledge", "metric"),
     *("value", "ci_low", "ci_high", "n", "unit", "family", "adding"),
 ]
-_POSITIONS = [METRICS[name] for name in RECONSTRUCTION if METRICS[name].column]
+_POSITIONS = [METRICS[name] for name in (*RECONSTRUCTION, *DISTANCE) if METRICS[name].column]
 _SHARED = ["group", "scene", *(one.column for one in _POSITIONS if not one.over)]
 _BOUNDS = [METRICS[name] for name in BOUNDS]
 _COLUMNS_OF = {
@@ -103,7 +104,7 @@ def estimates(
         attacked |= {
             key: Summed(one, weights, used, names=names)
             for key, one in zip(keys, of_clusters, strict=True)
-            if key.knowledge and key.metric in DESCRIPTORS
+            if key.knowledge and key.metric in {*DESCRIPTORS, *DISTANCE}
         }
     return found, tuple(scored), attacked
 

@@ -240,7 +240,7 @@ def attack_rows(consumer: Consumer, level: AttackedLevel) -> Rows:
         return {**track_columns(level.scenes, np.arange(len(level.release))), **level.bound}
     who, block, granted = f"attack {consumer.label}", level.block, consumer.granted
     at_once = consumer.is_built_in and not consumer.is_slow
-    found = np.empty((5, len(level.release)))
+    found = np.empty((privacy.N_DESCRIBED, len(level.release)))
     is_attacked = np.zeros(len(level.release), dtype=bool)
     for fold, half in enumerate(level.victims):
         parts = [half]

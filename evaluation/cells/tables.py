@@ -92,7 +92,7 @@ def net_speeds(batch: Tracks | Scenes) -> Floats:
 
 
 def descriptors(release: Release, *, truth: Floats, settings: PrivacySettings) -> Rows:
-    """Return PLR, AEL, MEL and mean squared error of every track; `truth` is (M, 2) m."""
+    """Return the columns of `described_rows` of every track; `truth` is (M, 2) m."""
     xy, t, offsets = release.xy, release.t, release.offsets
     found = privacy.described(xy=xy, truth=truth, t=t, offsets=offsets, settings=settings)
     return described_rows(found)
@@ -100,8 +100,9 @@ def descriptors(release: Release, *, truth: Floats, settings: PrivacySettings) -
 
 def described_rows(found: Floats) -> Rows:
     """Return the columns of what `privacy.described` found."""
-    plr, ael_s, mel_s, _, mse_m2 = found
-    return {"plr": plr, "ael_s": ael_s, "mel_s": mel_s, "mse_m2": mse_m2}
+    plr, ael_s, mel_s, _, mse_m2, plr_wide, median_m = found
+    about = {"plr": plr, "ael_s": ael_s, "mel_s": mel_s, "mse_m2": mse_m2}
+    return about | {"plr_wide": plr_wide, "median_error_m": median_m}
 
 
 def track_means(values: Floats, offsets: Ints) -> Floats:

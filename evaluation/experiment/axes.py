@@ -107,18 +107,24 @@ class Axes:
     horizons_s: tuple[float, ...] = ()
     """Further horizons: in a world of its own each, where only predictors read, in all scenes."""
     adversaries: tuple[str, ...] = ()  # Asked for beside the usual ones.
+    trial: bool = False
+    """Whether only the attacks of these adversaries read: on a few levels, after all others."""
 
     @property
     def consumers(self) -> tuple[Consumer, ...]:
         """All consumers of a block of scenes: the descriptors first, attacks by adversary."""
+        attacks = tuple(
+            Consumer("attack", plugin, knowledge=adversary, granted=granted)
+            for plugin in self.attacks
+            for adversary, granted in grants(plugin.instance, asked=self.adversaries).items()
+            if not self.trial or adversary in self.adversaries
+        )
+        if self.trial:
+            return attacks
         return (
             Consumer("shared"),
             *(Consumer("predictor", plugin) for plugin in self.predictors),
-            *(
-                Consumer("attack", plugin, knowledge=adversary, granted=granted)
-                for plugin in self.attacks
-                for adversary, granted in grants(plugin.instance, asked=self.adversaries).items()
-            ),
+            *attacks,
             *([Consumer("bound")] if self.attacks else []),
         )
 

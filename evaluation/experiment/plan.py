@@ -13,9 +13,9 @@ from attacks.tasks.sessions import Sessions
 from evaluation.experiment import fingerprint
 from evaluation.experiment.axes import Axes, Consumer, axes, jobs_of
 from evaluation.experiment.constants import BLOCK_SCENES
-from evaluation.experiment.presets import PRESETS
+from evaluation.experiment.presets import BREAKER, PRESETS
 from evaluation.experiment.settings import Settings
-from isac_track import datasets
+from isac_track import datasets, plugins
 from isac_track.datasets import Dataset, crowd
 from isac_track.errors import DataError, PluginError, told
 from isac_track.place import placed
@@ -156,6 +156,21 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
             and any(crossed.linked_in.values())
         ),
     )
+
+
+def trial(ready: Plan, *, specs: Iterable[str]) -> Plan:
+    """Return a plan that tries the preset's breakers on some levels of a run, in its folder.
+
+    Its cells are those of the same run with `--adversary` and `--attack ou_rts`: keyed alike. No
+    units without levels, or where attacks were named.
+    """
+    settings, wanted = ready.settings, set(specs)
+    breakers = PRESETS[settings.preset].breakers if settings.attacks is None else ()
+    some = tuple(level for level in ready.axes.mechanisms if level.spec in wanted and breakers)
+    attacks = (plugins.parse("attacks", BREAKER)[0],)
+    crossed = Axes(some, (), attacks, adversaries=breakers, trial=True)
+    units, code_of = _units(crossed, settings, identity=ready.identity)
+    return replace(ready, axes=crossed, units=units, code_of=code_of, sessions=())
 
 
 def _units(

@@ -25,6 +25,8 @@ class Preset:
     other_law: tuple[str, ...] = ()  # shared, foreseen and reconstructed under `OTHER_LAW`;
     model: tuple[str, ...] = ()  # reconstructed on walks of the fitted motion, under both laws;
     model_linked: tuple[str, ...] = ()  # of these, linked there, where errors are Gaussian.
+    # Adversaries who know more, tried on the levels that would be proposed:
+    breakers: tuple[str, ...] = ()
     model_people: int = 100  # Of a task at most, there: the optimum takes all pairs and lags.
 
 
@@ -67,6 +69,8 @@ _FRONTIER = (
 _AUDITED = (*_BOTH_RULES, "ou:0.4", "laplace:1")
 BREAKER = "ou_rts"
 """Attack that uses all that `--adversary` grants: in every run that asks for one by name alone."""
+BREAKERS = ("repeats", "anchor")
+"""Adversaries who undo a slow error: every level that is proposed is tried against them."""
 BASELINE = "constant_position"
 """Predictor by which nobody moves on, in every preset: a robot that loses to it is told so."""
 _ROBOTS = ("least_squares", "kalman_cv", "kalman_cv:aware=true")
@@ -98,6 +102,7 @@ _PAPER = replace(
     other_law=SMOKE_LEVELS,
     model=(*SMOKE_LEVELS, "ou:0.4"),
     model_linked=("fid:1",),
+    breakers=BREAKERS,
     summary="2,000 scenes (500 attacked), raw, 13 eta, 10 fixed errors, both rules, 6 controls, "
     "4 levels of slow, Laplace and white noise",
 )
@@ -121,6 +126,7 @@ PRESETS = {
             *("shape", "shape@radial_rts", "shape@ou_rts", "likelihood_ratio"),
         ),
         tasks=("rerelease",),
+        breakers=BREAKERS,
         summary="5,000 scenes (500 attacked), 98 levels of all families, plain and aware robots",
     ),
     "audit": Preset(

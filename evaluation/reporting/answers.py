@@ -3,28 +3,21 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from operator import attrgetter
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
-import numpy as np
-
-from evaluation.analysis.families import ADDING_RULES, CLEAN, RAW, SWEPT
+from evaluation.analysis.families import CLEAN, RAW, SWEPT
 from evaluation.analysis.keys import Where
-from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE
-from evaluation.analysis.strongest import BEYOND, by_task, strongest_of
+from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.reporting.bounds import gap_text
 from evaluation.reporting.charts import share
 from evaluation.reporting.headline import TASKS, Headline, Shown, headline, robot_name
 from evaluation.reporting.markup import paragraphs
+from evaluation.reporting.recommendation import screen_sentence
 from evaluation.reporting.rows import HEADLINE, Results
 from evaluation.verdict import rules
-from isac_track.intervals import Estimate
 
-LIMIT: Final = 0.5  # Of PLR after attack: below it most positions are kept.
 _MATTERS: Final = 0.05
 _MOST_AHEAD: Final = 2  # Robots of which misses at the further horizon are told.
-_UNDOES: Final = {"repeats": "repeats", "anchor": "a known position"}
-"""Who undoes what a slow error hides: who sees a walk twice, or knows where it once was."""
 _LEADS: Final = {  # What an item's decision answers: the first that any item has.
     rules.DOES_NOT: "no",
     rules.TRACKS: "yes",
@@ -52,7 +45,7 @@ class Answer:
 def answers(run: Results, of: Headline | None = None) -> tuple[Answer, ...]:
     """Return the five answers of a run in their order; `of` is its first table, if at hand."""
     of = headline_of(run) if of is None else of
-    where, choices = reference(of), list(_choices(of).items())
+    where = reference(of)
     is_headline = where[0] not in of.known or of.known[where[0]].family in (*SWEPT, CLEAN)
     who = of.attacked.measure.source.label if of.attacked else ""
     told = _told(run.verdict.get("items", ()))
@@ -79,8 +72,7 @@ def answers(run: Results, of: Headline | None = None) -> tuple[Answer, ...]:
         linked=[(one, found[one]) for one in of.linked if one in found],
         told=told,
         linked_near=gap_text(of.gaps, where, told[0]["task"]) if told else "",
-        # Where both rules say the same, it is said once.
-        choices=choices if len({one for _, one in choices}) > 1 else choices[:1],
+        choice=screen_sentence(run),
     )
     return tuple(
         Answer(question, topic, sentence[:1].upper() + sentence[1:])
@@ -135,53 +127,6 @@ def _told(items: Sequence[Mapping[str, Any]]) -> tuple[Any, ...] | None:
     return widest, counts, [*heads], *(f"{100.0 * (widest[name] or 0.0):.0f}" for name in ends)
 
 
-class _Choice(NamedTuple):
-    """A level, the share of conflicts that a robot misses there, and PLR after attack."""
-
-    at: Where
-    cost: Estimate
-    left: Estimate
-    is_kept: bool = False  # Whether that is below the limit.
-    has_interval: bool = False  # Whether any has an interval to be judged by.
-
-
-def _choices(of: Headline) -> dict[str, _Choice]:
-    """Return by adding rule, if any, the level that keeps the limit and misses fewest conflicts."""
-    # By the adversary of the table: `design` asks who is strongest at each level.
-    options = [
-        _Choice(where, cost, left)
-        for where in of.wheres
-        if of.attacked and (cost := of.cost(where)) and (left := of.at(where, of.attacked))
-    ]
-    # Nobody can choose to have no error at all; of a run of that alone it is told.
-    options = [one for one in options if of.known[one.at[0]].family != CLEAN] or options
-    rule_of = {one: of.known[one.at[0]].adding for one in options}
-    found = {}
-    for rule in [one for one in ADDING_RULES if one in rule_of.values()] or [""] * bool(options):
-        some = [one for one in options if rule_of[one] in ("", rule)]
-        has = any(np.isfinite(one.left.ci_high) for one in some)
-        kept = [one for one in some if (one.left.ci_high if has else one.left.value) <= LIMIT]
-        best = min(kept or some, key=attrgetter("cost.value" if kept else "left.value"))
-        found[rule] = best._replace(is_kept=bool(kept), has_interval=has)
-    return found
-
-
-def chosen_levels(of: Headline) -> list[Where]:
-    """Return the levels that the last answer names."""
-    return list(dict.fromkeys(one.at for one in _choices(of).values()))
-
-
-def _beyond(of: Headline, at: Where) -> tuple[list[str], list[str]]:
-    """Return what who knows more gets at a level, and whom nobody tried."""
-    everybody = by_task(of.found, metric=EXPOSURE)[""][at]
-    more = {
-        name: f"{name} {share(of.found[best.measure(EXPOSURE).at(*at)])}"
-        for name in BEYOND
-        if (best := strongest_of([everybody], among=(name,)))
-    }
-    return [*more.values()], [words for name, words in _UNDOES.items() if name not in more]
-
-
 def _how(one: Shown) -> str:
     task = one.measure.source.task
     text = TASKS[task][1] if task in TASKS else f"in {task}"
@@ -191,12 +136,10 @@ def _how(one: Shown) -> str:
 _WORDS: dict[str, Any] = {  # What the template calls.
     "share": share,
     "how": _how,
-    "beyond": _beyond,
     "head": lambda item: rules.NAME[item["descriptor"]],
     # It does not tell because linkage falls where the descriptor does not.
     "is_steep": lambda item: item["spread_low"] <= rules.SUCCESS_MARGIN,
     "leads": _LEADS,
-    "limit": f"{100 * LIMIT:g}",
 }
 
 

@@ -1,304 +1,260 @@
-"""The answer of `evaluation.design`: words, tables, JSON."""
+"""The answer of `evaluation.design`: words, a table, JSON."""
 
 import math
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from functools import partial
-from operator import itemgetter
-from typing import Any, TypeAlias
+from pathlib import Path
+from typing import Any, Final
 
 from rich.console import Console
 
-from evaluation.analysis.families import FID, FIXED, LEVEL_UNITS
-from evaluation.analysis.keys import Source, level_text
-from evaluation.analysis.linkability import remarks
-from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, SUCCESS
-from evaluation.analysis.strongest import BEYOND
+from evaluation.analysis.families import LEVEL_UNITS
+from evaluation.analysis.levels import COLUMNS
+from evaluation.analysis.metrics import EXPOSURE, MEDIAN, METRICS, MISSED_RATE, SUCCESS, WIDE
+from evaluation.reporting import recommendation as words
 from evaluation.reporting import table as make
 from evaluation.reporting import terminal
 from evaluation.reporting.announcements import scenes_text
-from evaluation.reporting.markup import paragraphs
 from evaluation.reporting.noise_plan import told
-from evaluation.reporting.result_tables import MARKS, MEANING
 from evaluation.reporting.table import Cell, Column, Table
-from evaluation.verdict import choose_level as design
+from evaluation.runs.files import made_of
+from evaluation.runs.manifest import read_manifest
+from evaluation.verdict.what_to_share import (
+    LIMITS,
+    Attacked,
+    Check,
+    Linked,
+    Offer,
+    Question,
+    Recommendation,
+    recommend,
+)
+from isac_track.errors import SettingsError
 from isac_track.intervals import Estimate
 from isac_track.kalman import steady
 
-_Row: TypeAlias = "tuple[str, str, str, design.Level | None]"  # Rule, mechanism, level, numbers.
-_ANSWERED = ("met", "chosen", "stricter", "also_meets", "is_saturated")
-_CHECKED = ("name", "limit", "measured", "status")
-_UNMET = {  # Why a limit does not hold, the surest first.
-    "not met": "above the limits of",
-    "scenes": "more scenes needed for",
-    "people": "more people needed for",
-    "cannot say": "cannot be judged by",
-}
-_LEVEL_NAMES = {FID: "eta", FIXED: "d_sigma"}
+_NUMBERS: Final = (EXPOSURE, WIDE, MEDIAN, "ael", "mel")
+_ENDS: Final = ("value", "ci_low", "ci_high")
 
 
-def to_json(choice: design.Choice) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What `design` answers about a run."""
+
+    out: Path
+    manifest: Mapping[str, Any]
+    recommendation: Recommendation
+
+
+def answer_of(out: Path, question: Question) -> Answer:
+    """Return the answer of a run to a question.
+
+    Raises DataError if there is no run, or a file of it is missing or broken, and SettingsError if
+    it lacks a mechanism, a robot or a family that the question is about.
+    """
+    manifest = read_manifest(out)
+    table = made_of(out, "levels.csv", columns=COLUMNS)
+    identity, dataset = manifest["identity"], manifest["dataset"]["name"]
+    scenes = identity["scenes"], identity.get("scenes_utility", identity["scenes"])
+    advice = recommend(table, question, dataset=dataset, scenes=scenes)
+    if not (advice.proposals or advice.refused):
+        raise SettingsError(
+            f"{out} has no level that claims to protect, with {' or '.join(question.adding)} "
+            "adding; add some with the command of the run and --mechanism "
+            f"fid:1..1000/10,adding={question.adding[0]}"
+        )
+    return Answer(out, manifest, advice)
+
+
+def to_json(answer: Answer) -> dict[str, Any]:
     """Return the answer as plain values; what is unknown is None."""
-    identity, dataset = choice.manifest["identity"], choice.manifest["dataset"]
-    limits: dict[str, Any] = {name: choice.limits.given.get(name) for name in design.ASKED}
-    schemes = [
-        {
-            "adding": one.adding,
-            "family": one.name,
-            **{name: getattr(one, name) for name in _ANSWERED},
-            "checks": [
-                {name: getattr(check, name) for name in _CHECKED} | {"reason": reason(check)}
-                for check in one.checks
-            ],
-            "reasons": reasons(one),
-        }
-        for one in choice.schemes
-    ]
-    answer = {
-        "met": choice.met,
-        "answer": sentence(choice),
-        "out": str(choice.out),
+    advice, manifest = answer.recommendation, answer.manifest
+    identity, dataset, question = manifest["identity"], manifest["dataset"], advice.question
+    limits = {name: question.limits.get(name) for name in LIMITS}
+    return {
+        "met": advice.met,
+        "answer": words.sentence(advice, simulated=dataset["simulated"]),
+        "out": str(answer.out),
         "dataset": dataset["name"],
         "simulated": bool(dataset["simulated"]),
         "scenes": identity["scenes"],
         "seed": identity["seed"],
-        "predictor": choice.predictor,
-        "adding": choice.adding,
-        "limits": limits | {"as_shared": choice.limits.as_shared},
-        "raw": choice.raw,
-        "schemes": schemes,
-        "notes": notes(choice),
+        "predictor": advice.robot or None,
+        "criterion": question.criterion.conflicts,
+        "horizon_s": question.criterion.horizon_s,
+        "adding": list(question.adding),
+        "against": ["blind", "informed", *question.against],
+        "limits": limits | {"as_shared": question.as_shared},
+        "not_answerable": list(advice.missing),
+        "raw": _offer(advice.raw, advice) if advice.raw else None,
+        "proposals": [_offer(offer, advice) for offer in advice.proposals],
+        "nearest": _offer(advice.nearest, advice) if advice.nearest else None,
+        "refused": [_offer(offer, advice) for offer in _nearest_levels(advice.refused)],
+        "notes": notes(answer),
     }
-    return {name: _plain(of) for name, of in answer.items()}
 
 
-def _plain(value: Any) -> Any:  # noqa: ANN401 - what JSON has
-    """Return a level, or what it holds, as plain values; what is unknown is None."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, tuple | list):
-        return [_plain(one) for one in value]
-    if isinstance(value, Estimate):
-        value = {name: getattr(value, name) for name in ("value", "ci_low", "ci_high")}
-    if is_dataclass(value):
-        held = {one.name: getattr(value, one.name) for one in fields(value)}
-        value = {}
-        for name, of in held.items():
-            value |= of if name == "numbers" else {name: of}
-    return {name: _plain(of) for name, of in value.items()} if isinstance(value, dict) else value
+def _offer(offer: Offer, advice: Recommendation) -> dict[str, Any]:
+    """Return a level as plain values."""
+    mechanism, level = offer.where
+    return {
+        "mechanism": mechanism,
+        "level": level,
+        "family": offer.family.name,
+        "adding": offer.family.adding,
+        "met": offer.met and not offer.lacks_rule,
+        "missed": _number(offer.cost),
+        "robots": {name: _number(rate) for name, rate in offer.robots.items()},
+        "shared": _side(offer.shared),
+        "after_attack": _side(offer.attacked),
+        "beyond": [
+            _side(side, limit=advice.question.limits.get(EXPOSURE)) for side in offer.beyond
+        ],
+        "linked": _linked(offer.linked) if offer.linked else None,
+        "tasks": [_linked(task) for task in offer.tasks],
+        "checks": [_check(check, advice) for check in offer.checks],
+    }
 
 
-def reason(check: design.Check) -> str:
-    """Return why a target or limit is not met; empty if it is."""
-    return "" if check.status == "met" else _said("reason", check=check)[0]
+def _side(side: Attacked, limit: float | None = None) -> dict[str, Any]:
+    about: dict[str, Any] = {
+        "adversary": side.adversary or None,
+        "attack": side.source.consumer if side.source else None,
+        "knowledge": side.source.knowledge if side.source else None,
+    }
+    if limit is not None:
+        about["breaks"] = side.breaks(limit)
+    return about | {name: _number(side.value(name)) for name in _NUMBERS}
 
 
-def reasons(scheme: design.Scheme) -> list[str]:
-    """Return how the level was chosen, why none stricter, which limits hold, costs and dangers."""
-    known = {one.knowledge for one in scheme.chosen.beyond} if scheme.chosen else set()
-    return _said("reasons", scheme=scheme, beyond=[one for one in BEYOND if one not in known])
+def _linked(linked: Linked) -> dict[str, Any]:
+    return {
+        "task": linked.task,
+        "attack": linked.source.attack.consumer if linked.source else None,
+        "knowledge": linked.source.knowledge if linked.source else None,
+        "metric": linked.metric,
+        "rank1": _number(linked.rank1),
+        "chance": _finite(linked.chance),
+        "share_of_raw": _number(linked.share),
+    }
 
 
-def _said(part: str, **of: Any) -> list[str]:  # noqa: ANN401 - what a macro takes
-    return paragraphs(f"design.{part}", _WORDS, **of)
+def _check(check: Check, advice: Recommendation) -> dict[str, Any]:
+    return {
+        "name": check.name,
+        "adversary": check.adversary or None,
+        "limit": _finite(check.limit),
+        "measured": _number(check.measured),
+        "status": check.status,
+        "reason": words.reason(check, advice),
+    }
 
 
-def _told(metric: str, one: Estimate) -> str:
-    cell = make.estimated(metric, one)
-    return f"{cell.text} {METRICS[metric].unit} {cell.interval}".strip()
+def _number(number: Estimate) -> dict[str, float | None]:
+    return {name: _finite(getattr(number, name)) for name in _ENDS}
 
 
-def _metric(check: design.Check) -> str:
-    return design.METRIC_OF.get(check.name, SUCCESS)
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
-def _what(check: design.Check) -> str:
-    return f"{METRICS[_metric(check)].head} {check.whose}".strip()
+def _nearest_levels(offers: Iterable[Offer]) -> list[Offer]:
+    """Return of every mechanism the level that comes nearest."""
+    nearest: dict[str, Offer] = {}
+    for offer in offers:
+        nearest.setdefault(offer.where[0], offer)
+    return list(nearest.values())
 
 
-def _off(check: design.Check) -> str:
-    """Return how far the upper end is from the limit."""
-    shown = METRICS[_metric(check)]
-    off = f"{abs(check.measured.ci_high - check.limit) * shown.scale:.2g}"
-    return f"{off} points" if shown.unit == "%" else f"{off} {shown.unit}"
-
-
-def _at(scheme: design.Scheme, level: design.Level | None) -> str:
-    return f"{_symbol(scheme)} = {level_text(level.level) or 'none'}" if level else ""
-
-
-def _symbol(scheme: design.Scheme) -> str:
-    return _LEVEL_NAMES.get(scheme.family.family, "level")
-
-
-_WORDS: dict[str, Any] = {  # What the template calls.
-    **{one.__name__.strip("_"): one for one in (_metric, _what, _off, _told, _at)},
-    "symbol_of": _symbol,
-    "levels": lambda some: ", ".join(map(level_text, some)),
-    "unmet": lambda checks: [reason(one) for one in checks if one.status != "met"],
-    "costs": lambda at: [one for one in at.costs.items() if math.isfinite(one[1].value)],
-    "source": lambda one: Source(one.attack, one.knowledge).label,
-}
-
-
-def sentence(choice: design.Choice) -> str:
-    """Return the plain answer."""
-    met, failing, limits = [], dict[str, list[str]](), choice.limits
-    for name, schemes in choice.answers.items():
-        if why := _failing(schemes):
-            failing.setdefault(why, []).append(name)
-        else:
-            under = " ({})" if schemes[0].family.adding else ""
-            at = (f"{_at(one, one.chosen)}{under.format(one.adding)}" for one in schemes)
-            met.append(f"{name} {' and '.join(dict.fromkeys(at))}")
-    rates = {name: f"{100.0 * limit:.4g} %" for name, limit in limits.of(*design.TARGETS).items()}
-    where = " as shared" if limits.as_shared else " after attack"
-    return _said(
-        "sentence",
-        met=met,
-        failing=failing,
-        simulated=choice.manifest["dataset"]["simulated"],
-        missed=rates["missed"],
-        false_alarm=rates.get("false_alarm"),
-        is_limited=bool(limits.of(*DESCRIPTORS, SUCCESS)),
-        where=where * bool(limits.of(*DESCRIPTORS)),
-    )[0]
-
-
-def _failing(schemes: Sequence[design.Scheme]) -> str:
-    """Return in a phrase what a mechanism fails under some rule; empty: it meets everything."""
-    without = [one for one in schemes if one.chosen is None]
-    under = f" with {without[0].adding} adding" if 0 < len(without) < len(schemes) else ""
-    unknown = [check.why_unknown for one in without for check in one.missed]
-    found_none = "no level meets the targets"
-    if unknown and all(unknown):
-        found_none = f"cannot be judged ({unknown[0]})"
-    why = [f"{found_none}{under}"] * bool(without)
-    found: dict[str, str] = {}
-    for status, text in _UNMET.items():
-        for check in (check for one in schemes for check in one.checks):
-            if status == (check.status if math.isnan(check.times_more) else check.asks):
-                found.setdefault(METRICS[_metric(check)].head, text)
-    for text in _UNMET.values():
-        heads = [head for head, its in found.items() if its == text]
-        why += [f"{text} {' and '.join(heads)}"] if heads else []
-    return ", ".join(why)
-
-
-def notes(choice: design.Choice) -> list[str]:
+def notes(answer: Answer) -> list[str]:
     """Return what else is to be known of the run and of the question."""
-    schemes, limit, closed = choice.schemes, choice.limits.given.get(EXPOSURE, 0.0), list[str]()
-    if 0.0 < limit < 1.0 and not choice.limits.as_shared:
-        epsilon_m = float(choice.manifest["settings"]["stages"]["privacy.epsilon_m"])
-        dt_s = float(choice.manifest["history"]["interval_s"])
+    advice, limits = answer.recommendation, answer.recommendation.question.limits
+    limit, closed = limits.get(EXPOSURE, 0.0), list[str]()
+    if 0.0 < limit < 1.0 and not advice.question.as_shared:
+        epsilon_m = words.epsilon_m(answer.manifest)
+        dt_s = float(answer.manifest["history"]["interval_s"])
         closed = told(plr=limit, epsilon_m=epsilon_m, q=steady.Q_M2_PER_S3, dt_s=dt_s)[:2]
-    raw_misses = [reason(one) for one in choice.raw_checks if one.status == "not met"]
-    crowds = [one.task for one in choice.tasks if not one.limited]
-    return _said(
+    raw = advice.raw.checks if advice.raw else ()
+    missed = [check for check in raw if check.name in ("missed", "false_alarm")]
+    raw_misses = [words.reason(check, advice) for check in missed if check.status == "not met"]
+    lacks = [
+        (words.level_name(offer), offer.lacks_rule) for offer in advice.refused if offer.lacks_rule
+    ]
+    return words.said(
         "notes",
-        dataset=choice.manifest["dataset"],
-        silent=", ".join(one.name for one in schemes if one.name not in choice.answers),
-        undeclared=", ".join(dict.fromkeys(one.name for one in schemes if not one.family.adding)),
-        raw_misses="; ".join(raw_misses) * any(one.chosen is None for one in schemes),
+        dataset=answer.manifest["dataset"],
+        raw_misses="; ".join(raw_misses),
         closed=" ".join(closed),
-        crowds=", ".join(crowds) * (SUCCESS in choice.limits.given),
+        lacks=lacks[:1],
     )
 
 
-def show(choice: design.Choice, *, console: Console | None = None) -> None:
-    """Print the answer in one sentence, the levels behind it, and why."""
-    console, identity = console or terminal.standard_output(), choice.manifest["identity"]
+def show(answer: Answer, *, console: Console | None = None) -> None:
+    """Print the answer in one sentence, the levels behind it, and why not others."""
+    console, advice = console or terminal.standard_output(), answer.recommendation
+    identity, epsilon = answer.manifest["identity"], words.epsilon_m(answer.manifest)
     about = (
-        f"{choice.manifest['dataset']['name']}: {scenes_text(identity)}, seed {identity['seed']}; "
-        f"predictor {choice.predictor}; 95 % intervals, whose upper ends must meet the limits"
+        f"{answer.manifest['dataset']['name']}: {scenes_text(identity)}, seed {identity['seed']}; "
+        f"robot {advice.robot or 'none'}; 95 % intervals, whose upper ends must meet the limits"
     )
     units = ", ".join(f"{family} {unit}" for family, unit in LEVEL_UNITS.items())
-    parts: list[terminal.Part] = [
-        (sentence(choice), "bold green" if choice.met else "bold red"),
+    parts: list[str | tuple[str, str] | Table] = [
+        (words.sentence(advice, simulated=answer.manifest["dataset"]["simulated"]), "bold"),
         "",
-        about,
-        f"(level: {units})",
-        *answer_tables(choice),
+        f"{about} (level: {units})",
+        answer_table(advice),
+        "",
     ]
-    for scheme in choice.schemes:
-        rule = scheme.adding if scheme.family.adding else "any"
-        if rule == "any" and scheme.adding != choice.adding[0]:
-            continue  # the same as under the first
-        parts += ["", (f"{scheme.name}, {rule} adding", "bold cyan")]
-        parts += [f"- {reason}" for reason in reasons(scheme)]
-        parts += ["- meets everything that was asked"] * scheme.met
-    found = notes(choice)
-    parts += [*[""] * bool(found), *((f"NOTICE: {note}", "yellow") for note in found)]
+    shown = advice.proposals or advice.unsettled or advice.refused[:1]
+    parts += [f"- {words.offer_text(offer, advice, epsilon)}" for offer in shown]
+    refused = [offer for offer in _nearest_levels(advice.refused) if offer not in shown]
+    if refused:
+        parts += ["", "What others fail, at the level of each that comes nearest:"]
+    for offer in refused:
+        failures = "; ".join(words.failures(offer, advice))
+        parts.append(f"- {words.level_name(offer)}: {failures}")
+    remarks = [f"NOTICE: {note}" for note in notes(answer)]
+    if remarks:
+        parts += ["", *remarks]
+    _print(parts, console)
+
+
+def _print(parts: Iterable[str | tuple[str, str] | Table], console: Console) -> None:
     for part in parts:
-        if isinstance(part, Table) or not part:
+        if isinstance(part, Table):
             terminal.show([part], console=console)
             continue
         text, style = (part, "") if isinstance(part, str) else part
         # The further lines of an item stand below its first word.
-        below = "  " * text.startswith("- ")
-        lines = textwrap.wrap(text, console.width, break_on_hyphens=False, subsequent_indent=below)
-        terminal.show([(line, style) for line in lines], console=console)
+        below = "  " if text.startswith("- ") else ""
+        width = console.width
+        lines = textwrap.wrap(text, width, break_on_hyphens=False, subsequent_indent=below)
+        terminal.show([(line, style) for line in lines or [""]], console=console)
 
 
-def answer_tables(choice: design.Choice) -> list[Table]:
-    """Return the chosen levels beside raw: as shared, after a reconstruction, and linked."""
-    rows: list[_Row] = [("", "raw", "", choice.raw)] if choice.raw else []
-    for scheme in choice.schemes:
-        at = level_text(scheme.chosen.level) if scheme.chosen else "none"
-        rows.append((scheme.adding, scheme.name, at, scheme.chosen))
-    keys = [make.said("adding", itemgetter(0)), make.said("", itemgetter(1))]
-    keys.append(Column("level", lambda row: make.word(row[2])))
-    options: dict[str, Any] = {"marks": MEANING, "n_headings": 1, "n_keys": 3}
-    limits = choice.limits.of(*design.METRIC_OF)
-    after = {} if choice.limits.as_shared else choice.limits.of(*DESCRIPTORS)
-    shared = {name: limit for name, limit in limits.items() if name not in after}
-    columns = [*keys, *(_number(name, shared) for name in design.METRIC_OF)]
-    found = [make.built("shared", "Utility, and privacy as shared", rows, columns, **options)]
-    attacked = [level.after_attack if level else None for *_, level in rows]
-    if any(attacked):
-        columns = [*keys, *(_number(name, after) for name in DESCRIPTORS)]
-        title = f"After the best reconstruction: {_attacks(attacked)}"
-        records = [(*row[:3], one) for row, one in zip(rows, attacked, strict=True)]
-        found.append(make.built("attacked", title, records, columns, **options))
-    columns, about = [], []
-    for place, task in enumerate(choice.tasks):
-        limit = choice.limits.given.get(SUCCESS) if task.limited else None
-        above, cell = _limit(SUCCESS, limit), partial(_rank1, place)
-        columns.append(Column(task.task, cell, METRICS[SUCCESS].unit, above=above))
-        ran = [one for *_, row in rows if row and (one := row.tasks[place]).attack]
-        chances = ", ".join(dict.fromkeys(make.amount(SUCCESS, one.chance).text for one in ran))
-        where = "" if task.limited else f", {task.dataset}"
-        about += [f"{task.task}{where}: {_attacks(ran)}; chance {chances} %"] if ran else []
-    if columns:
-        title = "Rank 1 of the strongest attack"
-        found.append(make.built("linked", title, rows, [*keys, *columns], notes=about, **options))
-    return found
+def answer_table(advice: Recommendation) -> Table:
+    """Return raw, the levels that are proposed, and the nearest of every other mechanism."""
+    named = [*filter(None, [advice.raw]), *advice.proposals, *advice.unsettled]
+    rows = named + [offer for offer in _nearest_levels(advice.refused) if offer not in named]
+    columns = [
+        make.said("", words.level_name),
+        Column("missed", lambda offer: make.estimated(MISSED_RATE, offer.cost), "%"),
+        Column("PLR", partial(_left, EXPOSURE), METRICS[EXPOSURE].unit, above="attacked"),
+        Column("at 4/3", partial(_left, WIDE), METRICS[WIDE].unit),
+        Column("error", partial(_left, MEDIAN), METRICS[MEDIAN].unit, above="median"),
+        Column("of raw's", partial(_link, "share"), "%", above="linked"),
+    ]
+    return make.built("levels", "Proposed, or nearest", rows, columns)
 
 
-def _number(name: str, limits: Mapping[str, float]) -> Column:
-    """Return the column of a number of a level, or of what attacks leave there."""
-    metric = design.METRIC_OF[name]
-    shown, limit = METRICS[metric], _limit(metric, limits.get(name))
-
-    def cell(row: tuple[str, str, str, design.Level | design.Attacked | None]) -> Cell:
-        return make.estimated(metric, row[3].numbers[name] if row[3] else None)
-
-    return Column(shown.head, cell, shown.unit, above=limit)
+def _left(metric: str, offer: Offer) -> Cell:
+    side = offer.attacked if offer.attacked.source else offer.shared
+    return make.estimated(metric, side.value(metric))
 
 
-def _limit(metric: str, limit: float | None) -> str:
-    return "" if limit is None else f"<= {limit * METRICS[metric].scale:.4g}"
-
-
-def _rank1(place: int, row: _Row) -> Cell:
-    if row[3] is None:
+def _link(name: str, offer: Offer) -> Cell:
+    if offer.linked is None:
         return Cell()
-    one = row[3].tasks[place]
-    marks = (MARKS[name] for name in remarks({"outcome": one.outcome, "invalid": one.invalid}))
-    return make.estimated(SUCCESS, one.rank1, mark="".join(marks))
-
-
-def _attacks(found: Iterable[design.Attacked | design.Linked | None]) -> str:
-    labels = [Source(one.attack, one.knowledge).label for one in found if one]
-    return ", ".join(dict.fromkeys(labels))
+    return make.estimated(SUCCESS, getattr(offer.linked, name))

@@ -7,7 +7,6 @@ from itertools import groupby
 from typing import Any, Final
 
 from evaluation.analysis import weak_attacks
-from evaluation.analysis.families import RAW
 from evaluation.analysis.keys import Where
 from evaluation.reporting.announcements import (
     WIDTH,
@@ -18,9 +17,10 @@ from evaluation.reporting.announcements import (
     used_are_slower,
     wrapped,
 )
-from evaluation.reporting.answers import LIMIT, answers, chosen_levels, headline_of
+from evaluation.reporting.answers import answers, headline_of
 from evaluation.reporting.headline import MOST_LEVELS, Headline, levels_of, screen_table
 from evaluation.reporting.markup import paragraphs
+from evaluation.reporting.recommendation import recommended_levels
 from evaluation.reporting.result_tables import control_tests
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import Table, printable, shortened
@@ -47,11 +47,11 @@ def first_screen(run: Results, *, before: int = 5) -> list[str]:
     said.append(f"Doubts: {', '.join(_doubts(run, of)) or 'none'}.")
     lines = [line for text in said for line in wrapped(text)]
     data = [data_line(run.manifest), *geometry(run.manifest, only_unusual=True)]
-    top, last = [line for text in data for line in wrapped(text)], _next(run, of)
+    top, last = [line for text in data for line in wrapped(text)], _next(run)
     # Heads; chance and widths; where to read on.
     fixed = len([*top, *lines, *last, *_read_on(run, _MANY)]) + 2 + 2
     most = max(_LEAST_LEVELS, min(MOST_LEVELS, LINES - before - fixed))
-    levels, n_left_out = levels_of(of, most=most, named=chosen_levels(of))
+    levels, n_left_out = levels_of(of, most=most, named=recommended_levels(run))
     grid = _fitting(of, levels) if levels else []
     return [*top, *grid, *lines, *_read_on(run, n_left_out), *last]
 
@@ -133,14 +133,14 @@ def _doubts(run: Results, of: Headline) -> list[str]:
     )
 
 
-def _next(run: Results, of: Headline) -> list[str]:
-    out = shlex.quote(str(near(run.out)))
-    raw = of.cost((RAW, None))
-    if not (raw and math.isfinite(raw.ci_high) and of.attacked and "fid" in of.known):
+def _next(run: Results) -> list[str]:
+    """Return the next question: what may be shared if a robot may miss a little more than now."""
+    out, answer = shlex.quote(str(near(run.out))), run.recommendation()
+    if not (answer.raw and math.isfinite(answer.raw.cost.ci_high)):
         return [f"Next: python -m evaluation.report --verbose {out}"]
-    missed = min(1.0, math.ceil(20.0 * (raw.ci_high + _SLACK)) / 20.0)
-    rules = {one.adding for one in of.known.values() if one.adding}
+    missed = min(1.0, math.ceil(20.0 * (answer.raw.cost.ci_high + _SLACK)) / 20.0)
+    rules = answer.question.adding
     # By default both must hold, and a run of one has no answer.
-    rest = f"--adding {rules.pop()} {out}" if len(rules) == 1 else out
-    line = f"Next: python -m evaluation.design --max-missed {missed:.2f} --max-plr {LIMIT:.2f}"
+    rest = f"--adding {rules[0]} {out}" if len(rules) == 1 else out
+    line = f"Next: python -m evaluation.design --max-missed {missed:.2f}"
     return [f"{line} {rest}"] if len(f"{line} {rest}") <= WIDTH else [f"{line} \\", f"  {rest}"]

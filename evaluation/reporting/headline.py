@@ -266,7 +266,7 @@ def levels_of(
 
     All levels where there is room; else the headline levels, then one of every other mechanism: a
     headline level of its family, or that which costs a robot about as much as the strictest FID.
-    Of these the `named` levels come first.
+    Of these the `named` levels come first; the first of them has a row in any case.
     """
     first = [where for where in HEADLINE if where in of.wheres]
     rest = [where for where in of.wheres if where not in first]
@@ -276,6 +276,7 @@ def levels_of(
     strict = of.cost(("fid", 1.0))
     target = strict.value if strict else max(cost.values(), default=0.0)
     others = [where for where in rest if where in named]
+    first = first[: max(1, most - len(others[:1]))]
     shown = {name for name, _ in [*first, *others]}
     for name in dict.fromkeys(name for name, _ in rest if name not in shown):
         usual = [(name, at) for family, at in HEADLINE if family == of.known[name].name]

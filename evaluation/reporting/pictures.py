@@ -8,9 +8,9 @@ import pandas as pd
 
 from evaluation.analysis.keys import Measure, Where
 from evaluation.analysis.metrics import MISSED_RATE
-from evaluation.reporting.answers import LIMIT
 from evaluation.reporting.charts import LOOKS, Chart, Look, Point, looks_of, plane_chart, rows_chart
 from evaluation.reporting.headline import Headline, Shown, levels_of, robot_name
+from evaluation.verdict.what_to_share import MOST_PLR
 from isac_track.types import Bools, Floats
 
 _MISSED: Final = "missed conflicts (%)"
@@ -41,9 +41,9 @@ def pictures(of: Headline) -> list[Picture | None]:
         telling = _plane(of, of.shared, of.linked[-1], about, x_label=x_label, has_hollow=False)
     if of.attacked and of.robots:
         who = robot_name(of.robots[0].measure.consumer)
-        about = f", over what {who} misses; dashed: {100 * LIMIT:g} %"
+        about = f", over what {who} misses; dashed: {100 * MOST_PLR:g} %"
         among = levels_of(of)[0]
-        chosen = _plane(of, of.robots[0], of.attacked, about, among=among, limit=LIMIT)
+        chosen = _plane(of, of.robots[0], of.attacked, about, among=among, limit=MOST_PLR)
     return [
         _levels(of, "Conflicts that a robot misses", missed, _MISSED),
         _levels(

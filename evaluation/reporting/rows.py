@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial, reduce
 from html import escape
 from pathlib import Path
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from evaluation.analysis.linkability import LinkedTask
+    from evaluation.verdict.what_to_share import Question, Recommendation
     from isac_track.intervals import Estimate
 
 CONTROLS: Final = frozenset(spec.partition(":")[0] for spec in DISSOCIATION)
@@ -60,6 +61,7 @@ class Results:
     claims: pd.DataFrame
     matched: pd.DataFrame
     frontier: pd.DataFrame
+    levels: pd.DataFrame  # What a site gets and pays at each level that it could choose.
     decisions: pd.DataFrame
     curves: pd.DataFrame
     flags: pd.DataFrame
@@ -103,6 +105,18 @@ class Results:
         table = most.to_html(index=False, border=0, float_format="{:.4g}".format, na_rep="")
         said = "".join(f"<li>{escape(str(one))}</li>" for one in self.verdict.get("answer", ()))
         return f"<p>{escape(repr(self)[1:-1])}</p>{table}<ul>{said}</ul>"
+
+    def recommendation(self, question: Question | None = None) -> Recommendation:
+        """Return which levels may be shared, by default as the first screen asks.
+
+        It is what `evaluation.design` answers: levels that hold, what each costs, who breaks it.
+        """
+        from evaluation.verdict.what_to_share import default_question, recommend  # noqa: PLC0415 - see `load`
+
+        identity = self.manifest["identity"]
+        scenes = identity["scenes"], identity.get("scenes_utility", identity["scenes"])
+        asked = default_question(self.families) if question is None else question
+        return recommend(self.levels, asked, dataset=self.dataset, scenes=scenes)
 
     def frame(
         self, metric: str, *, after: str = "", task: str = "", robot: str = ""
@@ -160,7 +174,7 @@ class Results:
         label = Source(who, knowledge[0] if len(knowledge) == 1 else "").label
         if who == SHARED:
             label = "as shared"
-        elif place in ("descriptor", "reconstruction"):
+        elif place in ("descriptor", "reconstruction", "distance"):
             label = f"after {label}"
         table.attrs["title"] = f"{METRICS[name].title}, {label}"
         return table.reset_index(drop=True)
@@ -236,8 +250,12 @@ class Results:
 
     @cached_property
     def families(self) -> dict[str, Family]:
-        """The mechanisms of the run by name."""
-        return families_in(self.summary)
+        """The mechanisms of the run by name; the manifest says which claim to protect."""
+        said = families_in(self.manifest.get("cells", ()))
+        return {
+            name: replace(one, protects=said[name].protects) if name in said else one
+            for name, one in families_in(self.summary).items()
+        }
 
     @cached_property
     def tasks(self) -> list[LinkedTask]:

@@ -52,7 +52,7 @@ _OUTCOME: Final = (*_NAMED, *_COUNTED, "about", "value", "ci_low", "ci_high", "n
 """Columns of a linkage cell beside its replicates."""
 _NONE: Final = np.zeros(0, dtype=np.float32)
 _ALIKE: Final = {
-    *("plr", "plr_gap", "plr_attacked", "separation_m", "speed_mps"),
+    *("plr", "plr_wide", "plr_gap", "plr_attacked", "separation_m", "speed_mps"),
     *("tpr_at_fpr_1pct", "chance"),
 }
 """Numbers that occur again and again, in other rows or for other consumers: whole they compress."""
@@ -60,6 +60,7 @@ _SINGLE: Final = {
     *DESCRIPTORS,
     *ON_TRIAL,
     *("mse_m2", "benchmark_mse_m2", "benchmark_plr", "plr_ceiling", "plr_optimum", "plr_gap"),
+    *("plr_wide", "median_error_m"),
     *("duration_s", "speed_mps", "sigma_m"),
 }
 """What is told of one track or window: seven digits of it are kept, a sixth of a run's disk."""

@@ -19,7 +19,7 @@ from evaluation.experiment.fingerprint import OURS, has_strangers
 from evaluation.experiment.plan import Plan, Unit
 from evaluation.runs import pieces
 from evaluation.runs.cell_files import places_of, read_rows, sound_files, write_gallery
-from evaluation.runs.files import FOLDER, locked, write_checked
+from evaluation.runs.files import FOLDER, label_of, locked, write_checked
 from evaluation.runs.folder import check_folder, open_run
 from evaluation.runs.manifest import (
     describe,
@@ -61,21 +61,7 @@ def execute(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
     manifest["failed"] = others(failures, than=ours)
     manifest["cells"] = merged_cells(manifest["cells"], ours, held=held)
     write_manifest(out, manifest | {"state": "running"})
-    failed = [
-        {**named(mechanism, consumer), "block": block, "why": why}
-        for (block, mechanism, consumer), why in _compute(missing, ready, tell)
-    ]
-    if failed:
-        manifest["failed"] += failed
-        # No entry that misses a cell: nothing is averaged over less.
-        manifest["cells"] = with_ceiling(others(manifest["cells"], than=failed))
-        if not manifest["cells"]:
-            write_manifest(out, manifest | {"state": "failed"})
-            raise PluginError(failed[0]["why"])
-        reasons = list(dict.fromkeys(one["why"] for one in failed))
-        more = f" (and {len(reasons) - 1} other reasons)" if len(reasons) > 1 else ""
-        text = f"{len(failed)} cells failed and are left out: {reasons[0]}{more}"
-        warnings.warn(text, FailedCellsWarning, stacklevel=4)
+    failed = _computed(missing, ready, manifest, tell)
     tell(ready.n_cells, ready.n_cells, "report: intervals, verdict, figures")
     without = {str(one[name]) for one in failed for name in ("spec", "consumer")}
     manifest["gallery_without"] = _write_gallery(ready, without)
@@ -88,6 +74,54 @@ def execute(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
         manifest["linkage"]["candidates"] = losses
     manifest["wall_time_s"] = round(earlier_s + time.monotonic() - started, 3)
     write_manifest(out, manifest | {"state": "finished"})
+
+
+def execute_trial(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
+    """Compute further cells of a run that is finished; what is said of the run stays.
+
+    `ready` is of `evaluation.experiment.plan.trial`; otherwise as `execute`.
+    """
+    if not ready.units:
+        return
+    started, out = time.monotonic(), ready.out
+    manifest, held, _ = open_run(out, identity=ready.identity, fresh=False)
+    places = places_of(held)
+    missing = pieces.missing_of(ready, places)
+    ours = entries_of(ready, places, missing)
+    manifest["failed"] = others(manifest.get("failed", []), than=ours)
+    # In the order of before: results do not depend on who asked first.
+    by_label = {(entry["spec"], label_of(entry)): entry for entry in ours}
+    cells = [by_label.pop((one["spec"], label_of(one)), one) for one in manifest["cells"]]
+    manifest["cells"] = cells + list(by_label.values())
+    write_manifest(out, manifest | {"state": "running"})
+    _computed(missing, ready, manifest, tell)
+    spent_s = float(manifest.get("wall_time_s", 0.0)) + time.monotonic() - started
+    write_manifest(out, manifest | {"state": "finished", "wall_time_s": round(spent_s, 3)})
+
+
+def _computed(
+    missing: Sequence[Unit],
+    ready: Plan,
+    manifest: dict[str, Any],
+    tell: Callable[[int, int, str], None],
+) -> list[dict[str, Any]]:
+    """Compute what is missing; return what failed, which the manifest then names."""
+    failed = [
+        {**named(mechanism, consumer), "block": block, "why": why}
+        for (block, mechanism, consumer), why in _compute(missing, ready, tell)
+    ]
+    if failed:
+        manifest["failed"] += failed
+        # No entry that misses a cell: nothing is averaged over less.
+        manifest["cells"] = with_ceiling(others(manifest["cells"], than=failed))
+        if not manifest["cells"]:
+            write_manifest(ready.out, manifest | {"state": "failed"})
+            raise PluginError(failed[0]["why"])
+        reasons = list(dict.fromkeys(one["why"] for one in failed))
+        more = f" (and {len(reasons) - 1} other reasons)" if len(reasons) > 1 else ""
+        text = f"{len(failed)} cells failed and are left out: {reasons[0]}{more}"
+        warnings.warn(text, FailedCellsWarning, stacklevel=5)
+    return failed
 
 
 def _exhausted(out: Path, cells: Iterable[dict[str, Any]], world: str) -> int | None:

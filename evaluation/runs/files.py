@@ -45,6 +45,7 @@ FRAMES: Final = {  # By the names of `Results`.
     "claims": "paper_claims.csv",
     "matched": "matched.csv",
     "frontier": "frontier.csv",
+    "levels": "levels.csv",
     "attacked": "strongest.csv",
     "decisions": "decisions.csv",
     "curves": "curves.csv",

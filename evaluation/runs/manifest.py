@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 CELL_NAME: Final = re.compile(r"[A-Za-z0-9.=-]{1,80}_[0-9]{5}_[0-9a-f]{16}\.parquet")
 LAYOUT: Final = 4  # Another one wherever readers would miss or mistake a value.
 FAILED_COLUMNS: Final = ("spec", "kind", "consumer", "knowledge", "block", "why")
-_OF_LEVEL: Final = ("mechanism", "level", "family", "adding", "spec", "files")
+_OF_LEVEL: Final = ("mechanism", "level", "family", "adding", "protects", "spec", "files")
 _OF_CONSUMER: Final = ("kind", "consumer", "knowledge", "slow", "world")
 _LIBRARIES: Final = ("numpy", "scipy", "pandas", "pyarrow")
 
@@ -300,7 +300,9 @@ def entries_of(
     return [
         {
             "mechanism": mechanism.name,
-            **{name: getattr(mechanism, name) for name in ("level", "family", "adding")},
+            **{
+                name: getattr(mechanism, name) for name in ("level", "family", "adding", "protects")
+            },
             **named(mechanism, consumer),
             "slow": consumer.is_slow,
             "files": files[mechanism.spec, consumer.label],

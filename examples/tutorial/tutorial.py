@@ -61,7 +61,7 @@ for item in results.verdict["items"]:
     if item["section"] == "validity":
         print(f"{item['id']}: {item['decision']}. {item['sentence']}")
 
-# %% 7. A site: at most 45 % of the conflicts missed, at most 20 % of the people found again
+# %% 7. A site: at most 45 % of the conflicts to come missed, at most 20 % of the people found again
 question = "--max-missed 0.45 --max-rank1 0.2 --adding linear tutorial-run"
 exit_code = design.main(question.split())
 print("exit code:", exit_code)

@@ -5,7 +5,7 @@ from functools import partial
 
 import pytest
 from helpers.commands import assert_refused
-from helpers.summaries import FID, FIXED, IND, USUAL, edit_manifest, edited, write_run
+from helpers.summaries import BAD, GOOD, RAW, SHIFTED, changed, edit_manifest, write_run
 
 from evaluation import design
 
@@ -15,7 +15,7 @@ def made(tmp_path):
     return partial(write_run, tmp_path / "run")
 
 
-ONLY_FID = {"rates": {"fid": FID}}
+IND = ("--adding", "independent")
 
 
 def holding(name, content=None):
@@ -29,103 +29,111 @@ def holding(name, content=None):
     return spoil
 
 
-def unattacked(out):
-    """Leave nobody who attacks the recording itself."""
-    edited(out, "summary.csv", lambda frame: frame[frame["knowledge"] == ""])
-    simulated = "consumer.str.startswith('new_traversal')"
-    edited(out, "linkability.csv", lambda frame: frame.query(simulated))
-
-
-def unpredicted(out):
-    edit_manifest(out, lambda manifest: manifest["settings"].update(predictors=[]))
-
-
 class TestExitCode:
-    ARGUMENTS = ("--max-missed", "0.23")
-
-    def test_is_0_if_fid_meets_everything_under_both_rules(self, made, ran):
-        said = ran(design, *self.ARGUMENTS, made())
-        told = "Yes: with fid eta = 100 (linear) and eta = 100 (independent), or fixed d_sig"
+    def test_is_0_if_some_level_holds_everything(self, made, ran):
+        said = ran(design, made())
+        told = "Yes, against blind and informed: ou:0.4 ind. holds PLR after attack (at epsilon and"
         assert (said.code, " ".join(said.out.split())[: len(told)]) == (0, told)
 
-    @pytest.mark.parametrize(("rules", "code"), [("", 1), ("independent", 0), ("linear", 1)])
-    def test_is_1_if_one_rule_fails_and_0_if_it_is_not_asked_about(self, made, ran, rules, code):
-        asked = ["--adding", rules] if rules else []
-        out = made(USUAL | {"fid": {1.0: 0.4, 1000.0: 0.3}})
-        assert ran(design, *self.ARGUMENTS, "--family", "fid", *asked, out).code == code
+    def test_is_1_if_a_control_alone_would(self, made, ran):
+        said = ran(design, made((RAW, BAD, SHIFTED)), *IND)
+        assert (said.code, "offset" in said.out) == (1, False)
+        assert said.out.startswith("No: no level holds")
 
     @pytest.mark.parametrize(
-        ("rates", "families", "code", "told"),
+        ("options", "code", "told"),
         [
-            (USUAL | {"fid": {1.0: 0.9}}, [], 0, "Yes: with fixed d_sigma = 0.5 (linear) and"),
-            (USUAL | {"fid": {1.0: 0.9}}, ["fid"], 1, "with linear adding: fid."),
-            (USUAL | {"fixed": {0.1: 0.9}}, ["fixed"], 1, "with linear adding: fixed."),
-            (USUAL | {"fixed": {0.1: 0.9}}, ["fid", "fixed"], 0, "Yes: with fid eta = 100 (l"),
-            # What has no level under one of the rules gives no answer.
-            ({"fid": {1.0: 0.9}, f"fid{IND}": {1.0: 0.9}, "fixed": FIXED}, [], 1, "targets: fid."),
+            (["--max-missed", "0.23"], 0, "missed conflicts to come within 3 s <= 23 %"),
+            (["--max-missed", "0.21"], 1, "missed conflicts 20.0 % [18.0, 22.0], above 21 %"),
+            (["--max-plr", "0.3"], 1, "PLR after ou_rts (informed) 30.0 % [28.0, 32.0], above 30"),
+            (["--max-linkage-share", "0.41"], 1, "linkage after 1 s 40.0 % [38.0, 42.0] of raw's"),
+            (["--against", "anchor"], 0, "Yes, against blind and informed and anchor: ou:0.4 ind."),
+            (["--against", "insider"], 1, "Not answerable: insider was not tried: add --adversary"),
+            (
+                ["--horizon", "4"],
+                1,
+                "Not answerable: conflicts within 4 s were not judged: add --s",
+            ),
+            (
+                ["--horizon", "run", "--criterion", "missed", "--max-missed", "0.13"],
+                0,
+                "missed all ",
+            ),
+            (["--predictor", "least_squares", "--max-missed", "0.4"], 1, "missed conflicts 40.0 %"),
+            (["--family", "fixed"], 1, "The nearest is fixed:1 ind.: PLR after ou_rts"),
         ],
     )
-    def test_is_0_if_some_family_asked_about_meets_everything(
-        self, made, ran, rates, families, code, told
-    ):
-        named = [word for name in families for word in ("--family", name)]
-        said = ran(design, *self.ARGUMENTS, *named, made(rates))
+    def test_follows_what_is_asked_and_names_it(self, made, ran, options, code, told):
+        said = ran(design, *options, *IND, made())
         assert (said.code, told in " ".join(said.out.split())) == (code, True)
 
+    def test_a_yes_says_who_breaks_it(self, made, ran):
+        broken = changed(GOOD, beyond={"anchor": 0.92})
+        said = " ".join(ran(design, made((RAW, broken))).out.split())
+        assert said.startswith("Yes, against blind and informed: ou:0.4 ind. holds")
+        assert "; anchor breaks ou:0.4 ind.: 92.0 % [90.0, 94.0]." in said
+        assert "Not tried: repeats, companions, insider (--adversary NAME)." in said
+
+    def test_only_limits_that_were_asked_are_named(self, made, ran):
+        said = ran(design, "--max-linkage-share", "1", made())
+        first = " ".join(said.out.split()).partition(" walks:")[0]
+        assert first.endswith("holds PLR after attack (at epsilon and at 4/3 of it) <= 50 %.")
+
     def test_limits_hold_after_attack_unless_asked_as_shared(self, made, ran):
-        # PLR at eta = 100: 0.4 as shared, 0.7 after the strongest attack.
-        question = [*self.ARGUMENTS, "--family", "fid", "--max-plr", "0.5", made()]
+        question = ["--max-plr", "0.29", made()]
         attacked, shared = (ran(design, *question, *more) for more in ([], ["--as-shared"]))
-        assert attacked.out.startswith("No: above the limits of PLR: fid.")
-        assert "privacy limit holds as shared." in " ".join(shared.out.split())
         assert (attacked.code, shared.code) == (1, 0)
+        assert "PLR as shared (at epsilon" in " ".join(shared.out.split())
 
     @pytest.mark.parametrize(
-        ("run", "spoil", "options", "message"),
+        ("levels", "spoil", "options", "message"),
         [
-            ({}, None, ["--predictor", "kalman"], "--predictor kalman: "),
-            ({}, None, ["--adding", "mine"], "--adding"),
-            ({}, None, ["--max-plr", "much"], "--max-plr"),
-            ({}, None, ["--family", "fixd"], "did you mean 'fixed'?"),
-            (ONLY_FID, None, [], "--mechanism fid:1..1000/10,adding=independent, or ask for"),
-            (ONLY_FID, None, ["--adding", "independent"], "ask for --adding linear alone"),
-            ({"rates": {"fixed": FIXED}}, None, [], "fixed:0.1..1/10,adding=independent, or"),
-            ({"rates": {}}, None, ["--adding", "linear"], "fid:1..1000/10"),
-            ({}, holding("manifest.json"), [], "holds no run"),
-            ({}, holding("summary.csv"), [], "python -m evaluation.report"),
-            ({}, holding("linkability.csv"), ["--max-rank1", "0.5"], "--max-rank1: "),
+            (None, None, ["--predictor", "kalman"], "--predictor kalman: "),
+            (None, None, ["--adding", "mine"], "--adding"),
+            (None, None, ["--max-plr", "much"], "--max-plr"),
+            (None, None, ["--family", "fixd"], "did you mean 'fixed'?"),
+            (None, None, ["--against", "anchr"], "did you mean 'anchor'?"),
+            (None, None, ["--horizon", "soon"], "--horizon takes a time in s or `run`"),
+            (None, None, ["--criterion", "mine"], "--criterion"),
+            (None, None, ["--adding", "linear"], "--mechanism fid:1..1000/10,adding=linear"),
+            ((RAW, SHIFTED), None, [], "has no level that claims to protect"),
+            (None, holding("manifest.json"), [], "holds no run"),
+            (None, holding("levels.csv"), [], "python -m evaluation.report"),
             *(
-                ({}, holding("summary.csv", content), [], "summary.csv cannot be read")
+                (None, holding("levels.csv", content), [], "levels.csv cannot be read")
                 for content in ("", "a,b\n1,2\n", "\0\0")
             ),
-            ({}, unattacked, ["--max-rank1", "0.5"], "links nobody of its recording"),
-            ({}, unattacked, ["--max-plr", "0.5"], "ask for --as-shared"),
-            ({}, unpredicted, [], "--predictor least_squares"),
         ],
     )
     def test_is_2_with_one_line_for_what_the_run_cannot_answer(
-        self, made, ran, run, spoil, options, message
+        self, made, ran, levels, spoil, options, message
     ):
-        out = made(**run)
+        out = made(levels) if levels else made()
         if spoil is not None:
             spoil(out)
-        said = ran(design, *self.ARGUMENTS, *options, out)
+        said = ran(design, *options, out)
         assert_refused(said, message)
         assert (said.out, said.err.count("\n")) == ("", 1)
 
-    def test_is_2_without_a_target(self, made, ran):
-        assert_refused(ran(design, made()), "--max-missed")
-
-    def test_is_0_without_linkability_if_nobody_asks(self, made, ran):
-        said = ran(design, *self.ARGUMENTS, made(cells=None))
-        assert (said.code, "Rank 1" in said.out) == (0, False)
-
     def test_json_is_one_object_and_nothing_else(self, made, ran):
         out = made(simulated=True, notice="nobody walked here")
-        said = ran(design, *self.ARGUMENTS, "--max-plr", "0.1", "--json", out)
+        said = ran(design, "--max-plr", "0.1", "--json", out)
         found = json.loads(said.out)
         assert (said.code, said.err, found["met"]) == (1, "", False)
         assert "nobody walked here" in found["notes"]
+        assert found["nearest"]["mechanism"] == "ou"
+        whole = json.loads(ran(design, "--json", out).out)
+        (proposed,) = whole["proposals"]
+        assert proposed["after_attack"]["plr_wide"]["value"] == pytest.approx(0.4)
+        assert [one.get("breaks") for one in proposed["beyond"]] == [False, False, None, None]
+        assert whole["against"] == ["blind", "informed"]
+        assert whole["answer"].startswith("Yes (simulated people), against blind and informed:")
+
+    def test_epsilon_is_that_of_the_run(self, made, ran):
+        out = made()
+        stages = {"privacy.epsilon_m": 0.6}
+        edit_manifest(out, lambda manifest: manifest["settings"]["stages"].update(stages))
+        assert "40.0 % [38.0, 42.0] at 0.8 m" in " ".join(ran(design, out).out.split())
 
 
 class TestPlan:

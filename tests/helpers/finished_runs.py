@@ -9,9 +9,11 @@ import numpy as np
 import pandas as pd
 
 from evaluation.analysis import by_speed, decisions, frontier, linkability, matching, paper, summary
+from evaluation.analysis import levels as levels_table
 from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.keys import Source
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, MISSED_FUTURE, OF_ROBOT, UTILITY
+from evaluation.analysis.strongest_table import ONE_RELEASE
 from evaluation.reporting.rows import Results
 from evaluation.runs.files import FRAMES
 from evaluation.runs.manifest import FAILED_COLUMNS
@@ -220,6 +222,31 @@ def make_flags(**changes):
     return pd.DataFrame([row | changes], columns=flags.COLUMNS)
 
 
+def make_levels(summary, linkability, *, dataset="students03"):
+    """As `levels.csv` of a summary: its numbers, under names and for adversaries of that table."""
+    rows = summary[(summary["dataset"] == dataset) & (summary["family"] != "clean")]
+    missed = rows[rows["metric"] == "missed_conflict_rate"]
+    ahead = missed.assign(
+        metric="missed_future_at_equal_false_alarms", dataset=f"{dataset}:horizon=3s"
+    )
+    shared = rows[(rows["consumer"] == "shared") & rows["metric"].isin(DESCRIPTORS)]
+    attacked = rows[rows["knowledge"].isin(["informed", "repeats", "anchor"])]
+    best = {one.knowledge: one.consumer for one in attacked.itertuples()}
+    attacked = attacked[attacked["consumer"] == attacked["knowledge"].map(best)]
+    attacked = attacked[attacked["metric"].isin(DESCRIPTORS)]
+    beyond = attacked["knowledge"] != "informed"
+    attacked = attacked.assign(adversary=attacked["knowledge"].where(beyond, ONE_RELEASE))
+    plr = attacked[attacked["metric"] == "plr"]
+    linked = linkability[(linkability["cohort"] == "all") & (linkability["knowledge"] != "")]
+    linked = linked[linked["knowledge"] == "informed"]
+    linked = linked.assign(metric="rank1", value=linked["rank1"], adversary=ONE_RELEASE, n=55)
+    linked = linked.merge(rows[["mechanism", "family", "adding"]].drop_duplicates())
+    parts = [missed, ahead, shared, attacked, plr.assign(metric="plr_wide"), linked]
+    whole = pd.concat([one for one in parts if len(one)] or [missed])
+    protects = ~whole["family"].isin(["raw", "offset", "correlated", "thin"])
+    return whole.assign(protects=protects).reindex(columns=levels_table.COLUMNS)
+
+
 def make_run(out=Path(), dataset="students03", *, at=None, **changes):
     """A finished run at some levels; any of its frames may be another."""
     manifest = copy.deepcopy(MANIFEST)
@@ -241,7 +268,9 @@ def make_run(out=Path(), dataset="students03", *, at=None, **changes):
         "speeds": make_speeds(dataset=dataset),
         "strongest": STRONGEST,
     }
-    return Results(out=out, **(parts | changes))
+    parts |= changes
+    made = make_levels(parts["summary"], parts["linkability"], dataset=dataset)
+    return Results(out=out, **({"levels": made} | parts))
 
 
 def with_links(run):

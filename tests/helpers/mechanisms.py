@@ -47,6 +47,18 @@ class Says(Twice):
 
 
 @dataclass(frozen=True)
+class Control(Twice):
+    """One that is there to tell something, not to protect anybody."""
+
+    protects: ClassVar[bool] = False
+
+
+@dataclass(frozen=True)
+class Perhaps(Twice):
+    protects: ClassVar[str] = "perhaps"
+
+
+@dataclass(frozen=True)
 class Vague(Twice):
     adding: float = 0.5
 

@@ -1,109 +1,123 @@
-"""Run folders that hold tables alone, with numbers that a question about them is easy to answer."""
+"""Run folders that hold `levels.csv` alone, with numbers that a question about them is easy to
+answer.
+"""
+
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis import linkability, summary
+from evaluation.analysis.levels import COLUMNS
+from evaluation.analysis.strongest_table import ONE_RELEASE
 from evaluation.experiment.fingerprint import code_hash
 from evaluation.experiment.presets import PRESETS
+from evaluation.runs.files import from_csv, to_csv
 from evaluation.runs.manifest import read_manifest, write_manifest
-from evaluation.verdict.choose_level import ASKED, Limits, choose
+from evaluation.verdict.what_to_share import Question, recommend
 from isac_track.config import StageSettings
 
+WALKS = "walks"
 IND = ":adding=independent"
 HALF = 0.02
-"""Half an interval of a rate."""
-FID = {1.0: 0.30, 10.0: 0.25, 100.0: 0.20, 1000.0: 0.15}
-"""Missed rate by eta."""
-FIXED = {0.1: 0.14, 0.5: 0.19, 1.0: 0.30}
-USUAL = {
-    "fid": FID,
-    "fixed": FIXED,
-    f"fid{IND}": {eta: missed - 0.03 for eta, missed in FID.items()},
-    f"fixed{IND}": {d_sigma: missed - 0.03 for d_sigma, missed in FIXED.items()},
-}
-LINKS = {"outcome": "links", "invalid": ""}
-ATTACKS = {
-    ("rerelease", "control-random", ""): {"rank1": 0.97},
-    ("rerelease", "shape", "blind"): {"rank1": 0.20},
-    ("rerelease", "shape", "informed"): {"rank1": 0.40},
-    ("rerelease", "dtw", "informed"): {"rank1": 0.30},
-    ("rerelease", "dtw", "oracle"): {"rank1": 0.95},
-    ("new_traversal", "shape", "blind"): {"rank1": 0.80},
-}
+"""Half an interval of every number."""
+FUTURE, ALL = "missed_future_at_equal_false_alarms", "missed_at_equal_false_alarms"
+ROBOT, OTHER_ROBOT = "kalman_cv", "least_squares"
+HANDOVER = "handover-1s"
 
 
-def leak(mechanism, level):
-    """PLR as shared: the less is added, the more is left."""
-    order = np.log10(level) / 10 if mechanism.startswith("fid") else (1 - level) / 4
-    return 0.2 + float(order)
+@dataclass(frozen=True)
+class Level:
+    """What a level is planted with; as it is it holds everything that is usually asked."""
+
+    mechanism: str
+    level: float | None = None
+    family: str = ""
+    adding: str = "independent"
+    protects: bool = True
+    missed: float = 0.20  # To come within 3 s at raw's false alarms, of the better robot.
+    plr: float = 0.30
+    wide: float = 0.40
+    median: float = 0.5
+    share: float = 0.40
+    rank1: float = 0.30
+    task: str = HANDOVER
+    outcome: str = "links"
+    invalid: str = ""
+    beyond: dict = field(default_factory=lambda: {"repeats": 0.40, "anchor": 0.35})
+    """PLR after adversaries who know more; at 4/3 epsilon it is 0.05 more."""
+    half: float = HALF
+    is_attacked: bool = True
+
+    def rows(self):
+        """Rows of `levels.csv`."""
+        robots = [(name, "", "", f"{WALKS}:horizon=3s", missed) for name, missed in (
+            (ROBOT, self.missed), (OTHER_ROBOT, self.missed + 0.2)
+        )]  # fmt: skip
+        for consumer, _, _, dataset, missed in robots:
+            yield self._row(dataset, "", consumer, "", FUTURE, missed)
+            yield self._row(dataset, "", consumer, "", "false_alarm_rate", 0.1)
+            yield self._row(WALKS, "", consumer, "", ALL, missed / 2)
+            yield self._row(WALKS, "", consumer, "", "false_alarm_rate", 0.05)
+        for metric, value in (("plr", 0.2), ("plr_wide", 0.25), ("median_error", 0.8)):
+            yield self._row(WALKS, "", "shared", "", metric, value)
+        sides = [(ONE_RELEASE, "informed", self.plr, self.wide)] * self.is_attacked
+        sides += [(name, name, plr, plr + 0.05) for name, plr in self.beyond.items()]
+        for adversary, knowledge, plr, wide in sides:
+            numbers = {"plr": plr, "plr_wide": wide, "median_error": self.median, "ael": 1.0}
+            for metric, value in numbers.items():
+                yield self._row(WALKS, adversary, "ou_rts", knowledge, metric, value)
+        linker = f"{self.task}/kinematic"
+        numbers = {"rank1": self.rank1, "chance": 0.025, "linkage_share": self.share}
+        for metric, value in numbers.items() if self.task else ():
+            yield self._row(WALKS, ONE_RELEASE, linker, "blind", metric, value)
+        simulated = "plaza-two-sessions", ONE_RELEASE, "new_traversal/shape", "blind"
+        yield self._row(*simulated, "rank1", 0.99)
+
+    def _row(self, dataset, adversary, consumer, knowledge, metric, value):
+        level = np.nan if self.level is None else self.level
+        linked = "/" in consumer
+        return {
+            "dataset": dataset, "mechanism": self.mechanism, "level": level,
+            "family": self.family or self.mechanism.partition(":")[0], "adding": self.adding,
+            "protects": self.protects, "adversary": adversary, "consumer": consumer,
+            "knowledge": knowledge, "metric": metric, "value": value,
+            "ci_low": value - self.half, "ci_high": value + self.half, "n": 55,
+            "outcome": self.outcome if linked else "", "invalid": self.invalid if linked else "",
+        }  # fmt: skip
 
 
-def numbers(mechanism, level, missed, *, half=HALF):
-    """Rows of the summary at one level: consumer, adversary, metric, value, half interval."""
-    plr = 0.5 if level is None else leak(mechanism, level)
-    return [
-        ("shared", "", "plr", plr, 0.01),
-        ("shared", "", "ael", plr / 2, 0.01),
-        ("shared", "", "mel", 2 * plr, 0.1),
-        ("shared", "", "rmse", 1.0, 0.1),
-        ("least_squares", "", "missed_conflict_rate", missed, half),
-        ("least_squares", "", "false_alarm_rate", missed / 2, half),
-        ("kalman_cv", "", "missed_conflict_rate", missed / 2, half),
-        ("kalman_cv", "", "false_alarm_rate", missed / 4, half),
-        ("kalman_rts", "blind", "plr", plr + 0.10, 0.01),
-        ("kalman_rts", "informed", "plr", plr + 0.20, 0.01),
-        ("kalman_rts", "informed", "ael", 9.0, 0.1),
-        ("kalman_rts", "informed", "mel", 9.9, 0.1),
-        ("radial_rts", "informed", "plr", plr + 0.30, 0.01),
-        ("radial_rts", "informed", "ael", 2.0, 0.1),
-        ("radial_rts", "informed", "mel", 4.0, 0.1),
-        ("averaging", "oracle", "plr", 0.99, 0.005),
-    ]
+RAW = Level(*("raw", None, "raw", "", False, 0.05, 0.9, 0.95, 0.1, 1.0, 0.8), beyond={})
+GOOD = Level("ou", 0.4)
+BAD = Level("fixed:adding=independent", 1.0, missed=0.1, plr=0.8, wide=0.9, share=0.9)
+SHIFTED = Level("offset", 0.3, adding="", protects=False, missed=0.05, plr=0.1, wide=0.1, share=0.1)
+"""A control that would win on every count."""
+USUAL = (RAW, GOOD, BAD, SHIFTED)
 
 
-def declared(mechanism):
-    """Family and adding rule of a mechanism: of a stranger's, none."""
-    family = mechanism.partition(":")[0]
-    rule = "independent" if mechanism.endswith(IND) else "linear"
-    return {"family": family, "adding": rule if family in ("fid", "fixed") else ""}
+def table(levels=USUAL):
+    """As `levels.csv`."""
+    rows = [row for level in levels for row in level.rows()]
+    return from_csv(to_csv(pd.DataFrame(rows, columns=COLUMNS)))
 
 
-def summary_frame(rates, *, half=HALF):
-    """`rates`: mechanism -> level -> missed rate."""
-    levels = [("raw", None, 0.12)]
-    levels += [(name, at, missed) for name, of in rates.items() for at, missed in of.items()]
-    frame = pd.DataFrame(
-        [
-            {"mechanism": mechanism, "level": level, **declared(mechanism)}
-            | dict(zip(("consumer", "knowledge", "metric", "value", "half"), row, strict=True))
-            for mechanism, level, missed in levels
-            for row in numbers(mechanism, level, missed, half=half)
-        ]
-    ).assign(dataset="walks", n=55, unit="")
-    frame["ci_low"], frame["ci_high"] = (frame["value"] + sign * frame["half"] for sign in (-1, 1))
-    return frame[summary.COLUMNS]
+def asked(levels=USUAL, *, scenes=(500, 2000), **question):
+    """What is recommended of some levels."""
+    of = Question(**{"adding": ("independent",)} | question)
+    return recommend(table(levels), of, dataset=WALKS, scenes=scenes)
 
 
-def linked_frame(rates, cells):
-    """`cells`: (task, attack, adversary) -> rank 1 and what else a row says, at every level."""
-    levels = [("raw", np.nan), *[(name, at) for name, of in rates.items() for at in of]]
-    rows = []
-    for mechanism, level in levels:
-        for (task, attack, knowledge), row in cells.items():
-            value, consumer = row["rank1"], f"{task}/{attack}"
-            cell = {"mechanism": mechanism, "level": level, "consumer": consumer}
-            cell |= {"dataset": linkability.dataset_of(consumer, dataset="walks")}
-            cell |= {"knowledge": knowledge, "chance": 0.01}
-            cell |= LINKS | {"ci_low": value - 0.05, "ci_high": value + 0.05} | row
-            # Walking groups left out it links more, but that is another question.
-            others = {"cohort": "without_groups", "rank1": 0.98, "outcome": np.nan}
-            rows += [cell | others, cell | {"cohort": "all"}]
-    return pd.DataFrame(rows, columns=linkability.COLUMNS)
+def names(offers):
+    """Mechanism and level of offers."""
+    return [offer.where for offer in offers]
 
 
-def write_run(out, rates=USUAL, *, half=HALF, cells=ATTACKS, **dataset):
-    """A run folder with manifest, summary.csv and linkability.csv."""
+def changed(base=GOOD, /, **values):
+    """A level with other values."""
+    return replace(base, **values)
+
+
+def write_run(out, levels=USUAL, **dataset):
+    """A run folder with a manifest and levels.csv."""
     (out / "cells").mkdir(parents=True)
     stages = StageSettings().flat()
     content = {
@@ -113,26 +127,18 @@ def write_run(out, rates=USUAL, *, half=HALF, cells=ATTACKS, **dataset):
         "code": code_hash(),
         "settings": {
             "preset": "paper",
-            "predictors": ["least_squares", "kalman_cv"],
+            "predictors": [OTHER_ROBOT, ROBOT],
             "attacks": list(PRESETS["paper"].attacks),
             "tasks": list(PRESETS["paper"].tasks),
             "stages": stages,
         },
-        "dataset": {"name": "walks", "path": "my walks.csv", "format": "csv"}
+        "dataset": {"name": WALKS, "path": "my walks.csv", "format": "csv"}
         | {"simulated": False, "notice": None}
         | dataset,
     }
     write_manifest(out, content)
-    summary_frame(rates, half=half).to_csv(out / "summary.csv", index=False)
-    if cells is not None:
-        linked_frame(rates, cells).to_csv(out / "linkability.csv", index=False)
+    (out / "levels.csv").write_bytes(to_csv(table(levels)))
     return out
-
-
-def edited(out, name, change):
-    """Change a table of a run."""
-    frame = pd.read_csv(out / name, keep_default_na=False, dtype=str)
-    change(frame).to_csv(out / name, index=False)
 
 
 def edit_manifest(out, change):
@@ -140,20 +146,3 @@ def edit_manifest(out, change):
     manifest = read_manifest(out)
     change(manifest)
     write_manifest(out, manifest)
-
-
-def asked(out, *, as_shared=False, **question):
-    """The choice of a level under some limits, each by its name."""
-    limits = Limits({name: question.pop(name) for name in ASKED if name in question}, as_shared)
-    return choose(out, limits=limits, **question)
-
-
-def scheme(choice, family="fid", adding="linear"):
-    """The one answer for a mechanism under an adding rule."""
-    (one,) = [one for one in choice.schemes if (one.name, one.adding) == (family, adding)]
-    return one
-
-
-def statuses(one):
-    """What became of every target and limit."""
-    return {check.name: check.status for check in one.checks}

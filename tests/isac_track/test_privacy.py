@@ -93,6 +93,9 @@ def test_in_one_pass_they_are_those_of_the_definitions(is_moved, intervals):
     rows = (expected.plr, expected.ael_s, expected.mel_s, expected.segments)
     np.testing.assert_allclose(found[:4], rows, rtol=1e-12)
     np.testing.assert_allclose(found[4], [one.mean() for one in parts], rtol=1e-11)
+    away_m = [np.sqrt(one) for one in parts]
+    np.testing.assert_allclose(found[5], [(one < 0.4).mean() for one in away_m], rtol=1e-12)
+    np.testing.assert_allclose(found[6], [np.median(one) for one in away_m], rtol=1e-9)
 
 
 def test_mean_interval():

@@ -78,3 +78,28 @@ def test_a_run_with_a_mechanism_of_ones_own_treats_it_like_fid(csv_recording, tm
     assert set(matched["adding"]) == {"linear"}  # of the other rule there is no fixed noise
     # It is fixed noise by another name, on the same draws.
     assert np.allclose(matched["difference"], 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("spec", "claims"),
+    [
+        *((name, False) for name in ("raw", "clean", "correlated:0.75", "offset:0.3", "thin:4")),
+        *((name, True) for name in ("fixed:1", "fid:1", "ou:0.4", "ou_fid:1", "laplace:1")),
+        ("forecast:0.1", True),
+        ("thin:4,d_sigma=0.75", False),
+        ("helpers.mechanisms:Twice:0.2", True),  # without a word it claims to
+        ("helpers.mechanisms:Control:0.2", False),
+    ],
+)
+def test_a_mechanism_says_whether_it_claims_to_protect(spec, claims):
+    (plugin,) = parse("mechanisms", spec)
+    assert plugin.protects is claims
+    entry = {"mechanism": plugin.name, "family": plugin.family, "adding": plugin.adding}
+    for rows in ([entry | {"protects": claims}], pd.DataFrame([entry | {"protects": claims}])):
+        assert families_in(rows)[plugin.name].protects is claims
+    assert families_in([entry])[plugin.name].protects
+
+
+def test_a_claim_that_is_neither_yes_nor_no_is_refused_by_name():
+    with pytest.raises(PluginError, match=r"helpers.mechanisms:Perhaps.*protects must be True or"):
+        parse("mechanisms", "helpers.mechanisms:Perhaps:0.2")

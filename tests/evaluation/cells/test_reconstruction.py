@@ -465,7 +465,7 @@ class TestRuns:
             for name in ("shared", "identity")
         )
         numbers = ["value", "ci_low", "ci_high", "n"]
-        assert len(shared) == 3 * 5
+        assert len(shared) == 3 * 7
         assert attacked.loc[shared.index, numbers].equals(shared[numbers])
         entries = [one for one in results.manifest["cells"] if one["kind"] == "attack"]
         assert len(entries) == 3 * (1 + 3 + 1)

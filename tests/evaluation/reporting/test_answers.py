@@ -15,6 +15,8 @@ from helpers.finished_runs import (
     make_summary,
     with_links,
 )
+from helpers.summaries import BAD, SHIFTED, changed, table
+from helpers.summaries import RAW as PLANTED_RAW
 
 from evaluation.analysis.keys import Source
 from evaluation.reporting.answers import answers, headline_of
@@ -26,8 +28,9 @@ PEOPLE = re.compile(r"(\d+) of 100 people, at least (\d+)")
 
 
 def held(run):
-    """All shares of a summary with their intervals, as they are written."""
-    ends = (100.0 * run.summary[["value", "ci_low", "ci_high"]]).to_numpy()
+    """All shares of a run with their intervals, as they are written."""
+    both = pd.concat([run.summary, run.levels])
+    ends = (100.0 * both[["value", "ci_low", "ci_high"]]).to_numpy(dtype=float)
     return {tuple(f"{one:.1f}" for one in row) for row in ends}
 
 
@@ -70,12 +73,12 @@ def test_every_number_of_an_answer_is_in_the_tables(name):
     assert len(spreads) == (name not in ("no verdict", "nothing"))
     untested = [one.topic for one in said if one.sentence.startswith("Not tested")]
     expected = {
-        "no predictor": ["Robot", "Links", "Level"],
-        "no attack": ["Links", "Level"],
+        "no predictor": ["Robot", "Links"],
+        "no attack": ["Links"],
         "no linker": ["Links"],
         "another predictor": ["Links"],
         "no verdict": ["Links", "Tells"],
-        "nothing": ["Robot", "Leak", "Links", "Tells", "Level"],
+        "nothing": ["Robot", "Leak", "Links", "Tells"],
     }
     assert untested == expected.get(name, [])
 
@@ -137,24 +140,32 @@ def test_a_run_without_errors_is_answered_with_what_it_has():
     assert answers(run)[0].sentence.startswith("Missed conflicts at clean: the paper's line ")
 
 
-def test_of_a_dozen_people_without_intervals_the_values_alone_choose_a_level():
-    few = make_summary([("raw", np.nan), ("fixed", 1.0)]).assign(ci_low=np.nan, ci_high=np.nan)
-    few.loc[few["metric"] == "plr", "value"] = np.where(few["mechanism"] == "raw", 0.9, 0.4)[
-        few["metric"] == "plr"
-    ]
-    said = answers(make_run(summary=few))[4].sentence
-    expected = "By the values alone, since so few people have no interval, of the levels that keep"
-    assert said.startswith(f"{expected} attacked PLR below 50 %, fixed:1 misses")
+def proposed(*levels):
+    """The last answer of a run with planted levels."""
+    planted = table((PLANTED_RAW, *levels))
+    named = planted["dataset"].str.replace("walks", "students03")
+    return answers(make_run(levels=planted.assign(dataset=named)))[4].sentence
+
+
+def test_of_a_dozen_people_without_intervals_nothing_is_proposed():
+    said = proposed(changed(half=np.nan))
+    assert said.startswith("Not answerable: so few people have no interval; 15 groups have.")
+    assert said.endswith("At ou:0.4 ind. all else holds.")
 
 
 def test_a_level_is_proposed_with_what_could_undo_it():
-    alone, more = ((("kalman_rts", name),) for name in ("blind", "repeats"))
-    said = [
-        answers(make_run(summary=make_summary(attacks=one), strongest={"": Source(*alone[0])}))[4]
-        for one in (alone, alone + more)
-    ]
-    assert "(not tried: repeats, a known position)" in said[0].sentence
-    assert re.search(r" \(repeats \d+\.\d %[^()]*; not tried: a known position\)", said[1].sentence)
+    said = proposed(changed(beyond={"anchor": 0.92}))
+    assert "It falls to anchor 92.0 % [90.0, 94.0]. Not tried: repeats, companions" in said
+    assert "of raw's is ou:0.4 ind.: Kalman misses 20.0 % [18.0, 22.0] of conflicts to come" in said
+    assert "median error 0.50 m [0.48, 0.52], linked after 1 s 30.0 % [28.0, 32.0]" in said
+
+
+def test_if_none_holds_the_nearest_is_told_and_a_control_never():
+    said = proposed(BAD, SHIFTED)
+    assert said.startswith("No level holds PLR after attack (at epsilon and at 4/3 of it) <= 50 %")
+    assert "The nearest, fixed:1 ind., has PLR 80.0 % [78.0, 82.0], at 4/3 of epsilon" in said
+    assert "offset" not in said
+    assert proposed(SHIFTED) == "Not answerable: no level of the run claims to protect."
 
 
 def test_a_robot_that_knows_the_mechanism_is_in_the_first_answer_beside_the_others():

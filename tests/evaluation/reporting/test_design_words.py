@@ -1,4 +1,4 @@
-"""The answer in words, as tables and JSON."""
+"""The answer in words, as a table and JSON."""
 
 import io
 import json
@@ -7,17 +7,18 @@ from pathlib import Path
 
 import pytest
 from helpers.pages import assert_as_approved
-from helpers.summaries import asked, write_run
+from helpers.summaries import BAD, GOOD, RAW, changed, write_run
 from rich.console import Console
 
-from evaluation.reporting.design_words import show, to_json
+from evaluation.reporting.design_words import answer_of, show, to_json
+from evaluation.verdict.what_to_share import USUAL, Question
 
-LIMITS = {"missed": 0.23, "plr": 0.42, "rank1": 0.44}
+INDEPENDENT = ("independent",)
 
 
-def shown(choice, *, width=116):
+def shown(answer, *, width=116):
     raw = io.StringIO()
-    show(choice, console=Console(file=raw, width=width, highlight=False))
+    show(answer, console=Console(file=raw, width=width, highlight=False))
     return raw.getvalue()
 
 
@@ -27,15 +28,16 @@ def made(tmp_path):
 
 
 def test_the_answer_is_letter_for_letter_what_was_read_and_approved(made, tmp_path):
-    # Limits stand above what they are about, but not above a simulated task.
-    cells = {
-        ("split", "shape", "informed"): {"rank1": 0.01, "outcome": "no link detected"},
-        ("rerelease", "shape", "informed"): {"rank1": 0.40},
-        ("new_traversal", "shape", "blind"): {"rank1": 0.80},
-    }
-    out = made(cells=cells)
-    answer = asked(out, as_shared=True, **LIMITS)
-    after = asked(out, missed=0.23, plr=0.9, adding=("linear",))
-    parts = [shown(answer, width=80), shown(after), json.dumps(to_json(after), indent=1)]
+    broken = changed(GOOD, level=0.5, missed=0.3, plr=0.2, beyond={"repeats": 0.6, "anchor": 0.4})
+    out = made((RAW, GOOD, broken, BAD))
+    limits = {**USUAL, "missed": 0.35, "rank1": 0.5}
+    questions = [
+        Question(adding=INDEPENDENT),
+        Question(adding=INDEPENDENT, limits=limits, against=("repeats", "companions")),
+        Question(adding=INDEPENDENT, limits={**USUAL, "plr": 0.1}),
+    ]
+    answers = [answer_of(out, question) for question in questions]
+    parts = [shown(answers[0], width=80), *map(shown, answers[1:])]
+    parts.append(json.dumps(to_json(answers[0]), indent=1))
     text = "\n".join(parts).replace(str(tmp_path), "")
     assert_as_approved(text, Path(__file__).with_name("design.txt"))

@@ -13,12 +13,12 @@ from helpers.finished_runs import (
     make_run,
     make_summary,
 )
+from helpers.summaries import BAD, GOOD, RAW, table
 
-from evaluation.analysis.keys import Source
 from evaluation.reporting.announcements import condensed, geometry, notices
-from evaluation.reporting.answers import chosen_levels, headline_of
 from evaluation.reporting.first_screen import first_screen
 from evaluation.reporting.progress import Clock
+from evaluation.reporting.recommendation import recommended_levels
 
 MANY = [*levels(), *[(f"ou{n}", at) for n in range(20) for at in (0.2, 0.4)]]
 
@@ -35,13 +35,17 @@ def test_it_fits_a_terminal_whatever_was_said_before(run, before):
 
 
 def test_the_level_that_the_last_answer_names_has_a_row_where_there_is_room_for_few():
-    run = make_run(at=[("ou", 0.3), *MANY], strongest={"": Source("kalman_rts", "blind")})
-    assert chosen_levels(headline_of(run)) == [("ou", 0.3)]
-    lines = first_screen(run, before=12)
-    assert any(line.startswith("ou:0.3 ") for line in lines)
-    assert any(
-        "5 Level: Of the levels that keep attacked PLR below 50 %, ou:0.3 " in one for one in lines
+    planted = table((RAW, GOOD, BAD)).assign(
+        dataset=lambda rows: rows["dataset"].str.replace("walks", "students03")
     )
+    run = make_run(at=[("ou", 0.4), *MANY], levels=planted)
+    assert recommended_levels(run) == [("ou", 0.4)]
+    lines = first_screen(run, before=12)
+    assert any(line.startswith("ou:0.4 ") for line in lines)
+    text = " ".join(" ".join(lines).split())
+    assert "5 Level: The cheapest of 1 level with PLR after attack (at epsilon and at 4/3" in text
+    assert " is ou:0.4 ind.: Kalman misses 20.0 % [18.0, 22.0] of conflicts to come" in text
+    assert "holds against repeats 40.0 % [38.0, 42.0], anchor 35.0 %" in text
 
 
 def test_the_paper_levels_come_first_then_one_of_every_other_mechanism():
@@ -114,14 +118,14 @@ def test_numbers_without_an_interval_say_why():
 
 
 def test_the_next_question_is_one_that_the_run_can_answer(tmp_path):
-    asked = first_screen(make_run(tmp_path / "run", strongest={"": Source("kalman_rts", "blind")}))
-    assert any("evaluation.design --max-missed 0.20 --max-plr 0.50" in line for line in asked)
+    asked = first_screen(make_run(tmp_path / "run"))
+    assert any("evaluation.design --max-missed 0.20" in line for line in asked)
     one_rule = make_run(tmp_path / "run", at=levels(rules=("",), others=()))
     *_, first, second = first_screen(one_rule)
-    assert first.endswith(" --max-plr 0.50 \\")
+    assert first.endswith(" --max-missed 0.20 \\")
     assert second.startswith("  --adding linear ")
     assert not any("--adding" in line for line in asked)
-    alone = first_screen(make_run(tmp_path / "run", strongest={}))
+    alone = first_screen(make_run(tmp_path / "run", summary=make_summary(predictors=())))
     assert "evaluation.report --verbose" in alone[-2] + alone[-1]
 
 

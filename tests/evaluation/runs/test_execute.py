@@ -127,7 +127,7 @@ class TestWhatARunLeaves:
         assert not drawn.summary.duplicated(KEY).any()
         assert set(drawn.summary["metric"]) == {
             *("missed_conflict_rate", "missed_future_rate", "false_alarm_rate", "distance_mae"),
-            *("plr", "ael", "mel", "plr_worst_tenth", "rmse"),
+            *("plr", "ael", "mel", "plr_worst_tenth", "rmse", "plr_wide", "median_error"),
         }
         assert set(drawn.summary["unit"]) == {"fraction", "s", "m"}
         assert set(drawn.summary["consumer"]) == {"shared", "least_squares"}
@@ -191,7 +191,7 @@ def test_further_scenes_are_for_utility_and_change_none_of_the_attacked(
     specs = ("raw", "fid:1000", "correlated:0.75")
     predictors = ("least_squares", "kalman_cv", "kalman_ca")
     axes = {"mechanisms": specs, "predictors": predictors, "attacks": ("identity",), "tasks": ()}
-    axes |= {"other_law": (), "model": (), "protections": ()}
+    axes |= {"other_law": (), "model": (), "protections": (), "breakers": ()}
     few = replace(PRESETS["paper"], scenes=4, utility_scenes=10, **axes)
     monkeypatch.setitem(PRESETS, "paper", few)
     for name in ("experiment.plan", "runs.pieces"):
@@ -218,7 +218,7 @@ class TestAnotherRunInTheSameFolder:
     def test_with_a_mechanism_more_computes_only_its_cells(self, finished, drawn):
         kept = stamps(finished.out)
         after = run(finished, mechanisms=(*finished.mechanisms, "fixed:0.3", "clean")).summary
-        assert len(after) == len(drawn.summary) + 2 * 8
+        assert len(after) == len(drawn.summary) + 2 * 10
         common = after.merge(drawn.summary, on=list(drawn.summary.columns))
         assert len(common) == len(drawn.summary)
         assert_kept(kept)
@@ -365,7 +365,7 @@ def test_some_levels_are_computed_under_the_other_law_too(csv_recording, tmp_pat
     """As a run under that law has them; the run's own are as without them."""
     axes = {"mechanisms": ("raw", "fid:1", "fixed:0.5"), "tasks": (), "scenes": 4}
     axes |= {"attacks": ("kalman_rts", "averaging"), "predictors": ("least_squares",)}
-    axes |= {"protections": (), "model": ()}
+    axes |= {"protections": (), "model": (), "breakers": ()}
     few = replace(PRESETS["paper"], utility_scenes=4, other_law=("fid:1", "fixed:0.5"), **axes)
     monkeypatch.setitem(PRESETS, "paper", few)
     stages = StageSettings().changed({"conflict.horizons_s": ()})
@@ -430,4 +430,4 @@ def test_intervals_cluster_by_group(settings, tmp_path, csv_recording):
     # Of either group somebody is in a conflict, but not in one that is still to come.
     every = results.summary[~results.summary["metric"].isin(["missed_future_rate"])]
     assert set(every["n"]) == {2}
-    assert len(summary.estimates(settings.out, results.manifest)[0]) == 3 * 8
+    assert len(summary.estimates(settings.out, results.manifest)[0]) == 3 * 10
