@@ -124,10 +124,12 @@ class Axes:
 
     def meets(self, consumer: Consumer, mechanism: Plugin) -> bool:
         """Return whether a consumer reads what a mechanism shares."""
-        if consumer.kind != "attack" or consumer.spec not in self.against_slow:
-            return True
+        needs_slow = {
+            "attack": consumer.spec in self.against_slow,
+            "bound": all(one.spec in self.against_slow for one in self.attacks),
+        }
         std_m, tau_s = added_error(mechanism.instance)
-        return std_m > 0.0 and tau_s > 0.0
+        return not needs_slow.get(consumer.kind, False) or (std_m > 0.0 and tau_s > 0.0)
 
     def consumers_in(self, world: str) -> tuple[Consumer, ...]:
         """Return the same in another world: of walks of a model nobody foresees conflicts."""

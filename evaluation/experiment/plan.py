@@ -187,7 +187,7 @@ def _units(
             for stage, of_stage in by_stage.items():
                 met = {key: one for key, one in of_stage.items() if crossed.meets(one, mechanism)}
                 made_by = code(stage, mechanism)
-                for block in blocks:
+                for block in blocks if met else ():
                     key = fingerprint.digest([identity, stage, block, *about, *made_by.values()])
                     units.append(Unit(stage, block, mechanism, key, made_by, met))
     return tuple(units), known
