@@ -3,8 +3,8 @@
 A walk has constant velocity but for white acceleration of spectral density q, the same in either
 axis; its errors are Gaussian once the scale of each is told. Then the exact posterior is a
 smoother's, and no attack, in expectation, knows more samples to epsilon than its mean does in the
-hands of the genie who is told every scale. Of real walks, which are not drawn from this motion,
-that says nothing for sure. Derivations: docs/optimum.md.
+hands of a genie who is told every scale, and how each person moves. Real walks are not drawn from
+this motion: of them that is no bound. Derivations: docs/optimum.md.
 
 References
 ----------
@@ -20,8 +20,8 @@ import numpy as np
 from numpy.random import Generator
 from scipy.special import i0e, logsumexp
 
-from isac_track.kalman import Batch, kalman_last, smooth_positions
-from isac_track.kalman.slow_errors import SlowError, smooth_tracks
+from isac_track.kalman import Batch, kalman_last
+from isac_track.kalman.slow_errors import SlowError, smooth_each
 from isac_track.protection import Laplace, Ou, OuFid
 from isac_track.sharing import Clean, Fid, Fixed, Raw
 from isac_track.sharing_controls import Thin
@@ -30,7 +30,6 @@ from isac_track.types import Floats, Ints, Release, Sensed, Tracks, squared_leng
 _LAG_S: Final = 1.0  # Over which acceleration is measured: what a smoother averages over.
 _EVERY = 4  # Of them within one lag.
 _MOST_FITTED = 300
-_LOW: Final = 0.1  # Quantile of people's densities: that of a walk which is easy to smooth.
 START_STD_M = 100.0  # Around the first sample: nothing is known of where a walk starts.
 _LEAST_VARIANCE_M2 = 1e-12
 _LEAST_Q = 1e-4
@@ -42,8 +41,19 @@ class Motion:
     """How people walk, as fitted to tracks."""
 
     q: float  # m^2/s^3, spectral density of the acceleration, per axis: the mean over people.
-    q_low: float  # The same of the people who accelerate least: a tenth do so less.
     speed_mps: float  # Standard deviation of the velocity, per axis.
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class OwnMotions:
+    """How each of N people walks, as fitted to their tracks: units are those of `Motion`."""
+
+    q: Floats  # (N,)
+    speed_mps: Floats  # (N,)
+
+    def take(self, rows: Ints) -> "OwnMotions":
+        """Return those of some tracks, or of a track several times."""
+        return OwnMotions(self.q[rows], self.speed_mps[rows])
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -61,34 +71,50 @@ def fitted_motion(tracks: Tracks) -> Motion:
     Of a walk that white acceleration drives x(t + h) - 2 x(t) + x(t - h) has the variance
     2 q h^3 / 3 per axis; h is 1 s, or a third of a shorter track.
     """
-    density, square = [], []
     n_fitted = min(_MOST_FITTED, len(tracks))
-    for row in np.unique(np.linspace(0, len(tracks) - 1, n_fitted).astype(int)).tolist():
-        one = tracks[row]
-        lag_s = min(_LAG_S, (one.t[-1] - one.t[0]) / 3.0)
-        middle = np.arange(one.t[0] + lag_s, one.t[-1] - lag_s, lag_s / _EVERY)
-        before, at, after = (
-            np.column_stack([np.interp(middle + shift_s, one.t, axis) for axis in one.xy.T])
-            for shift_s in (-lag_s, 0.0, lag_s)
-        )
-        density.append(np.square(after - 2.0 * at + before).mean() / (2.0 / 3.0 * lag_s**3))
-        square.append(np.square((after - before) / (2.0 * lag_s)).mean())
+    rows = np.unique(np.linspace(0, len(tracks) - 1, n_fitted).astype(int)).tolist()
+    density, square = np.transpose([_moves(tracks[row]) for row in rows])
     # Nobody walks dead straight, or stands dead still: a track that does was left standing.
-    low = max(float(np.quantile(density, _LOW)), _LEAST_Q)
     speed_mps = max(float(np.sqrt(np.mean(square))), _LEAST_SPEED_MPS)
-    return Motion(max(float(np.mean(density)), low), low, speed_mps)
+    return Motion(max(float(np.mean(density)), _LEAST_Q), speed_mps)
 
 
-def simulated(*, t: Floats, offsets: Ints, start: Floats, motion: Motion, rng: Generator) -> Floats:
-    """Return walks of a motion at the instants `t`, (M, 2) m, that start at `start`, (N, 2) m."""
+def own_motions(tracks: Tracks) -> OwnMotions:
+    """Return the motion of each of N tracks of two samples or more, as `fitted_motion` of it."""
+    density, square = np.transpose([_moves(tracks[row]) for row in range(len(tracks))])
+    speed_mps = np.maximum(np.sqrt(square), _LEAST_SPEED_MPS)
+    return OwnMotions(np.maximum(density, _LEAST_Q), speed_mps)
+
+
+def _moves(track: Tracks) -> tuple[float, float]:
+    """Return the spectral density of a track's acceleration and its mean squared velocity."""
+    lag_s = min(_LAG_S, (track.t[-1] - track.t[0]) / 3.0)
+    middle = np.arange(track.t[0] + lag_s, track.t[-1] - lag_s, lag_s / _EVERY)
+    before, at, after = (
+        np.column_stack([np.interp(middle + shift_s, track.t, axis) for axis in track.xy.T])
+        for shift_s in (-lag_s, 0.0, lag_s)
+    )
+    density = np.square(after - 2.0 * at + before).mean() / (2.0 / 3.0 * lag_s**3)
+    return float(density), float(np.square((after - before) / (2.0 * lag_s)).mean())
+
+
+def simulated(
+    *, t: Floats, offsets: Ints, start: Floats, motion: Motion | OwnMotions, rng: Generator
+) -> Floats:
+    """Return walks at the instants `t`, (M, 2) m, that start at `start`, (N, 2) m.
+
+    All are of one motion, or each of its own.
+    """
     first = offsets[:-1]
+    q = motion.q if isinstance(motion, Motion) else np.repeat(motion.q, np.diff(offsets))
+    speed_mps = np.reshape(motion.speed_mps, (-1, 1))
     draws = rng.standard_normal((t.size, 2, 2))
     step = np.diff(t, prepend=t[:1])
     step[first] = 0.0
-    scale = np.sqrt(motion.q * step)[:, None]
+    scale = np.sqrt(q * step)[:, None]
     # Exact at any steps: the second draw is what of the position the velocity does not tell.
     kick = scale * draws[:, 0]
-    velocity = _along(kick, offsets, motion.speed_mps * draws[first, 0])
+    velocity = _along(kick, offsets, speed_mps * draws[first, 0])
     before = velocity - kick
     move = step[:, None] * (before + 0.5 * kick + scale * draws[:, 1] / np.sqrt(12.0))
     return _along(move, offsets, start)
@@ -149,16 +175,19 @@ def scale_m2(std_m: Floats, square: Floats, *, law: str, rng: Generator) -> Floa
 
 
 def known_share(
-    *, t: Floats, offsets: Ints, errors: Errors, q: float, speed_mps: float, epsilon_m: float
+    *, t: Floats, offsets: Ints, errors: Errors, motion: Motion | OwnMotions, epsilon_m: float
 ) -> Floats:
     """Return of which share of its samples the exact posterior of each track tells, (N,).
 
     That is the expected share within `epsilon_m` of the posterior mean: 1 - exp(-eps^2 / 2 P), P
-    the variance per axis of a smoothed position, averaged over the track.
+    the variance per axis of a smoothed position, averaged over the track. The motion is that of all
+    walks, or each walk's own, which is known.
     """
-    batch = Batch(t, np.zeros((t.size, 2)), errors.variance, offsets, (START_STD_M, speed_mps))
-    slow = errors.slow
-    _, spread = smooth_tracks(batch, slow, q=q) if slow else smooth_positions(batch, q=q)
+    n_tracks = offsets.size - 1
+    q, speed_mps = (np.broadcast_to(one, n_tracks) for one in (motion.q, motion.speed_mps))
+    batch = Batch(t, np.zeros((t.size, 2)), errors.variance, offsets, (START_STD_M, 1.0))
+    slow = errors.slow or SlowError(0.0, 0.0)
+    _, spread = smooth_each(batch, slow, q=q, speed_mps=speed_mps)
     known = -np.expm1(-(epsilon_m**2) / (2.0 * np.maximum(spread, _LEAST_VARIANCE_M2)))
     return np.asarray(np.add.reduceat(known, offsets[:-1]) / np.diff(offsets))
 

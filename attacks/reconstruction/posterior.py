@@ -82,7 +82,7 @@ class Posterior:
     def _draw(self, release: Release, xy: Floats, parts: Sequence[_Part], rng: Generator) -> Floats:
         """Return draws of the walks, (K, M, 2) m."""
         t, offsets = release.t, release.offsets
-        motion, start = Motion(self.q, self.q, PRIOR_STD[1]), np.zeros((len(release), 2))
+        motion, start = Motion(self.q, PRIOR_STD[1]), np.zeros((len(release), 2))
         found = np.empty((self.draws, *xy.shape))
         total_m2 = sum(np.square(std_m) for std_m, _ in parts)
         errors = [(release.xy - xy) * (std_m**2 / total_m2)[:, None] for std_m, _ in parts]

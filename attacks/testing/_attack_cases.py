@@ -131,7 +131,7 @@ class ReconstructionCase(made.Case):
         about = f"{N_TRACKS} walks of a model, {law} noise"
         like = made_up("model", about=about, sizes=(150,) * N_TRACKS, law=law)
         t, offsets = like.release.t, like.release.offsets
-        motion, rng = Motion(Q_M2_PER_S3, Q_M2_PER_S3, 1.0), draws("model", "walks")
+        motion, rng = Motion(Q_M2_PER_S3, 1.0), draws("model", "walks")
         start = np.zeros((N_TRACKS, 2))
         truth = simulated(t=t, offsets=offsets, start=start, motion=motion, rng=rng)
         walked = [(t[lo:hi], truth[lo:hi]) for lo, hi in pairwise(offsets)]
@@ -141,8 +141,9 @@ class ReconstructionCase(made.Case):
         rng = draws("model", "genie")
         errors = errors_of(release=release, sensed=sensed, mechanism=mechanism, rng=rng)
         assert errors is not None
-        known = {"q": motion.q, "speed_mps": motion.speed_mps, "epsilon_m": EPSILON_M}
-        expected = known_share(t=t, offsets=offsets, errors=errors, **known)
+        expected = known_share(
+            t=t, offsets=offsets, errors=errors, motion=motion, epsilon_m=EPSILON_M
+        )
         return replace(like, release=release, truth=truth, mechanism=mechanism), expected
 
     def null(self) -> ReconstructionCase:

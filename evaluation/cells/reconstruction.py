@@ -23,7 +23,15 @@ from evaluation.experiment.constants import MOST_SCENES
 from isac_track import privacy
 from isac_track.errors import DataError, PluginError
 from isac_track.kalman import Batch, smooth_positions
-from isac_track.model_world import Motion, errors_of, fitted_motion, known_share, simulated
+from isac_track.model_world import (
+    Motion,
+    OwnMotions,
+    errors_of,
+    fitted_motion,
+    known_share,
+    own_motions,
+    simulated,
+)
 from isac_track.protocols import OF_WALKS, AttackContext, TrainingSet
 from isac_track.rng import stream
 from isac_track.scenes import Cut, make_scenes
@@ -292,33 +300,42 @@ def motion_of(tracks: Cut) -> Motion:
     return fitted_motion(tracks)
 
 
+@lru_cache(maxsize=2)
+def own_motions_of(tracks: Cut) -> OwnMotions:
+    """Return how each of them walks, fitted once."""
+    return own_motions(tracks)
+
+
 def sensed_scenes(
     scenes: Scenes, *names: str | int, tracks: Cut, is_model: bool, stages: StageSettings, seed: int
 ) -> tuple[Scenes, Sensed]:
     """Return scenes and what is sensed of them, of a model with agents who walk as that says.
 
-    `names` are of the streams of what is sensed. A model's walk starts where the recorded one does
-    and is sensed at the same instants with the very same errors: that these depend on where
-    somebody is, nobody can make use of.
+    `names` are of the streams of what is sensed. A model's walk has the motion that was fitted to
+    the recorded one; it starts where that does and is sensed at the same instants with the very
+    same errors: that these depend on where somebody is, nobody can make use of.
     """
     sensed = sense_scenes(scenes, settings=stages.sensing, seed=seed, names=names)
     if not is_model:
         return scenes, sensed
-    parts, motion = [], motion_of(tracks)
+    parts, motions = [], own_motions_of(tracks).take(scenes.track)
     for at, index in enumerate(scenes.index.tolist()):
         seats = scenes.offsets[at * scenes.n_agents : (at + 1) * scenes.n_agents + 1]
         lo, hi = seats[0], seats[-1]
         rng = stream(seed, "model walks", index)
         walk = {"t": scenes.t[lo:hi], "offsets": seats - lo, "start": scenes.xy[seats[:-1]]}
-        parts.append(simulated(**walk, motion=motion, rng=rng))
+        own = motions.take(np.arange(at * scenes.n_agents, (at + 1) * scenes.n_agents))
+        parts.append(simulated(**walk, motion=own, rng=rng))
     xy = np.concatenate(parts)
     errors = sensed.sigma_raw[:, None] * sensed.unit_error
     return derived(scenes, xy=xy), derived(sensed, xy=xy + errors)
 
 
 def _bound(mechanism: Plugin, release: Release, sensed: Sensed, block: AttackedBlock) -> Rows:
-    """Return PLR of the genie, and of the exact posterior where a model's errors are Gaussian."""
-    motion = motion_of(block.tracks)
+    """Return PLR of the genie, and of the exact posterior where a model's errors are Gaussian.
+
+    Both know how each person moves. Of recorded walks neither is a bound: these follow no model.
+    """
     rng = stream(block.seed, "genie", mechanism.spec, int(block.scenes.index[0]))
     errors = errors_of(release=release, sensed=sensed, mechanism=mechanism.instance, rng=rng)
     nothing = np.full(len(release), np.nan)
@@ -328,9 +345,7 @@ def _bound(mechanism: Plugin, release: Release, sensed: Sensed, block: AttackedB
         t=release.t,
         offsets=release.offsets,
         errors=errors,
-        # Of recorded walks that of who is easiest to smooth, so that the ceiling is high.
-        q=motion.q if block.is_model else motion.q_low,
-        speed_mps=motion.speed_mps,
+        motion=own_motions_of(block.tracks).take(block.scenes.track),
         epsilon_m=block.stages.privacy.epsilon_m,
     )
     is_exact = block.is_model and errors.is_gaussian

@@ -21,6 +21,7 @@ from evaluation.experiment.presets import BREAKER, PRESETS, SHARED, UTILITY_PRED
 from evaluation.experiment.settings import Settings
 from isac_track import plugins
 from isac_track.errors import SettingsError
+from isac_track.kalman.slow_errors import added_error
 from isac_track.plugins import Plugin
 from isac_track.protocols import USUAL, grants, kind_of
 from isac_track.types import Knowledge
@@ -109,6 +110,8 @@ class Axes:
     adversaries: tuple[str, ...] = ()  # Asked for beside the usual ones.
     trial: bool = False
     """Whether only the attacks of these adversaries read: on a few levels, after all others."""
+    against_slow: frozenset[str] = frozenset()
+    """SPECs of attacks that run only against mechanisms whose error changes slowly."""
 
     @property
     def consumers(self) -> tuple[Consumer, ...]:
@@ -127,6 +130,15 @@ class Axes:
             *attacks,
             *([Consumer("bound")] if self.attacks else []),
         )
+
+    def meets(self, consumer: Consumer, mechanism: Plugin) -> bool:
+        """Return whether a consumer reads what a mechanism shares."""
+        needs_slow = {
+            "attack": consumer.spec in self.against_slow,
+            "bound": all(one.spec in self.against_slow for one in self.attacks),
+        }
+        std_m, tau_s = added_error(mechanism.instance)
+        return not needs_slow.get(consumer.kind, False) or (std_m > 0.0 and tau_s > 0.0)
 
     def consumers_in(self, world: str) -> tuple[Consumer, ...]:
         """Return the same in another world: of walks of a model nobody foresees conflicts."""
@@ -205,9 +217,12 @@ def axes(settings: Settings) -> Axes:
     }
     if settings.mechanisms is None:
         names["mechanisms"] += preset.protections
+    against_slow = preset.against_slow if settings.attacks is None else ()
+    names["attacks"] += against_slow
     asked = [name for name in settings.adversaries if name not in USUAL]
     if asked and settings.attacks is None:
         names["attacks"] += (BREAKER,)
+        against_slow = tuple(one for one in against_slow if one != BREAKER)
     attacks, links = _attacks(names["attacks"])
     mechanisms = plugins.parse_all("mechanisms", names["mechanisms"])
     predictors = plugins.parse_all("predictors", names["predictors"])
@@ -235,6 +250,7 @@ def axes(settings: Settings) -> Axes:
         horizons_s=settings.stages.conflict.horizons_s if utility else (),
         worlds=worlds,
         slow_in_worlds=settings.preset == "audit",
+        against_slow=frozenset(one.spec for one in plugins.parse_all("attacks", against_slow)),
         # One walk, and Gaussian errors: else the best that can be done is not known.
         linked_in={
             world: tuple(one for one in some if one.spec in preset.model_linked)

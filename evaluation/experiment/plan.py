@@ -216,10 +216,11 @@ def _units(
             about = [BLOCK_SCENES, mechanism.spec, mechanism.origin]
             about += filter(None, [mechanism.digest])
             for stage, of_stage in by_stage.items():
+                met = {key: one for key, one in of_stage.items() if crossed.meets(one, mechanism)}
                 made_by = code(stage, mechanism)
-                for block in blocks:
+                for block in blocks if met else ():
                     key = fingerprint.digest([identity, stage, block, *about, *made_by.values()])
-                    units.append(Unit(stage, block, mechanism, key, made_by, of_stage))
+                    units.append(Unit(stage, block, mechanism, key, made_by, met))
     return tuple(units), known
 
 

@@ -21,6 +21,8 @@ class Preset:
     tasks: tuple[str, ...]
     summary: str
     protections: tuple[str, ...] = ()  # Further mechanisms, beside the panel of the verdict.
+    against_slow: tuple[str, ...] = ()
+    """Further attacks, only where the error changes slowly: elsewhere they are others' equals."""
     # Mechanisms that are computed elsewhere, too:
     other_law: tuple[str, ...] = ()  # shared, foreseen and reconstructed under `OTHER_LAW`;
     model: tuple[str, ...] = ()  # reconstructed on walks of the fitted motion, under both laws;
@@ -99,6 +101,7 @@ _PAPER = replace(
     utility_scenes=2000,
     mechanisms=(*_SWEEP, *DISSOCIATION),
     protections=PROTECTIONS,
+    against_slow=("ou_rts",),
     other_law=SMOKE_LEVELS,
     model=(*SMOKE_LEVELS, "ou:0.4"),
     model_linked=("fid:1",),

@@ -194,9 +194,35 @@ def smooth_mixture(
     if not (weight.sum(axis=1) > 0.0).all():
         raise ValueError("need a motion of positive weight for each track")
     track, which = np.nonzero(weight)
+    motion = motions.arrays(batch.prior_std)[which]
+    return _smooth_runs(batch, error, track, motion, weight[track, which], passes, anneal)
+
+
+def smooth_each(
+    batch: Batch, error: SlowError, *, q: Floats, speed_mps: Floats
+) -> tuple[Floats, Floats]:
+    """Return smoothed positions and variance where each track has a motion of its own, once.
+
+    `q`, m^2/s^3, and `speed_mps`, the standard deviation of the first velocity per axis, are (N,)
+    and positive; what else the batch says of velocity does not count.
+    """
+    track, forever = np.arange(len(batch)), np.full(len(batch), np.inf)
+    motion = np.column_stack([np.square(speed_mps), forever, q])
+    return _smooth_runs(batch, error, track, motion, np.ones(len(batch)), 1, 0.0)
+
+
+def _smooth_runs(
+    batch: Batch,
+    error: SlowError,
+    track: Ints,
+    motion: Floats,
+    weight: Floats,
+    passes: int,
+    anneal: float,
+) -> tuple[Floats, Floats]:
+    """Return what the compiled loops make of runs, each of a track, a motion and a weight."""
     order = np.argsort(np.diff(batch.offsets)[track], kind="stable")
-    track, which = track[order], which[order]
-    runs = track, motions.arrays(batch.prior_std)[which], weight[track, which]
+    runs = track[order], motion[order], weight[order]
     out = np.zeros((batch.t.size, 2)), np.zeros(batch.t.size), np.zeros(len(batch))
     loops = import_module("isac_track.kalman._error_loops")
     if not np.any(error.std_m):

@@ -1,19 +1,24 @@
 """Model worlds: the motion that is fitted, walks of it, and what nobody knows better of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
 from scipy.special import logsumexp
 
 from isac_track.kalman import Batch, smooth_positions
+from isac_track.kalman.slow_errors import SlowError, smooth_tracks
 from isac_track.model_world import (
     START_STD_M,
     Errors,
     Motion,
+    OwnMotions,
     errors_of,
     fitted_motion,
     known_share,
     log_ratios,
+    own_motions,
     simulated,
 )
 from isac_track.protection import Forecast, Laplace, Ou
@@ -23,7 +28,7 @@ from isac_track.sharing import Fixed, Raw
 from isac_track.sharing_controls import Correlated, Offset, Thin
 from isac_track.types import Sensed, Tracks
 
-MOTION = Motion(q=0.06, q_low=0.01, speed_mps=0.9)
+MOTION = Motion(q=0.06, speed_mps=0.9)
 N, SIZE = 400, 90
 OFFSETS = np.arange(N + 1) * SIZE
 
@@ -66,7 +71,6 @@ def test_the_motion_of_simulated_walks_is_found_again(walks):
     found = fitted_motion(Tracks(t=t, xy=xy, offsets=OFFSETS, source=names, group=names))
     assert found.q == pytest.approx(MOTION.q, rel=0.05)
     assert found.speed_mps == pytest.approx(MOTION.speed_mps, rel=0.15)
-    assert 0.0 < found.q_low < found.q
 
 
 @pytest.mark.parametrize("end_m", [1.0, 0.0], ids=["straight", "standing"])
@@ -74,7 +78,7 @@ def test_a_straight_walk_of_two_samples_has_a_motion(end_m):
     xy = np.array([[0.0, 0.0], [end_m, end_m]])
     one = {"source": ("a",), "group": ("a",), "offsets": np.array([0, 2])}
     found = fitted_motion(Tracks(t=np.array([0.0, 1.0]), xy=xy, **one))
-    assert found.q == found.q_low > 0.0
+    assert found.q > 0.0
     assert found.speed_mps == pytest.approx(max(end_m, 0.01))
 
 
@@ -121,8 +125,8 @@ def test_the_posterior_mean_of_who_is_told_holds_the_share_that_is_expected(walk
     of = sensed(walks, law)
     release = mechanism.share(of, rng("share"))
     errors = errors_of(release=release, sensed=of, mechanism=mechanism, rng=rng("genie"))
-    about = {"t": of.t, "offsets": OFFSETS, "errors": errors, "q": MOTION.q}
-    expected = known_share(**about, speed_mps=MOTION.speed_mps, epsilon_m=0.3)
+    about = {"t": of.t, "offsets": OFFSETS, "errors": errors, "epsilon_m": 0.3}
+    expected = known_share(**about, motion=MOTION)
     if errors.slow is None:
         batch = Batch(of.t, release.xy, errors.variance, OFFSETS, (100.0, MOTION.speed_mps))
         mean = smooth_positions(batch, q=MOTION.q)[0]
@@ -131,15 +135,59 @@ def test_the_posterior_mean_of_who_is_told_holds_the_share_that_is_expected(walk
         gap = share - expected
         assert abs(gap.mean()) < 4.0 * gap.std() / np.sqrt(N)
     # Knowing less acceleration makes a genie surer, more noise less sure.
-    low = known_share(**about | {"q": MOTION.q_low}, speed_mps=MOTION.speed_mps, epsilon_m=0.3)
+    low = known_share(**about, motion=replace(MOTION, q=0.01))
     assert low.mean() > expected.mean()
+
+
+def _people(walks):
+    """Every other person stands nearly still, and is easy to smooth."""
+    stands = np.arange(N) % 2 == 0
+    motions = OwnMotions(np.where(stands, 2e-3, 0.1), np.where(stands, 0.05, 1.2))
+    t, _, start = walks
+    return motions, simulated(t=t, offsets=OFFSETS, start=start, motion=motions, rng=rng("people"))
+
+
+def test_each_persons_motion_is_found_again(walks):
+    motions, xy = _people(walks)
+    names = tuple(map(str, range(N)))
+    tracks = Tracks(t=walks[0], xy=xy, offsets=OFFSETS, source=names, group=names)
+    found = own_motions(tracks)
+    for kind in (0, 1):
+        np.testing.assert_allclose(found.q[kind::2].mean(), motions.q[kind], rtol=0.07)
+    # A few seconds tell a q to a factor of two or so: these are far apart.
+    assert found.q[::2].max() < found.q[1::2].min()
+    assert found.take(np.array([3, 3, 0])).q.tolist() == found.q[[3, 3, 0]].tolist()
+
+
+@pytest.mark.parametrize("mechanism", [Fixed(0.7), Ou(0.4)], ids=str)
+def test_who_knows_each_motion_holds_the_share_that_is_expected_and_others_less(walks, mechanism):
+    """One smoother a motion, of those who have it, beside one smoother for all."""
+    motions, xy = _people(walks)
+    of = sensed((walks[0], xy, None), "isotropic")
+    release = mechanism.share(of, rng("share"))
+    errors = errors_of(release=release, sensed=of, mechanism=mechanism, rng=rng("genie"))
+    about = {"t": of.t, "offsets": OFFSETS, "errors": errors, "epsilon_m": 0.3}
+    expected = known_share(**about, motion=motions)
+
+    def share(q, speed_mps):
+        batch = Batch(of.t, release.xy, errors.variance, OFFSETS, (START_STD_M, speed_mps))
+        slow = errors.slow or SlowError(0.0, 0.0)
+        off = np.hypot(*(smooth_tracks(batch, slow, q=q)[0] - xy).T).reshape(N, SIZE)
+        return (off < 0.3).mean(axis=1)
+
+    own = np.empty(N)
+    for kind in (0, 1):
+        own[kind::2] = share(motions.q[kind], motions.speed_mps[kind])[kind::2]
+        gap = own[kind::2] - expected[kind::2]
+        assert abs(gap.mean()) < 4.0 * gap.std() / np.sqrt(N / 2)
+    common = share(motions.q.mean(), np.sqrt(np.square(motions.speed_mps).mean()))
+    assert (own - common).mean() > 4.0 * (own - common).std() / np.sqrt(N)
 
 
 def test_one_gaussian_sample_is_known_as_the_rayleigh_law_says():
     one = {"t": np.zeros(1), "offsets": np.array([0, 1])}
-    share = known_share(
-        **one, errors=Errors(np.array([0.04])), q=0.05, speed_mps=1.0, epsilon_m=0.3
-    )
+    errors, motion = Errors(np.array([0.04])), Motion(q=0.05, speed_mps=1.0)
+    share = known_share(**one, errors=errors, motion=motion, epsilon_m=0.3)
     assert share == pytest.approx(stats.rayleigh(scale=0.2).cdf(0.3), rel=1e-5)
 
 
