@@ -26,7 +26,7 @@ COMMANDS = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; return its exit code."""
-    words = list(sys.argv[1:] if arguments is None else arguments)
+    words = list((sys.argv or [])[1:] if arguments is None else arguments)
     if not words or words[0] in ("-h", "--help"):
         print("usage: isac-track COMMAND [OPTIONS]\n")
         for name, (_, about) in COMMANDS.items():

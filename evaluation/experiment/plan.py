@@ -14,7 +14,7 @@ from evaluation.experiment import fingerprint
 from evaluation.experiment.axes import Axes, Consumer, axes, jobs_of
 from evaluation.experiment.constants import BLOCK_SCENES
 from evaluation.experiment.presets import PRESETS
-from evaluation.experiment.settings import Settings
+from evaluation.experiment.settings import Settings, check_threads
 from isac_track import datasets
 from isac_track.datasets import Dataset, crowd
 from isac_track.errors import DataError, PluginError, told
@@ -82,6 +82,7 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
 
     Raises IsacTrackError for anything that a user can mend.
     """
+    check_threads()
     crossed = axes(settings)
     how = {name: getattr(settings, name) for name in _HOW_TO_READ}
     dataset = dataset or datasets.load(settings.dataset, **how)

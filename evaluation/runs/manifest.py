@@ -187,7 +187,7 @@ def describe(ready: Plan) -> dict[str, Any]:
             "machine": f"{platform.system()} {platform.machine()}",
             "libraries": {name: version(name) for name in _LIBRARIES},
             "git_commit": _git_commit(),
-            "command": [word.encode(errors="replace").decode() for word in sys.argv],
+            "command": [word.encode(errors="replace").decode() for word in sys.argv or ()],
         },
         "code": ready.code,
         "settings": {
