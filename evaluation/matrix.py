@@ -67,7 +67,12 @@ _OPTIONS: Final[dict[str, tuple[type, str, str]]] = {
     "scheduler": (str, "ADDRESS", "of the Dask cluster, as tcp://host:8786"),
     "out": (str, "DIR", "run folder (default: runs/DATASET-PRESET-SEED)"),
 }
-_FLAGS_OF_RUN: Final = ("persistent_ids", "keep_scores", "fresh")  # Those that a file may set, too.
+_FLAGS_OF_RUN: Final = (
+    "persistent_ids",
+    "keep_scores",
+    "keep_ids",
+    "fresh",
+)  # Those that a file may set, too.
 _MAY_BE_NONE: Final = ("mechanism", "predictor", "attack", "task")  # Axes: an empty list is none.
 _MOST_CONFIG: Final = 2**20  # Bytes of a config file; longer ones are something else.
 
@@ -89,6 +94,8 @@ def parser() -> argparse.ArgumentParser:
     for option, about in {
         "--persistent-ids": "ids are the same people in all sessions",
         "--keep-scores": "keep the raw scores of everybody who links as well: some hundred MB",
+        "--keep-ids": "keep the recording's own ids in the run's files, not pseudonyms of them",
+        "--no-pictures": "keep no true walks to show, and draw neither figures nor the page",
         "--fresh": "replace the run in the folder, do not continue it",
         "--verbose": "print all tables and notices, not the first screen alone",
         "--list": "list what can be named, and stop",
@@ -174,7 +181,7 @@ def _command(arguments: Sequence[str] | None) -> int:
         gc.freeze()  # what was imported stays: looking through it again and again takes a second
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FailedCellsWarning)  # told below
-            results = run(ready=ready, progress=update)
+            results = run(ready=ready, progress=update, pictures=not options.no_pictures)
     told = [f"notice: {one}" for one in announcements.notices(results.manifest)]
     told = announcements.condensed(told, most=None if whole else 2, where="tables.txt")
     sys.stderr.writelines(f"{line}\n" for line in told)

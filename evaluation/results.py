@@ -83,7 +83,7 @@ def run(
     numeric = np.errstate(all="warn", under="ignore")  # whatever a plug-in's module set
     with given_back(), locked(ready.out), _one_thread(), numeric, shown as update:
         with ahead():
-            execute(ready, update)
+            execute(ready, update, keeps_walks=pictures)
         # One helps that is new: those of cells hold much, and strangers' plug-ins ran in them.
         with ahead(int(ready.jobs > 1), (__name__,)):
             return build(ready.out, pictures=pictures)

@@ -101,6 +101,8 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     }
     if settings.unit is not None:
         identity["unit"] = settings.unit
+    if settings.keep_ids:
+        identity["ids"] = "kept"
     if settings.persistent_ids:
         identity["persistent_ids"] = True
     if settings.n_utility_scenes != settings.n_scenes:

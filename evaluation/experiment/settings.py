@@ -77,6 +77,7 @@ class Settings:
     executor: str = "local"  # Or dask: the workers of a Dask cluster.
     scheduler: str | None = None  # Address of the cluster's scheduler.
     keep_scores: bool = False  # Of everybody who links, raw: some hundred MB.
+    keep_ids: bool = False  # The recording's own ids in the run's files, not pseudonyms.
     out: Path | str | None = None
     fresh: bool = False
 

@@ -37,7 +37,9 @@ def check_folder(out: Path) -> None:
         if not out.exists() or (out / files.MANIFEST).exists():
             return
         for path in out.iterdir():  # a run that is killed before its manifest is there leaves some
-            is_ours = path.name in {files.LOCK, files.PLUGIN_ERROR} or files.is_temporary(path.name)
+            is_ours = path.name in {
+                *(files.LOCK, files.PLUGIN_ERROR, files.PEOPLE, files.PRIVATE)
+            } or files.is_temporary(path.name)
             is_empty = path.name == files.FOLDER and path.is_dir() and not any(path.iterdir())
             if not (is_ours or is_empty):
                 raise SettingsError(f"{out} is not empty and holds no run; choose another --out")

@@ -149,7 +149,7 @@ def test_nobody_is_sensed_as_nearer_than_the_reference_distance(away_m):
     rest = {"offsets": np.array([0, 3, 5]), "channel": draw((0,), (3, 2)), "settings": settings}
     station = np.array([settings.bs_x_m, settings.bs_y_m])
     near, at_reference = (
-        sense(t=t, xy=np.tile(station + [0.0, distance_m], (5, 1)), **rest)
+        sense(t=t, xy=np.tile(station + np.array([0.0, distance_m]), (5, 1)), **rest)
         for distance_m in (away_m, NEAREST_M)
     )
     assert np.isfinite(near.xy).all()

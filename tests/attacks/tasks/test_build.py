@@ -387,7 +387,6 @@ class TestPlacesByTime:
     def test_a_burst_within_a_track_is_drawn_for_its_time(self):
         steps = np.repeat([0.4, 0.001, 0.4], [25, 5000, 25])  # 10 s, 5 s, 10 s
         t = np.cumsum(steps)
-        tracks = Tracks(t, np.zeros((t.size, 2)), np.array([0, t.size]), ("a",), ("a",))
         slow = sampled(2.5)
         both = Tracks(
             np.concatenate([t, slow.t]),
