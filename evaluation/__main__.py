@@ -16,6 +16,7 @@ COMMANDS = {
     "report": ("evaluation.report", "redraw tables and figures of a run"),
     "compare": ("evaluation.compare", "put two runs side by side"),
     "design": ("evaluation.design", "choose a level that meets a target, with yes or no"),
+    "publish": ("evaluation.publish", "copy a run without ids' key, true walks and paths"),
     "sensitivity": ("evaluation.sensitivity", "repeat a run's verdict under other assumptions"),
     "study": ("evaluation.study", "answer several recordings as one"),
     "calibrate": ("evaluation.calibrate", "refit the constants of the sensing model"),
