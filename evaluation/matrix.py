@@ -181,7 +181,8 @@ def _command(arguments: Sequence[str] | None) -> int:
         gc.freeze()  # what was imported stays: looking through it again and again takes a second
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FailedCellsWarning)  # told below
-            results = run(ready=ready, progress=update, pictures=not options.no_pictures)
+            shows = not options.no_pictures
+            results = run(ready=ready, progress=update, pictures=shows, walks=shows)
     told = [f"notice: {one}" for one in announcements.notices(results.manifest)]
     told = announcements.condensed(told, most=None if whole else 2, where="tables.txt")
     sys.stderr.writelines(f"{line}\n" for line in told)
@@ -237,7 +238,7 @@ def _words_of(key: str, value: Any) -> list[str]:  # noqa: ANN401 - of any type 
     several = value if isinstance(value, list) else [value]
     if isinstance(value, list) and _OPTIONS[key][0] is not list:
         raise SettingsError(f"{key} takes one value, not a list: got {quoted(value)}")
-    if any(isinstance(single, list | dict | bool) for single in several):
+    if any(isinstance(single, list | dict) for single in several):
         raise SettingsError(f"{key} takes numbers or text, got {quoted(value)}")
     if not several and key in _MAY_BE_NONE:
         several = ["none"]

@@ -36,7 +36,7 @@ _ADDRESS = re.compile(r"(inproc://.+)|((\w+://)?[^/\s]+:[0-9]{1,5}/?)")
 _LIMITS: dict[str, tuple[float, float, str]] = {
     "scenes": (1, MOST_SCENES, _SCENES_WRONG),
     "seed": (-1, inf, "the seed must not be negative, got {0}"),
-    "jobs": (0, MOST_JOBS, "jobs must be 1 to {1}, got {0}: a job is a process of its own"),
+    "jobs": (0, MOST_JOBS, "jobs must be at least 1 and at most {1}, got {0}"),
     "cell_timeout_s": (0, inf, "cell_timeout must be positive, got {0:g} s"),
     "fps": (0, inf, "fps must be positive, got {0:g}"),
     "utility_scenes": (1, MOST_SCENES, "utility_scenes must be 2 to {1:,}, got {0}"),

@@ -19,15 +19,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from evaluation.runs.files import (
-    FOLDER,
-    PEOPLE,
-    PRIVATE,
-    check_sound,
-    content_of,
-    write_checked,
-    write_whole,
-)
+from evaluation.runs.files import PEOPLE, PRIVATE, content_of, write_whole
 from isac_track.errors import DataError, SettingsError
 
 if TYPE_CHECKING:
@@ -190,32 +182,3 @@ def _shown_word(word: str) -> str:
     if is_elsewhere or ".." in Path(value).parts:
         value = shown_path(value.replace("\\", "/"))
     return f"{option}{equals}{value}"
-
-
-def copy_without_private(out: Path, to: Path) -> None:
-    """Copy a finished run's manifest, cells and list of people: all that its report is made from.
-
-    Raises SettingsError if the copy exists or cannot be written, or the run keeps its ids, and
-    DataError if it is not finished, or not as it was written.
-    """
-    from evaluation.runs.manifest import read_manifest, write_manifest  # noqa: PLC0415 - it reads this file
-
-    manifest = read_manifest(out)
-    if manifest.get("state") != "finished":
-        raise DataError(f"the run in {out} is not finished; run the matrix again")
-    if manifest["identity"].get("ids") == "kept" or not (out / PEOPLE).exists():
-        raise SettingsError(
-            f"{out} keeps the recording's own ids; run the matrix without --keep-ids, anew"
-        )
-    names = dict.fromkeys(name for entry in manifest["cells"] for name in entry["files"])
-    check_sound(out, names)
-    try:
-        (to / FOLDER).mkdir(parents=True, exist_ok=False)
-        write_manifest(to, manifest)
-        write_whole(to / PEOPLE, content_of(out / PEOPLE))
-        for name in names:
-            write_checked(to, name, content_of(out / FOLDER / name))
-    except FileExistsError:
-        raise SettingsError(f"{to} exists; choose another --to") from None
-    except OSError as error:
-        raise SettingsError(f"cannot write {to}: {error.strerror}; choose another --to") from None

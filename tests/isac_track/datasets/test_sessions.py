@@ -1,5 +1,8 @@
 """Several files as sessions of one recording, and who of them comes back."""
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -127,3 +130,25 @@ def test_single_file_experiments_and_a_further_run_of_theirs(single_file, data_f
     (data_folder / "singlefile" / "croma_female_04_1.txt").write_text(text + "\n")
     with pytest.raises(DataError, match=r"is not the croma_female_04_1.txt of singlefile"):
         load("singlefile")
+
+
+def test_a_copy_is_no_session(tmp_path):
+    rows = "".join(f"{0.4 * i},{who},{i},{who}\n" for who in range(3) for i in range(60))
+    paths = [tmp_path / name for name in ("monday.csv", "tuesday.csv", "copy.csv")]
+    for path, more in zip(paths, ("", "30.0,9,1,1\n30.4,9,1,2\n", ""), strict=True):
+        path.write_text(f"t,id,x,y\n{rows}{more}")
+    assert len(load(sessions=paths[:2]).tracks) > 0
+    with pytest.raises(DataError, match="hold the same bytes"):
+        load(sessions=paths)
+
+
+def test_the_bytes_of_a_known_recording_under_another_rate_get_a_notice(tmp_path):
+    if not (
+        Path(os.environ.get("ISAC_TRACK_DATA", "/nowhere")) / "zara01" / "obsmat.txt"
+    ).is_file():
+        pytest.skip("needs zara01 in the folder that ISAC_TRACK_DATA names")
+    copy = tmp_path / "street.txt"
+    copy.write_bytes((Path(os.environ["ISAC_TRACK_DATA"]) / "zara01" / "obsmat.txt").read_bytes())
+    found = load(copy, format="obsmat", fps=50.0)
+    assert "the bytes of zara01, recorded at 25 frames/s, read at 50" in found.notice
+    assert load(copy, format="obsmat", fps=25.0).notice is None
