@@ -79,6 +79,10 @@ def _limits_told() -> Iterator[None]:
     except MemoryError:
         fault = f"{_LIMITS[errno.ENOMEM]}; ask for less at once (fewer --jobs or --scenes)"
         raise IsacTrackError(fault) from None
+    except ImportError as error:
+        if "failed to map segment" not in str(error):  # a library that finds no place
+            raise
+        raise IsacTrackError(f"{_LIMITS[errno.ENOMEM]} to load what a run takes") from None
     except RecursionError:
         depth = sys.getrecursionlimit()
         fault = f"calls go deeper than this Python allows (sys.setrecursionlimit: {depth})"

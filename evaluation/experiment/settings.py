@@ -32,7 +32,7 @@ _PRECISION_WRONG = (
     "--precision is the half-width of a missed-conflict rate's interval, between 0 and 0.5 "
     "(0.01: +- 1 %), got {0:g}"
 )
-_ADDRESS = re.compile(r"(inproc://.+)|((\w+://)?[^/\s]+:[0-9]{1,5}/?)")
+_ADDRESS = re.compile(r"(inproc://.+)|(([\w-]+://)?[^/\s]+:[0-9]{1,5}/?)")
 _LIMITS: dict[str, tuple[float, float, str]] = {
     "scenes": (1, MOST_SCENES, _SCENES_WRONG),
     "seed": (-1, inf, "the seed must not be negative, got {0}"),

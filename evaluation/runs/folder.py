@@ -167,7 +167,8 @@ def copy_without_private(out: Path, to: Path) -> None:
     names = dict.fromkeys(name for entry in manifest["cells"] for name in entry["files"])
     files.check_sound(out, names)
     try:
-        (to / files.FOLDER).mkdir(parents=True, exist_ok=False)
+        to.mkdir(parents=True)
+        (to / files.FOLDER).mkdir()
         write_manifest(to, manifest)
         files.write_whole(to / files.PEOPLE, files.content_of(out / files.PEOPLE))
         for name in names:

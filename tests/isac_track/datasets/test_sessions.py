@@ -25,7 +25,8 @@ def walk(who, *, marker=None, unit="m", step=10):
 def petrack(path, people, *, marked=True, unit="m", rate=25, step=10):
     names = f"# id frame x/{unit} y/{unit} z/{unit}" + " markerID" * marked
     rows = [row for who, marker in people for row in walk(who, marker=marker, unit=unit, step=step)]
-    path.write_text("\n".join([f"# framerate: {rate}", names, *rows]) + "\n")
+    lines = [f"# framerate: {rate}", f"# {path.stem}", names, *rows]  # no two files are alike
+    path.write_text("\n".join(lines) + "\n")
     return path
 
 
@@ -124,10 +125,10 @@ def test_single_file_experiments_and_a_further_run_of_theirs(single_file, data_f
     assert (len(found.tracks), len(set(found.tracks.person)), found.notice) == (48, 20, None)
     text = (single_file / "croma_female_04_1.txt").read_text()
     further = data_folder / "singlefile" / "croma_female_24_1.txt"
-    further.write_text(text)
+    further.write_text(text + "\n")
     assert load("singlefile").notice == "singlefile: no known hash: croma_female_24_1.txt"
     further.rename(data_folder / "singlefile" / "croma_female_04_1.txt")
-    (data_folder / "singlefile" / "croma_female_04_1.txt").write_text(text + "\n")
+    (data_folder / "singlefile" / "croma_female_04_1.txt").write_text(text + "\n\n")
     with pytest.raises(DataError, match=r"is not the croma_female_04_1.txt of singlefile"):
         load("singlefile")
 
