@@ -203,7 +203,7 @@ def sample_at(shares: Floats, tracks: Tracks) -> Ints:
     for more than the usual step of the slowest track, lest a gap draw everybody. Where all samples
     stand for alike long each is as likely as another.
     """
-    step_s = np.zeros(tracks.t.size)
+    step_s = np.full(tracks.t.size, np.inf)  # a track of one sample tells of no step
     usual_s = []
     for first, end in pairwise(tracks.offsets.tolist()):
         steps_s = np.diff(tracks.t[first:end])

@@ -409,3 +409,12 @@ class TestPlacesByTime:
         t = np.zeros(3)
         tracks = Tracks(t, np.zeros((3, 2)), np.arange(4), ("a", "b", "c"), ("a", "b", "c"))
         assert sample_at(np.array([0.0, 0.5, 0.99]), tracks).tolist() == [0, 1, 2]
+
+    def test_a_track_of_one_sample_does_not_change_what_is_drawn(self):
+        even = sampled(2.5, 2.5)
+        t, offsets = np.append(even.t, 3.0), np.append(even.offsets, even.t.size + 1)
+        names = ("a", "b", "c")
+        tracks = Tracks(t, np.zeros((t.size, 2)), offsets, source=names, group=names)
+        shares = np.linspace(0.0, 0.9999, 777)
+        by_sample = (shares * t.size).astype(np.int64)
+        assert np.array_equal(sample_at(shares, tracks), by_sample)
