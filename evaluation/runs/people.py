@@ -40,8 +40,8 @@ def in_first_half(name: str) -> bool:
 def labels_of_ids(ready: Plan) -> dict[str, str]:
     """Return the label of every id of a run: it sorts as the id does, whatever else is in the run.
 
-    Labels of the recording's own are its places in their order; people of a bundled crowd stand
-    between them.
+    Labels of the recording's own are its places in their order; simulated people of a crowd stand
+    between them, by name.
     """
     tracks = ready.dataset.tracks
     own = sorted({*tracks.source, *tracks.group, *ready.tracks.source, *ready.tracks.group})
@@ -51,9 +51,9 @@ def labels_of_ids(ready: Plan) -> dict[str, str]:
     labels = {}
     for name in own:
         labels[name] = f"#{place_of[name]:0{_LABEL_DIGITS}d}{_half(name)}"
-    for rank, name in enumerate(sorted(crossed - place_of.keys())):
+    for name in sorted(crossed - place_of.keys()):
         before = f"#{bisect_left(own, name):0{_LABEL_DIGITS}d}"
-        labels[name] = f"{before}~{rank:0{_LABEL_DIGITS}d}{_half(name)}"
+        labels[name] = f"{before}~{name}!{_half(name)}"  # "!" sorts below what names go on with
     return labels
 
 
