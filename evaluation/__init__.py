@@ -11,6 +11,9 @@ frames::
 
 from __future__ import annotations
 
+import sys
+from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -18,6 +21,26 @@ if TYPE_CHECKING:
     from evaluation.reporting.finished import load
     from evaluation.reporting.rows import Results
     from evaluation.results import run
+
+
+def _check_own_packages() -> None:
+    """Refuse a user's own folder of the name of one of our packages: it would be imported."""
+    for name in ("isac_track", "predictors", "attacks"):
+        found = find_spec(name)
+        at = "nowhere" if found is None or found.origin is None else Path(found.origin).parent
+        if at == Path(__file__).parent.with_name(name):
+            continue
+        message = f"{at} has the name of the package {name!r} of isac-track, and stands before it"
+        message += (
+            "; say `isac-track matrix` instead of `python -m evaluation.matrix`, or rename it"
+        )
+        if sys.argv and sys.argv[0] == "-m":  # a command, not a notebook: it ends in one line
+            sys.stderr.write(f"error: {message}\n")
+            raise SystemExit(2)
+        raise ImportError(message)
+
+
+_check_own_packages()
 
 __all__ = ["Results", "Settings", "load", "run"]
 

@@ -16,6 +16,7 @@ COMMANDS = {
     "report": ("evaluation.report", "redraw tables and figures of a run"),
     "compare": ("evaluation.compare", "put two runs side by side"),
     "design": ("evaluation.design", "choose a level that meets a target, with yes or no"),
+    "publish": ("evaluation.publish", "copy a run without ids' key, true walks and paths"),
     "sensitivity": ("evaluation.sensitivity", "repeat a run's verdict under other assumptions"),
     "study": ("evaluation.study", "answer several recordings as one"),
     "calibrate": ("evaluation.calibrate", "refit the constants of the sensing model"),
@@ -26,7 +27,7 @@ COMMANDS = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; return its exit code."""
-    words = list(sys.argv[1:] if arguments is None else arguments)
+    words = list((sys.argv or [])[1:] if arguments is None else arguments)
     if not words or words[0] in ("-h", "--help"):
         print("usage: isac-track COMMAND [OPTIONS]\n")
         for name, (_, about) in COMMANDS.items():

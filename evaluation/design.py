@@ -40,7 +40,7 @@ examples:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
-    given = sys.argv[1:] if arguments is None else list(arguments)
+    given = (sys.argv or [])[1:] if arguments is None else list(arguments)
     answer = _plan if "--plan" in given else _run
     return exit_code(lambda: answer(given))
 

@@ -14,7 +14,7 @@ from evaluation.experiment.settings import Settings
 from evaluation.reporting import announcements
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
 from isac_track.config import StageSettings
-from isac_track.errors import SettingsError
+from isac_track.errors import SettingsError, quoted
 from isac_track.protocols import ADVERSARIES, USUAL
 
 _EXIT = """\
@@ -67,6 +67,14 @@ _OPTIONS: Final[dict[str, tuple[type, str, str]]] = {
     "scheduler": (str, "ADDRESS", "of the Dask cluster, as tcp://host:8786"),
     "out": (str, "DIR", "run folder (default: runs/DATASET-PRESET-SEED)"),
 }
+_FLAGS_OF_RUN: Final = (
+    "persistent_ids",
+    "keep_scores",
+    "keep_ids",
+    "fresh",
+)  # Those that a file may set, too.
+_MAY_BE_NONE: Final = ("mechanism", "predictor", "attack", "task")  # Axes: an empty list is none.
+_MOST_CONFIG: Final = 2**20  # Bytes of a config file; longer ones are something else.
 
 
 def parser() -> argparse.ArgumentParser:
@@ -86,6 +94,8 @@ def parser() -> argparse.ArgumentParser:
     for option, about in {
         "--persistent-ids": "ids are the same people in all sessions",
         "--keep-scores": "keep the raw scores of everybody who links as well: some hundred MB",
+        "--keep-ids": "keep the recording's own ids in the run's files, not pseudonyms of them",
+        "--no-pictures": "keep no true walks to show, and draw neither figures nor the page",
         "--fresh": "replace the run in the folder, do not continue it",
         "--verbose": "print all tables and notices, not the first screen alone",
         "--list": "list what can be named, and stop",
@@ -102,8 +112,8 @@ def settings_from(options: argparse.Namespace) -> Settings:
     """
     stage_values: dict[str, Any] = {}
     given = [_read_config(options.config, stage_values), options] if options.config else [options]
-    named = ((key, getattr(one, key)) for one in given for key in _OPTIONS)
-    values = {key: value for key, value in named if value is not None}
+    named = ((key, getattr(one, key)) for one in given for key in (*_OPTIONS, *_FLAGS_OF_RUN))
+    values = {key: value for key, value in named if value is not None and value is not False}
     for text in options.set:
         name, equals, value = text.partition("=")
         if not equals:
@@ -122,9 +132,6 @@ def settings_from(options: argparse.Namespace) -> Settings:
         cell_timeout_s=values.pop("cell_timeout", None),
         stages=StageSettings().changed(stage_values),
         sessions=values.pop("session", ()),
-        persistent_ids=options.persistent_ids,
-        keep_scores=options.keep_scores,
-        fresh=options.fresh,
         **values,
     )
 
@@ -174,7 +181,8 @@ def _command(arguments: Sequence[str] | None) -> int:
         gc.freeze()  # what was imported stays: looking through it again and again takes a second
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FailedCellsWarning)  # told below
-            results = run(ready=ready, progress=update)
+            shows = not options.no_pictures
+            results = run(ready=ready, progress=update, pictures=shows, walks=shows)
     told = [f"notice: {one}" for one in announcements.notices(results.manifest)]
     told = announcements.condensed(told, most=None if whole else 2, where="tables.txt")
     sys.stderr.writelines(f"{line}\n" for line in told)
@@ -185,11 +193,11 @@ def _command(arguments: Sequence[str] | None) -> int:
 
 def _n_workers(settings: Settings) -> int:
     """Return how many workers a run will take: they start while it is planned."""
-    from evaluation.experiment.axes import axes, jobs_of  # noqa: PLC0415 - as said
+    from evaluation.experiment.axes import axes, jobs_of, most_workers  # noqa: PLC0415 - as said
     from evaluation.experiment.fingerprint import has_strangers  # noqa: PLC0415 - as said
 
     crossed = axes(settings)
-    jobs = jobs_of(crossed, settings)
+    jobs = min(jobs_of(crossed, settings), most_workers(crossed, settings))
     needed = jobs > 1 or has_strangers(crossed) or settings.cell_timeout_s is not None
     # One more tries what strangers wrote, and computes nothing else.
     return jobs + has_strangers(crossed) if needed and settings.scheduler is None else 0
@@ -197,24 +205,44 @@ def _n_workers(settings: Settings) -> int:
 
 def _read_config(path: Path, stage_values: dict[str, Any]) -> argparse.Namespace:
     """Return the options of a file as if they had been typed; add its stage settings to others."""
-    words = []
     try:
-        for key, value in tomllib.loads(path.read_text(encoding="utf-8-sig")).items():
+        with path.open("rb") as file:
+            content = file.read(_MOST_CONFIG + 1)
+        if len(content) > _MOST_CONFIG:
+            raise SettingsError("it is longer than 1 MB: no config file")  # noqa: TRY301 - told below
+        words = []
+        for key, value in tomllib.loads(content.decode("utf-8-sig")).items():
             if isinstance(value, dict):
                 stage_values |= {f"{key}.{name}": inner for name, inner in value.items()}
             else:
-                several = value if isinstance(value, list) else [value]
-                words += [(key, f"--{key.replace('_', '-')}={one}") for one in several]
-        if unknown := {key for key, _ in words} - _OPTIONS.keys():
-            raise SettingsError(  # noqa: TRY301 - told as what else is wrong in the file
-                f"unknown key {min(unknown)!r}; known: {', '.join(_OPTIONS)} "
-                "and tables of stage settings"
-            )
-        return parser().parse_args([word for _, word in words])
+                words += _words_of(key, value)
+        return parser().parse_args(words)
     except OSError as error:
         raise SettingsError(f"--config {path}: {error.strerror}") from None
+    except RecursionError:
+        raise SettingsError(f"--config {path}: it is nested too deeply") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, SettingsError) as error:
         raise SettingsError(f"--config {path}: {error}") from None
+
+
+def _words_of(key: str, value: Any) -> list[str]:  # noqa: ANN401 - of any type of TOML
+    """Return a key of a config file as it would be typed; SettingsError if it cannot be meant."""
+    option = f"--{key.replace('_', '-')}"
+    if key in _FLAGS_OF_RUN:
+        if not isinstance(value, bool):
+            raise SettingsError(f"{key} is true or false, got {quoted(value)}")
+        return [option] if value else []
+    if key not in _OPTIONS:
+        known = ", ".join((*_OPTIONS, *_FLAGS_OF_RUN))
+        raise SettingsError(f"unknown key {key!r}; known: {known} and tables of stage settings")
+    several = value if isinstance(value, list) else [value]
+    if isinstance(value, list) and _OPTIONS[key][0] is not list:
+        raise SettingsError(f"{key} takes one value, not a list: got {quoted(value)}")
+    if any(isinstance(single, list | dict) for single in several):
+        raise SettingsError(f"{key} takes numbers or text, got {quoted(value)}")
+    if not several and key in _MAY_BE_NONE:
+        several = ["none"]
+    return [f"{option}={single}" for single in several]
 
 
 if __name__ == "__main__":

@@ -71,6 +71,7 @@ def run(
     progress: bool | Callable[[int, int, str], None] = True,
     ready: Plan | None = None,
     pictures: bool = True,
+    walks: bool = True,
     **options: Any,  # noqa: ANN401 - as many types as options
 ) -> Results:
     """Run the matrix and return its results as data frames.
@@ -79,7 +80,8 @@ def run(
     `evaluation.run(preset="smoke", mechanisms=["raw"])`; `ready` is a plan of `plan` instead of
     both. `progress` is whether to show the data and how far the run is, on standard error, or what
     is called with cells finished, cells to do, and what is under way. Without `pictures` there are
-    neither figures nor `report.html`; `evaluation.report` draws them.
+    neither figures nor `report.html`; `evaluation.report` draws them. Without `walks` it
+    keeps no true walks to be drawn.
 
     Raises IsacTrackError for anything that a user can mend; finished cells are kept.
     """
@@ -95,7 +97,7 @@ def run(
     numeric = np.errstate(all="warn", under="ignore")  # whatever a plug-in's module set
     with given_back(), locked(ready.out), _one_thread(), numeric, shown as update:
         with ahead():
-            execute(ready, update)
+            execute(ready, update, keeps_walks=walks)
             _try_candidates(ready, update)
         # One helps that is new: those of cells hold much, and strangers' plug-ins ran in them.
         with ahead(int(ready.jobs > 1), (__name__,)):
@@ -419,6 +421,7 @@ def study(asked: Sequence[tuple[str, Settings]], *, out: Path) -> tuple[list[Ans
     for law, settings in asked:  # all are checked first, and each recording is read once
         plans.append((law, plan(settings, dataset=known.get(settings.dataset))))
         known[settings.dataset] = plans[-1][1].dataset
+    _refuse_copies(plans)
     rows, simulated, n_failed = [], frozenset[str](), 0
     for law, ready in plans:
         if results := _finished(ready):
@@ -434,6 +437,19 @@ def study(asked: Sequence[tuple[str, Settings]], *, out: Path) -> tuple[list[Ans
     shown = study_page.render(of, simulated=simulated, runs=[one.out.name for _, one in plans])
     write_whole(out / "study.html", shown.encode())
     return of, n_failed
+
+
+def _refuse_copies(plans: Sequence[tuple[str, Plan]]) -> None:
+    """Raise SettingsError if two recordings of a study are the same bytes: they count as one."""
+    first_of: dict[str, str] = {}
+    for _, ready in plans:
+        name = str(ready.settings.dataset)
+        first = first_of.setdefault(ready.dataset.sha256, name)
+        if first != name:
+            raise SettingsError(
+                f"{first} and {name} hold the same bytes: one recording twice is not two; "
+                "leave out one, or give --seed twice for further draws of one recording"
+            )
 
 
 def _finished(ready: Plan) -> Results | None:

@@ -57,8 +57,9 @@ def _command(options: Namespace) -> int:
     manifest = None
     if options.out is not None:
         from evaluation.runs.manifest import read_manifest  # noqa: PLC0415 - --help answers at once
+        from evaluation.runs.people import with_paths  # noqa: PLC0415 - as above
 
-        manifest = read_manifest(options.out)
+        manifest = with_paths(options.out, read_manifest(options.out))
     elif not options.list:
         raise SettingsError("name the folder of a finished run (see --help)")
     variants = chosen(options.variant, also=options.set, manifest=manifest)

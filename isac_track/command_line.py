@@ -20,6 +20,13 @@ FAILED_CELLS: Final = 3
 INTERRUPTED: Final = 130
 _PIPE_CLOSED: Final = 141
 _NO_ROOM: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_LIMITS: Final = {
+    errno.EAGAIN: "the system starts no further process or thread (see ulimit -u)",
+    errno.EMFILE: "too many files are open (see ulimit -n)",
+    errno.ENFILE: "too many files are open in the whole system",
+    errno.ENOMEM: "there is not enough memory",
+}
+"""What the system says when it has no more to give."""
 _asked = threading.Event()
 
 
@@ -41,7 +48,7 @@ def exit_code(command: Callable[[], int], *, interrupted: str = "interrupted") -
         if getattr(sys, name) is None:  # closed by who started this: nobody listens
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115 - stays open
     try:
-        with _heard():
+        with _limits_told(), _heard():
             code = command()
             sys.stdout.flush()
     except IsacTrackError as error:
@@ -62,6 +69,32 @@ def exit_code(command: Callable[[], int], *, interrupted: str = "interrupted") -
         print(interrupted, file=sys.stderr)  # noqa: T201 - as above
         return INTERRUPTED
     return code
+
+
+@contextlib.contextmanager
+def _limits_told() -> Iterator[None]:
+    """Make an IsacTrackError of what says that the machine, or Python, has no more to give."""
+    try:
+        yield
+    except MemoryError:
+        fault = f"{_LIMITS[errno.ENOMEM]}; ask for less at once (fewer --jobs or --scenes)"
+        raise IsacTrackError(fault) from None
+    except ImportError as error:
+        if "failed to map segment" not in str(error):  # a library that finds no place
+            raise
+        raise IsacTrackError(f"{_LIMITS[errno.ENOMEM]} to load what a run takes") from None
+    except RecursionError:
+        depth = sys.getrecursionlimit()
+        fault = f"calls go deeper than this Python allows (sys.setrecursionlimit: {depth})"
+        raise IsacTrackError(fault) from None
+    except RuntimeError as error:
+        if "can't start new thread" not in str(error):  # Python's only name for that limit
+            raise
+        raise IsacTrackError(f"{_LIMITS[errno.EAGAIN]}; use fewer --jobs") from None
+    except OSError as error:
+        if error.errno not in _LIMITS:
+            raise
+        raise IsacTrackError(f"{_LIMITS[error.errno]}; use fewer --jobs") from None
 
 
 def _hush() -> None:

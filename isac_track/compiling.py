@@ -4,9 +4,15 @@ Only the private modules of compiled loops import this one, and they are importe
 importing numba takes longer than a command may take to print its help.
 """
 
+import contextlib
+import glob
+import hashlib
+import os
+import secrets
 import sys
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from pathlib import Path
+from typing import Any, Final, TypeVar, cast
 
 import numba
 from numba.core import event
@@ -18,6 +24,7 @@ FLOAT, INT = numba.float64, numba.int64
 # FMA only: "contract" leaves NaN, infinity and the order of operations as IEEE 754 has them.
 # The numpy error model drops a test for zero before every division.
 _OPTIONS: dict[str, Any] = {"nogil": True, "fastmath": {"contract"}, "error_model": "numpy"}
+_CHECKSUM: Final = ".sha256"  # Ends the name of the file that holds a loop's checksum.
 
 
 def read(n_dims: int, kind: str = "float64") -> object:
@@ -39,8 +46,10 @@ class _Notice(event.Listener):
     """Speak up once, when numba is about to compile: a load from the cache is silent."""
 
     said, cached = False, True
+    compiled = 0  # How often numba had to compile.
 
     def on_start(self, event: object) -> None:  # noqa: ARG002 - numba's signature
+        self.compiled += 1
         once = "once, a few seconds"
         if not self.cached:
             once = "a few seconds, on every start: no cache can be written "
@@ -61,7 +70,8 @@ def compiled(*arguments: object) -> Callable[[_Loop], _Loop]:
     """Return a decorator that compiles a loop without a result for these argument types, now.
 
     The machine code comes from numba's cache where there is one. Where none can be written, or
-    it cannot take the code (a full disk), the loop is compiled for this process alone.
+    it cannot take the code (a full disk), the loop is compiled for this process alone. Cached code
+    that is damaged is removed and compiled again.
     """
 
     def decorate(loop: _Loop) -> _Loop:
@@ -69,12 +79,93 @@ def compiled(*arguments: object) -> Callable[[_Loop], _Loop]:
         with event.install_listener("numba:compile", _notice):
             if _notice.cached:
                 try:
-                    return cast("_Loop", numba.njit(signature, cache=True, **_OPTIONS)(loop))
+                    return _from_cache(loop, signature)
                 except (RuntimeError, OSError):  # numba: "no locator available"
                     _notice.cached = False
             return cast("_Loop", numba.njit(signature, **_OPTIONS)(loop))
 
     return decorate
+
+
+def _from_cache(loop: _Loop, signature: object) -> _Loop:
+    """Return a loop from numba's cache, compiled into it if need be; raises what numba does."""
+    cache = _CachedLoop(loop)
+    if cache.is_damaged():
+        cache.remove()
+    before = _notice.compiled
+    try:
+        machine_code = numba.njit(signature, cache=True, **_OPTIONS)(loop)
+    except Exception:  # garbled, a file can make its reader raise anything
+        if not cache.remove():
+            raise
+        machine_code = numba.njit(signature, cache=True, **_OPTIONS)(loop)
+    cache.note_checksum(is_new=_notice.compiled > before)
+    return cast("_Loop", machine_code)
+
+
+class _CachedLoop:
+    """The files that numba's cache holds of a loop, and their checksum in a file beside them.
+
+    numba notices neither a file that a power loss cut short nor code that was garbled: the first
+    ends the program, the second computes something else.
+    """
+
+    def __init__(self, loop: Callable[..., object]) -> None:
+        code = loop.__code__
+        stem = f"{Path(code.co_filename).stem}.{loop.__qualname__}-{code.co_firstlineno}."
+        self._folder: Path | None = None
+        self._name = ""
+        tag = f"py{sys.version_info.major}{sys.version_info.minor}{getattr(sys, 'abiflags', '')}"
+        with contextlib.suppress(Exception):  # no folder can be written to: there are no files
+            dispatcher: Any = numba.njit(**_OPTIONS)(loop)
+            dispatcher.enable_caching()
+            self._folder = Path(dispatcher.stats.cache_path)
+            self._name = f"{stem}{tag}"
+
+    def _files(self) -> list[Path]:
+        """Return what numba wrote: the index, and the code of each signature."""
+        if self._folder is None:
+            return []
+        return sorted(self._folder.glob(f"{glob.escape(self._name)}*.nb[ci]"))
+
+    @property
+    def _note(self) -> Path:
+        return (self._folder or Path()) / f"{self._name}{_CHECKSUM}"
+
+    def _checksum(self) -> str:
+        whole = hashlib.sha256()
+        for path in self._files():
+            whole.update(path.name.encode() + b"\0" + hashlib.sha256(path.read_bytes()).digest())
+        return whole.hexdigest()
+
+    def is_damaged(self) -> bool:
+        """Whether the files are not those whose checksum was noted."""
+        try:
+            return bool(self._files()) and self._note.read_text("ascii") != self._checksum()
+        except UnicodeDecodeError:
+            return True
+        except OSError:  # nothing was noted: an older cache
+            return False
+
+    def remove(self) -> bool:
+        """Remove the files, so that the loop is compiled anew; say so, return whether any went."""
+        removed: list[Path] = []
+        for path in self._files():
+            with contextlib.suppress(OSError):
+                path.unlink()
+                removed.append(path)
+        if removed:
+            text = f"isac-track: {removed[0].parent} holds a damaged compiled filter, {self._name}"
+            print(f"{text}; it is compiled again", file=sys.stderr, flush=True)  # noqa: T201 - as above
+        return bool(removed)
+
+    def note_checksum(self, *, is_new: bool) -> None:
+        """Note the checksum of files that numba has just written, or that have none."""
+        with contextlib.suppress(OSError):  # the files are good; without a note they are trusted
+            if self._files() and (is_new or not self._note.exists()):
+                temporary = self._note.with_name(f".{secrets.token_hex(8)}{_CHECKSUM}")
+                temporary.write_text(self._checksum(), "ascii")
+                os.replace(temporary, self._note)  # noqa: PTH105 - atomic on one file system
 
 
 def part_of_loop(function: _Loop) -> _Loop:

@@ -179,8 +179,10 @@ def _digest(given: object, origin: str) -> str:
         content = dumps(loads(dumps(given)))
         is_stable = content == dumps(loads(content))
         # Reading defines a session's class anew in place: its methods forget the file they are in.
-        for name in (name for name, value in own.items() if vars(cls)[name] is not value):
-            setattr(cls, name, own[name])
+        # Python 3.13 notes the first line of a class, which does not come back.
+        for name, value in own.items():
+            if vars(cls).get(name) is not value:
+                setattr(cls, name, value)
     except Exception as error:  # a stranger's __reduce__ may do anything
         raise PluginError(
             f"{origin} cannot be sent to a worker ({told(error)}); leave out what cannot be pickled"

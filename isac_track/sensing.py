@@ -16,6 +16,10 @@ from isac_track.config import SensingSettings
 from isac_track.rng import stream
 from isac_track.types import ErrorLaw, Floats, Ints, Scenes, Sensed, read_only, squared_lengths
 
+NEAREST_M = 1.0
+"""reading: the reference distance of the path loss, below which it says nothing: the far field of
+an antenna of some wavelengths (9 cm each) begins there, and nobody walks through its mast"""
+
 SPEED_OF_LIGHT_MPS = 299_792_458.0
 KNOTS: Final = 200
 """Of a walk's large-scale gain, within the distance over which its correlation falls to 1/e."""
@@ -314,11 +318,11 @@ def sense(
     """Return what the network holds about N walks: raw estimates with their uncertainty.
 
     At the times `t`, (M,) s, they truly are at `xy`, (M, 2) m in the frame of the base station;
-    `offsets` are (N + 1,), `walk` those of `Sensed`. ValueError for who stands on the station.
+    `offsets` are (N + 1,), `walk` those of `Sensed`. Who is nearer to the station than
+    `NEAREST_M` is sensed as from there: the law of the path loss begins at this distance.
     """
-    distance_m: Floats = np.hypot(xy[:, 0] - settings.bs_x_m, xy[:, 1] - settings.bs_y_m)
-    if not (distance_m > 0).all():
-        raise ValueError("a pedestrian stands on the base station; move sensing.bs_x_m, bs_y_m")
+    away_m: Floats = np.hypot(xy[:, 0] - settings.bs_x_m, xy[:, 1] - settings.bs_y_m)
+    distance_m = np.maximum(away_m, NEAREST_M)
     owner = np.repeat(np.arange(offsets.size - 1), np.diff(offsets))
     gain = link_gain(distance_m=distance_m, owner=owner, channel=channel, settings=settings)
     info = information(gain=gain, settings=settings)

@@ -8,7 +8,7 @@ be known by its distance from the base station, on which the noise depends.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -29,6 +29,7 @@ LEAST_PEOPLE = 24  # Fewer cannot be split into who teaches, calibrates and is a
 MOST_SIMULATED = 300  # People of the two-session crowd: more can be simulated, and show no more.
 LEAST_COME_BACK = 8  # In a task that learns leaving one person out.
 WAY_STEP_S = 1 / 12  # Of the way along a walk: the mean step at which it is sensed.
+_ALIKE = 0.98  # Steps that differ by less are one rate, on a clock that is not exact.
 CLOCK_S = 1e-6  # Room for the rounding of a clock: of frames at 25 Hz, of seconds since 1970.
 _Starts: TypeAlias = Callable[[Floats, Floats, Generator], Floats]
 """Draws where both windows of a person begin, from the first samples of the tracks that they are
@@ -235,6 +236,29 @@ def _named(tracks: Tracks, rows: Ints, names: Sequence[str]) -> Tracks:
     return Tracks(t, xy, offsets, source=tuple(names), group=group)
 
 
+def sample_at(shares: Floats, tracks: Tracks) -> Ints:
+    """Return the samples at these shares, (N,) from 0 up to 1, of all time that people were seen.
+
+    A sample stands for the time to the next one of its track, the last for that before it, and none
+    for more than the usual step of the slowest track, lest a gap draw everybody. Where all samples
+    stand for alike long each is as likely as another.
+    """
+    step_s = np.full(tracks.t.size, np.inf)  # a track of one sample tells of no step
+    usual_s = []
+    for first, end in pairwise(tracks.offsets.tolist()):
+        steps_s = np.diff(tracks.t[first:end])
+        if steps_s.size:
+            step_s[first:end] = np.append(steps_s, steps_s[-1])
+            usual_s.append(float(np.median(steps_s)))
+    longest_s = max(usual_s, default=0.0)
+    step_s = np.minimum(step_s, longest_s)
+    if longest_s == 0.0 or step_s.min() >= _ALIKE * longest_s:
+        return np.asarray((shares * tracks.t.size).astype(np.int64))
+    until_s = np.cumsum(step_s)
+    places = np.searchsorted(until_s, shares * until_s[-1], side="right")
+    return np.asarray(np.minimum(places, tracks.t.size - 1))
+
+
 def _closed(draft: Draft, length_s: float, starts_s: _Starts, *, needed_s: float = 0.0) -> Sessions:
     """Return sessions in which everybody is in both: one search for each half of the people."""
     tracks, later = draft.tracks, replace(draft, tracks=draft.later)
@@ -278,7 +302,7 @@ def _closed(draft: Draft, length_s: float, starts_s: _Starts, *, needed_s: float
         sizes = np.diff(found.offsets)
         middle_m = np.add.reduceat(found.xy, found.offsets[:-1]) / sizes[:, None]
         draws = [draft.rng("place", side, source[one]).random() for one in person]
-        there_m = day.tracks.xy[(np.array(draws) * day.tracks.t.size).astype(np.int64)]
+        there_m = day.tracks.xy[sample_at(np.array(draws), day.tracks)]
         return found.windows(person, fold_of[person], shift_m=there_m - middle_m)
 
     # In an order of its own, lest a place in the list tell who is who.

@@ -17,7 +17,6 @@ scored on the other, and the reverse.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -39,6 +38,7 @@ from evaluation.analysis.metrics import (
     WIDE,
 )
 from evaluation.experiment.presets import IDENTITY
+from evaluation.runs.people import in_first_half
 from isac_track.types import Bools, Floats, read_only
 
 if TYPE_CHECKING:
@@ -214,10 +214,9 @@ def _scored(
 def first_half(clusters: tuple[str, ...]) -> Bools:
     """Return which clusters are in the first of two halves, (C,): by a hash of each one's name.
 
-    Who else is in the run does not matter, nor its seed.
+    Who else is in the run does not matter, nor its seed, nor by which pseudonym it is called.
     """
-    digests = (hashlib.sha256(name.encode()).digest() for name in clusters)
-    return read_only(np.array([digest[0] % 2 == 0 for digest in digests], dtype=bool))
+    return read_only(np.array([in_first_half(name) for name in clusters], dtype=bool))
 
 
 def by_task(found: Found, *, metric: str) -> dict[str, Levels]:

@@ -9,6 +9,7 @@ from typing import Any, Final, Literal
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import Task, task_named
 from evaluation.experiment.constants import (
+    BLOCK_SCENES,
     BOUND,
     MODEL,
     OTHER_LAW,
@@ -20,7 +21,7 @@ from evaluation.experiment.constants import (
 from evaluation.experiment.presets import BREAKER, PRESETS, SHARED, UTILITY_PREDICTORS
 from evaluation.experiment.settings import Settings
 from isac_track import plugins
-from isac_track.errors import SettingsError
+from isac_track.errors import SettingsError, quoted
 from isac_track.kalman.slow_errors import added_error
 from isac_track.plugins import Plugin
 from isac_track.protocols import USUAL, grants, kind_of
@@ -230,6 +231,7 @@ def axes(settings: Settings) -> Axes:
     pairs = _linked(settings, links=links, tasks=tasks)
     if not mechanisms:
         raise SettingsError("nothing to run: the mechanism axis is empty; name one, such as raw")
+    _check_laws(mechanisms, law=settings.stages.sensing.law)
     ceiling = plugins.parse("mechanisms", "clean")[0] if pairs else None
     named = {plugin.spec for plugin in predictors}
     utility = named if settings.predictors is not None else named.intersection(UTILITY_PREDICTORS)
@@ -267,10 +269,32 @@ def axes(settings: Settings) -> Axes:
     return found
 
 
+def _check_laws(mechanisms: Iterable[Plugin], *, law: str) -> None:
+    """Raise SettingsError for linear adding under another error law than that of the raw error."""
+    for plugin in mechanisms:
+        own = getattr(plugin.instance, "law", None)
+        if plugin.adding == "linear" and isinstance(own, str) and own != law:
+            raise SettingsError(
+                f"{quoted(plugin.spec)}: linear adding scales the raw error, whose law is {law}; "
+                f"write adding=independent, or --set sensing.law={own}"
+            )
+
+
+def most_workers(crossed: Axes, settings: Settings) -> int:
+    """Return how many workers a run has work for: no more pieces are cut, finished or not."""
+    n_blocks = -(-settings.n_utility_scenes // BLOCK_SCENES)
+    worlds = [crossed.mechanisms, *crossed.worlds.values()]
+    n_levels = sum(len(levels) for levels in worlds)
+    n_linked = len(crossed.linked_mechanisms) + sum(
+        len(levels) for levels in crossed.linked_in.values()
+    )
+    return max(n_blocks * n_levels + len(crossed.tasks) * n_linked, 1)
+
+
 def jobs_of(crossed: Axes, settings: Settings) -> int:
     """Return how many workers to use: as asked, or as many as the work is worth and cores are."""
     if settings.jobs is not None:
-        return settings.jobs
+        return min(settings.jobs, max(most_workers(crossed, settings), 2))
     n_levels = len(crossed.mechanisms)
     n_links = sum(len(crossed.readers(task)) - 1 for task in crossed.tasks)
     if settings.n_scenes * n_levels < WORTH_WORKERS and n_levels * n_links < WORTH_WORKERS_LINKED:

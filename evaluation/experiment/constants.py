@@ -14,6 +14,7 @@ _HORIZON: Final = "horizon="
 BOUND = "bound"  # Consumer of what no attack can exceed.
 BLOCK_SCENES = 250  # Of a unit of work. Part of the keys of sharing: a change changes the draws.
 MOST_SCENES = 10_000_000
+MOST_JOBS: Final = 256  # Worker processes: more than machines have cores, and each takes 130 MB.
 
 
 def horizon_world(horizon_s: float) -> str:

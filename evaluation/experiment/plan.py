@@ -14,7 +14,7 @@ from evaluation.experiment import fingerprint
 from evaluation.experiment.axes import Axes, Consumer, axes, jobs_of
 from evaluation.experiment.constants import BLOCK_SCENES
 from evaluation.experiment.presets import BREAKER, PRESETS
-from evaluation.experiment.settings import Settings
+from evaluation.experiment.settings import Settings, check_threads
 from isac_track import datasets, plugins
 from isac_track.datasets import Dataset, crowd
 from isac_track.errors import DataError, PluginError, told
@@ -85,6 +85,7 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
 
     Raises IsacTrackError for anything that a user can mend.
     """
+    check_threads()
     crossed = axes(settings)
     how = {name: getattr(settings, name) for name in _HOW_TO_READ}
     dataset = dataset or datasets.load(settings.dataset, **how)
@@ -93,26 +94,7 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     if crossed.horizons_s:
         tracks = with_horizons(tracks, recorded, settings=settings.stages)
         crossed = replace(crossed, horizons_s=tuple(tracks.further))
-    # One task always uses the bundled crowd.
-    bundled = b"".join(crowd.bundled_path(session).read_bytes() for session in crowd.FILES)
-    identity = {
-        "dataset": dataset.name,
-        "sha256": dataset.sha256,
-        "format": dataset.format,
-        "fps": settings.fps,
-        "seed": settings.seed,
-        "scenes": settings.n_scenes,
-        "crowd": hashlib.sha256(bundled).hexdigest()[:16],
-        **settings.stages.flat(),
-    }
-    # An axis: another horizon adds cells to a folder and changes no other.
-    del identity["conflict.horizons_s"]
-    if settings.unit is not None:
-        identity["unit"] = settings.unit
-    if settings.persistent_ids:
-        identity["persistent_ids"] = True
-    if settings.n_utility_scenes != settings.n_scenes:
-        identity["scenes_utility"] = settings.n_utility_scenes
+    identity = _identity(settings, dataset)
     linked = partial(sessions_of, tracks=recorded, seed=settings.seed)
     sessions, skipped = [], dict[str, str]()
     for task in crossed.tasks:
@@ -156,6 +138,33 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
             and any(crossed.linked_in.values())
         ),
     )
+
+
+def _identity(settings: Settings, dataset: Dataset) -> dict[str, Any]:
+    """Return what all cells of a run depend on; a folder takes cells of one identity alone."""
+    # One task always uses the bundled crowd.
+    bundled = b"".join(crowd.bundled_path(session).read_bytes() for session in crowd.FILES)
+    identity: dict[str, Any] = {
+        "dataset": dataset.name,
+        "sha256": dataset.sha256,
+        "format": dataset.format,
+        "fps": settings.fps,
+        "seed": settings.seed,
+        "scenes": settings.n_scenes,
+        "crowd": hashlib.sha256(bundled).hexdigest()[:16],
+        **settings.stages.flat(),
+    }
+    # An axis: another horizon adds cells to a folder and changes no other.
+    del identity["conflict.horizons_s"]
+    if settings.unit is not None:
+        identity["unit"] = settings.unit
+    if settings.keep_ids:
+        identity["ids"] = "kept"
+    if settings.persistent_ids:
+        identity["persistent_ids"] = True
+    if settings.n_utility_scenes != settings.n_scenes:
+        identity["scenes_utility"] = settings.n_utility_scenes
+    return identity
 
 
 def trial(ready: Plan, *, specs: Iterable[str]) -> Plan:

@@ -1,6 +1,7 @@
 """What a run is asked for: every option of the command line and of the notebook, checked."""
 
 import os
+import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from importlib import import_module
@@ -9,7 +10,7 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Self
 
-from evaluation.experiment.constants import MOST_SCENES
+from evaluation.experiment.constants import MOST_JOBS, MOST_SCENES
 from evaluation.experiment.presets import PRESETS
 from isac_track.config import StageSettings
 from isac_track.errors import SettingsError, did_you_mean, quoted
@@ -31,10 +32,11 @@ _PRECISION_WRONG = (
     "--precision is the half-width of a missed-conflict rate's interval, between 0 and 0.5 "
     "(0.01: +- 1 %), got {0:g}"
 )
+_ADDRESS = re.compile(r"(inproc://.+)|(([\w-]+://)?[^/\s]+:[0-9]{1,5}/?)")
 _LIMITS: dict[str, tuple[float, float, str]] = {
     "scenes": (1, MOST_SCENES, _SCENES_WRONG),
     "seed": (-1, inf, "the seed must not be negative, got {0}"),
-    "jobs": (0, inf, "jobs must be at least 1, got {0}"),
+    "jobs": (0, MOST_JOBS, "jobs must be at least 1 and at most {1}, got {0}"),
     "cell_timeout_s": (0, inf, "cell_timeout must be positive, got {0:g} s"),
     "fps": (0, inf, "fps must be positive, got {0:g}"),
     "utility_scenes": (1, MOST_SCENES, "utility_scenes must be 2 to {1:,}, got {0}"),
@@ -75,6 +77,7 @@ class Settings:
     executor: str = "local"  # Or dask: the workers of a Dask cluster.
     scheduler: str | None = None  # Address of the cluster's scheduler.
     keep_scores: bool = False  # Of everybody who links, raw: some hundred MB.
+    keep_ids: bool = False  # The recording's own ids in the run's files, not pseudonyms.
     out: Path | str | None = None
     fresh: bool = False
 
@@ -97,6 +100,11 @@ class Settings:
             raise SettingsError(
                 "--executor dask needs --scheduler ADDRESS, as tcp://host:8786; "
                 "`dask scheduler` starts one and tells its address"
+            )
+        if is_dask and not _ADDRESS.fullmatch(str(self.scheduler)):
+            raise SettingsError(
+                f"a scheduler's address ends with its port, as tcp://host:8786; "
+                f"got {quoted(self.scheduler)}"
             )
         if is_dask and self.jobs is not None:
             raise SettingsError("--jobs is of --executor local: a cluster has the workers it has")
@@ -161,3 +169,14 @@ def check_drawing() -> None:
                 f"matplotlib knows no backend {os.environ['MPLBACKEND']!r}; unset MPLBACKEND: "
                 "figures need none"
             ) from None
+
+
+def check_threads() -> None:
+    """Raise SettingsError if numba would refuse to be imported: before a run, not within it."""
+    text = os.environ.get("NUMBA_NUM_THREADS", "1")
+    try:
+        fits = int(text) > 0
+    except ValueError:  # numba warns, and takes the cores
+        return
+    if not fits:
+        raise SettingsError(f"NUMBA_NUM_THREADS must be at least 1, got {text!r}; unset it")

@@ -198,6 +198,7 @@ def settings_of(
         attacks=tuple(spec for spec, tasks in sorted(attacks.items()) if tasks & run),
         tasks=tuple(task for task in ran["tasks"] if task in run),
         stages=stages,
+        keep_ids=identity.get("ids") == "kept",
         jobs=jobs,
         out=out,
     )

@@ -5,6 +5,7 @@ import math
 from isac_track.kalman import steady
 
 _TAU_S, _SEEN_S = 5.0, 30.0  # Of the slow error that is proposed; how long a walk is seen.
+_MOST_M = 1e5  # Noise per axis beyond which nothing is proposed: that is to share nothing.
 
 
 def told(*, plr: float, epsilon_m: float, q: float, dt_s: float) -> list[str]:
@@ -16,7 +17,13 @@ def told(*, plr: float, epsilon_m: float, q: float, dt_s: float) -> list[str]:
     for name, value in (("epsilon", epsilon_m), ("q", q), ("dt", dt_s)):
         if not (math.isfinite(value) and value > 0):
             raise ValueError(f"--{name} must be positive, got {value:g}")
-    needed = steady.variance_for(plr=plr, dt_s=dt_s, q=q, epsilon_m=epsilon_m)
+    try:
+        needed = steady.variance_for(plr=plr, dt_s=dt_s, q=q, epsilon_m=epsilon_m)
+    except ArithmeticError:  # beyond what a number can hold
+        needed = math.inf
+    if not 0.0 < needed <= _MOST_M**2:
+        beyond = f"takes a noise beyond {_MOST_M / 1000:g} km or below any: closed forms end here"
+        raise ValueError(f"a limit of {plr:g} with these numbers {beyond}")
     filtered = steady.filtered_variance_m2(variance_m2=needed, dt_s=dt_s, q=q)
     shared = steady.plr_of_variance(variance_m2=needed, epsilon_m=epsilon_m)
     # The motion-free bound, solved for its standard deviation.

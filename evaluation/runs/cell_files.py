@@ -17,6 +17,7 @@ from functools import lru_cache
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -27,6 +28,7 @@ from evaluation.cells.link_scores import ABOUT, ASSIGNED, COMPANIONS, DERIVED, E
 from evaluation.cells.link_setup import linkage_weights
 from evaluation.cells.sample_tracks import COLUMNS as SAMPLE_COLUMNS
 from evaluation.cells.tables import DESCRIPTORS, ON_TRIAL, ROWS, Tables
+from evaluation.cells.tables import column as column_of
 from evaluation.runs.files import (
     FOLDER,
     GALLERY,
@@ -36,6 +38,7 @@ from evaluation.runs.files import (
     write_whole,
     written_down,
 )
+from evaluation.runs.people import label_of_written
 from isac_track.errors import DataError
 from isac_track.intervals import Estimate, effective_clusters
 from isac_track.linkability.scoring import RANK_METRICS, ProbeRanks
@@ -50,6 +53,8 @@ _NAMES: Final = ("source", "group", "search", "side", "assigned", "metric", "abo
 _NAMED, _COUNTED = ("metric", "group", "assigned"), ("above", "tied", "chance", *COMPANIONS)
 _OUTCOME: Final = (*_NAMED, *_COUNTED, "about", "value", "ci_low", "ci_high", "n")
 """Columns of a linkage cell beside its replicates."""
+_PEOPLE: Final = ("source", "group")
+_AS_THEY_ARE: Final[Mapping[str, str]] = MappingProxyType({})
 _NONE: Final = np.zeros(0, dtype=np.float32)
 _ALIKE: Final = {
     *("plr", "plr_wide", "plr_gap", "plr_attacked", "separation_m", "speed_mps"),
@@ -118,8 +123,12 @@ def packed(
     *,
     unit: str,
     code: Mapping[str, str],
+    names: Mapping[str, str] = _AS_THEY_ARE,
 ) -> bytes:
-    """Return the file of a unit of work, of key `unit`; found are label, key, code and tables."""
+    """Return the file of a unit of work, of key `unit`; found are label, key, code and tables.
+
+    `names` are what people are called in it, by their ids.
+    """
     consumers, start = {}, 0
     for label, key, own, tables in found:
         places = {}
@@ -127,7 +136,7 @@ def packed(
             places[name] = (start, table.num_rows)
             start += table.num_rows
         consumers[label] = {"key": key, "code": dict(own), "tables": places}
-    every = [table for *_, tables in found for table in tables.values()]
+    every = [renamed(table, names) for *_, tables in found for table in tables.values()]
     whole = pa.concat_tables(every, promote_options="default").combine_chunks()
     whole = _of_precision(whole, pa.float32())
     index = {"unit": unit, "code": dict(code), "consumers": consumers}
@@ -148,6 +157,42 @@ def packed(
         writer.write_table(whole)
         writer.add_key_value_metadata({_INDEX: json.dumps(index).encode()})
     return bytes(sink.getvalue())
+
+
+def renamed(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
+    """Return a table in which people are called by other names, by their ids; without any as is."""
+    if not names:
+        return table
+    for place, name in enumerate(table.column_names):
+        if name in _PEOPLE:
+            coded = table[name].combine_chunks().dictionary_encode()
+            called = column_of([names[one] for one in coded.dictionary.to_pylist()])
+            table = table.set_column(place, name, called.take(coded.indices))
+        elif name == ABOUT:
+            called = [_renamed_about(one, names) for one in table[name].to_pylist()]
+            table = table.set_column(place, name, column_of(called))
+    return table
+
+
+def _renamed_about(text: str, names: Mapping[str, str]) -> str:
+    about = json.loads(text)
+    about["clusters"] = [names[one] for one in about["clusters"]]
+    if "gallery" in about:
+        about["gallery"] = [[names[one] for one in some] for some in about["gallery"]]
+    return json.dumps(about)
+
+
+def _labelled(table: pa.Table, labels: Mapping[str, str]) -> pa.Table:
+    """Return a table that was read, with people called by the labels of their names."""
+    for place, name in enumerate(table.column_names):
+        if labels and name in _PEOPLE:
+            whole = table[name].combine_chunks()
+            # None stands for tables of the file that are not about people.
+            known = whole.dictionary.to_pylist()
+            called = column_of([labels.get(one, one) for one in known])
+            coded = pa.DictionaryArray.from_arrays(whole.indices, called)
+            table = table.set_column(place, name, coded)
+    return table
 
 
 def _of_precision(whole: pa.Table, kind: pa.DataType) -> pa.Table:
@@ -225,7 +270,8 @@ def read_outcomes(
         ((path, whole, index),) = _opened(out, mine[0], columns)
         with _readable(path):
             asked = [(one, _held(path, index, one).tables) for one in mine]
-            found += _outcomes(whole, asked, drawn)
+            labels = label_of_written(out)
+            found += _outcomes(whole, asked, drawn, labels)
     _weights.cache_clear()  # the next run has others
     return found
 
@@ -234,6 +280,7 @@ def _outcomes(
     whole: pa.Table,
     entries: Sequence[tuple[Mapping[str, Any], Mapping[str, tuple[int, int]]]],
     drawn: Collection[str] | None,
+    labels: Mapping[str, str],
 ) -> Iterator[LinkageOutcome]:
     """Yield what consumers of a file, each with its tables, achieve."""
     (codes, metrics), groups, assigned = map(_coded, map(whole.column, _NAMED))
@@ -254,7 +301,8 @@ def _outcomes(
         if drawn is None or (drawn and (entry["knowledge"] or entry.get("world"))):
             task = entry["consumer"].partition("/")[0]
             drawn_as = tuple(about["drawn_as"]), about["n_groups"], task, about["seed"]
-            alike[tuple(about["clusters"]), drawn_as].append(len(found))
+            called = tuple(labels.get(one, one) for one in about["clusters"])
+            alike[called, drawn_as].append(len(found))
         found.append((about, at[ESTIMATES], replicates, {}))
         probed.append(np.arange(at[ROWS].start, at[ROWS].stop))
     for (names, drawn_as), of_draws in alike.items():  # as one, people after people
@@ -348,7 +396,8 @@ def _content(
             # Not pq.read_table: its data set machinery costs more than reading such a file.
             with pq.ParquetFile(path.absolute(), metadata=about, read_dictionary=coded) as file:
                 whole = _of_precision(file.read(columns=names, use_threads=False), pa.float64())
-            found.append((path, whole, _index(about.metadata)))
+            labels = label_of_written(path.parent.parent)
+            found.append((path, _labelled(whole, labels), _index(about.metadata)))
     return found
 
 

@@ -3,11 +3,11 @@
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import pyarrow as pa
 
@@ -18,7 +18,7 @@ from evaluation.experiment.constants import horizon_world
 from evaluation.experiment.fingerprint import OURS, has_strangers
 from evaluation.experiment.plan import Plan, Unit
 from evaluation.runs import pieces
-from evaluation.runs.cell_files import places_of, read_rows, sound_files, write_gallery
+from evaluation.runs.cell_files import places_of, read_rows, renamed, sound_files, write_gallery
 from evaluation.runs.files import FOLDER, label_of, locked, write_checked
 from evaluation.runs.folder import check_folder, open_run
 from evaluation.runs.manifest import (
@@ -31,19 +31,27 @@ from evaluation.runs.manifest import (
     with_ceiling,
     write_manifest,
 )
+from evaluation.runs.people import names_to_write, share_key
 from evaluation.runs.trials import try_plugins
 from evaluation.runs.workers import spread
 from isac_track.command_line import check_interrupt
 from isac_track.errors import PluginError, told
 from isac_track.plugins import Plugin
 
+NOT_PASSED_ON: Final = "never to be passed on"  # What such a recording's licence says.
+
 
 class FailedCellsWarning(UserWarning):
     """Some cells of a run could not be computed; `Results.failed` names them."""
 
 
-def execute(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
+def execute(
+    ready: Plan, tell: Callable[[int, int, str], None], *, keeps_walks: bool = True
+) -> None:
     """Compute what a run's folder misses; the folder is locked by who calls.
+
+    The walks of a few people are kept to be drawn, unless `keeps_walks` is false or the recording's
+    licence forbids that they are passed on.
 
     `tell` is called with cells finished, cells to do, and what is under way. Raises IsacTrackError
     for anything that a user can mend; finished cells are kept.
@@ -51,6 +59,7 @@ def execute(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
     started, out = time.monotonic(), ready.out
     given_up = try_plugins(ready)
     manifest, held, damaged = open_run(out, identity=ready.identity, fresh=ready.settings.fresh)
+    names = names_to_write(ready, is_continued=bool(held))
     earlier_s = float(manifest.get("wall_time_s", 0.0))
     places = places_of(held)
     missing = pieces.missing_of(ready, places)
@@ -61,10 +70,13 @@ def execute(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
     manifest["failed"] = others(failures, than=ours)
     manifest["cells"] = merged_cells(manifest["cells"], ours, held=held)
     write_manifest(out, manifest | {"state": "running"})
-    failed = _computed(missing, ready, manifest, tell)
+    failed = _computed(missing, ready, manifest, tell, names)
     tell(ready.n_cells, ready.n_cells, "report: intervals, verdict, figures")
     without = {str(one[name]) for one in failed for name in ("spec", "consumer")}
-    manifest["gallery_without"] = _write_gallery(ready, without)
+    keeps_walks = keeps_walks and NOT_PASSED_ON not in ready.dataset.licence
+    manifest["gallery_without"] = _write_gallery(ready, without, names) if keeps_walks else []
+    if not keeps_walks:
+        write_gallery([], out=out)
     manifest["exhausted_redraws"] = _exhausted(out, manifest["cells"], "")
     for horizon_s, about in manifest["horizons"].items():
         world = horizon_world(float(horizon_s))
@@ -85,6 +97,7 @@ def execute_trial(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
         return
     started, out = time.monotonic(), ready.out
     manifest, held, _ = open_run(out, identity=ready.identity, fresh=False)
+    names = names_to_write(ready, is_continued=True)
     places = places_of(held)
     missing = pieces.missing_of(ready, places)
     ours = entries_of(ready, places, missing)
@@ -94,7 +107,7 @@ def execute_trial(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
     cells = [by_label.pop((one["spec"], label_of(one)), one) for one in manifest["cells"]]
     manifest["cells"] = cells + list(by_label.values())
     write_manifest(out, manifest | {"state": "running"})
-    _computed(missing, ready, manifest, tell)
+    _computed(missing, ready, manifest, tell, names)
     spent_s = float(manifest.get("wall_time_s", 0.0)) + time.monotonic() - started
     write_manifest(out, manifest | {"state": "finished", "wall_time_s": round(spent_s, 3)})
 
@@ -104,11 +117,12 @@ def _computed(
     ready: Plan,
     manifest: dict[str, Any],
     tell: Callable[[int, int, str], None],
+    names: Mapping[str, str],
 ) -> list[dict[str, Any]]:
     """Compute what is missing; return what failed, which the manifest then names."""
     failed = [
         {**named(mechanism, consumer), "block": block, "why": why}
-        for (block, mechanism, consumer), why in _compute(missing, ready, tell)
+        for (block, mechanism, consumer), why in _compute(missing, ready, tell, names)
     ]
     if failed:
         manifest["failed"] += failed
@@ -144,6 +158,7 @@ def borrow(ready: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None
     check_folder(ready.out)
     with locked(ready.out):
         manifest, files, _ = open_run(ready.out, identity=ready.identity, fresh=fresh)
+        share_key(ready.out, sources)
         write_manifest(ready.out, manifest | {"code": ready.code, "state": "running"})
         missing = pieces.missing_of(ready, places_of(files))
         wanted = {(one.key, key) for one in missing for key in one.consumers}
@@ -155,7 +170,7 @@ def borrow(ready: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None
                     wanted -= held
 
 
-def _write_gallery(ready: Plan, without: set[str]) -> list[str]:
+def _write_gallery(ready: Plan, without: set[str], names: Mapping[str, str]) -> list[str]:
     """Keep some tracks to look at, `without` some plug-ins; return what fails here."""
     compute = partial(
         _gallery_part,
@@ -175,7 +190,7 @@ def _write_gallery(ready: Plan, without: set[str]) -> list[str]:
             if isinstance(part, Failed):
                 failed.append(f"{plugin.spec}: {part.why}")
             else:
-                parts.append(part)
+                parts.append(renamed(part, names))
     write_gallery(parts, out=ready.out)
     return failed
 
@@ -189,7 +204,10 @@ def _gallery_part(mechanism: Plugin, **options: Any) -> Iterator[pa.Table | Fail
 
 
 def _compute(
-    missing: Sequence[Unit], ready: Plan, tell: Callable[[int, int, str], None]
+    missing: Sequence[Unit],
+    ready: Plan,
+    tell: Callable[[int, int, str], None],
+    names: Mapping[str, str],
 ) -> list[tuple[pieces.Cell, str]]:
     """Compute what is missing, here or by workers, and return what could not be, and why."""
     works, settings = deque(pieces.pieces_of(missing, ready)), ready.settings
@@ -199,7 +217,7 @@ def _compute(
     tell(0, total, _stage(pieces.place_of(next(pieces.cells_of(works[0])))))
     files = pieces.files_to_come(missing, ready.code_of)
     own: dict[str, Any] = {"tracks": ready.tracks, "stages": settings.stages, "seed": settings.seed}
-    compute = partial(pieces.in_files, files=files, **own)
+    compute = partial(pieces.in_files, files=files, names=names, **own)
     computed: Generator[tuple[pieces.Work, Iterable[pieces.Found]]]
     if settings.scheduler is None:
         computed = spread(
@@ -217,7 +235,7 @@ def _compute(
         modules = ready.code_of.keys()
         computed = spread_on_cluster(compute, works, scheduler=settings.scheduler, modules=modules)
     finished: set[pieces.Place] = set()
-    failures, gathered, n_failed = pieces.Failures(), pieces.Gathered(files), 0
+    failures, gathered, n_failed = pieces.Failures(), pieces.Gathered(files, names), 0
     with closing(computed):
         for work, found in computed:
             for one in found:

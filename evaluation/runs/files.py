@@ -39,6 +39,8 @@ CHECKSUMS: Final = "SHA256SUMS"
 GALLERY: Final = "gallery.parquet"
 PAGE: Final = "report.html"
 LOCK: Final = ".lock"
+PEOPLE: Final = "people.json"  # Names in cells, and the labels by which readers know them.
+PRIVATE: Final = "private.json"  # Key of the pseudonyms, and where the recording lies; mode 0600.
 FRAMES: Final = {  # By the names of `Results`.
     "summary": "summary.csv",
     "paper_table": "paper_table.csv",
@@ -58,6 +60,7 @@ FRAMES: Final = {  # By the names of `Results`.
 PLUGIN_ERROR: Final = "plugin-error.txt"  # Why a plug-in failed before there is a run.
 WRITTEN: Final = (  # All that a run leaves beside its manifest, its cells, and its figures.
     *(*FRAMES.values(), "flags.json", "verdict.json", "tables.txt", PAGE, GALLERY, CHECKSUMS),
+    *(PEOPLE, PRIVATE),
     *(f"tables/{name}.tex" for name in ("sweep", "attacks", "paper", "linkability", "verdict")),
 )
 _TEXTS: Final = {  # Columns of text; all others are numbers or truth values.

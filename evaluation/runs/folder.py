@@ -37,7 +37,9 @@ def check_folder(out: Path) -> None:
         if not out.exists() or (out / files.MANIFEST).exists():
             return
         for path in out.iterdir():  # a run that is killed before its manifest is there leaves some
-            is_ours = path.name in {files.LOCK, files.PLUGIN_ERROR} or files.is_temporary(path.name)
+            is_ours = path.name in {
+                *(files.LOCK, files.PLUGIN_ERROR, files.PEOPLE, files.PRIVATE)
+            } or files.is_temporary(path.name)
             is_empty = path.name == files.FOLDER and path.is_dir() and not any(path.iterdir())
             if not (is_ours or is_empty):
                 raise SettingsError(f"{out} is not empty and holds no run; choose another --out")
@@ -147,3 +149,31 @@ def _figures(out: Path, manifest: Mapping[str, Any]) -> list[Path]:
     """Return every file that a report may have drawn: svg for screens, pdf for print."""
     names = [Path(name).name for name in manifest.get("figures", ())]
     return [out / "figures" / f"{name}.{kind}" for name in names for kind in ("svg", "pdf")]
+
+
+def copy_without_private(out: Path, to: Path) -> None:
+    """Copy a finished run's manifest, cells and list of people: all that its report is made from.
+
+    Raises SettingsError if the copy exists or cannot be written, or the run keeps its ids, and
+    DataError if it is not finished, or not as it was written.
+    """
+    manifest = read_manifest(out)
+    if manifest.get("state") != "finished":
+        raise DataError(f"the run in {out} is not finished; run the matrix again")
+    if manifest["identity"].get("ids") == "kept" or not (out / files.PEOPLE).exists():
+        raise SettingsError(
+            f"{out} keeps the recording's own ids; run the matrix without --keep-ids, anew"
+        )
+    names = dict.fromkeys(name for entry in manifest["cells"] for name in entry["files"])
+    files.check_sound(out, names)
+    try:
+        to.mkdir(parents=True)
+        (to / files.FOLDER).mkdir()
+        write_manifest(to, manifest)
+        files.write_whole(to / files.PEOPLE, files.content_of(out / files.PEOPLE))
+        for name in names:
+            files.write_checked(to, name, files.content_of(out / files.FOLDER / name))
+    except FileExistsError:
+        raise SettingsError(f"{to} exists; choose another --to") from None
+    except OSError as error:
+        raise SettingsError(f"cannot write {to}: {error.strerror}; choose another --to") from None

@@ -28,6 +28,7 @@ import numpy as np
 import isac_track
 from evaluation.experiment.fingerprint import digest
 from evaluation.runs.files import MANIFEST, content_of, label_of, write_whole
+from evaluation.runs.people import labels_of_ids, shown_path, shown_words
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
@@ -153,7 +154,7 @@ def about_data(ready: Plan) -> dict[str, Any]:
     tracks, dataset = ready.tracks, ready.dataset
     own = ("name", "sha256", "format", "simulated", "notice")
     about = {
-        "path": str(dataset.path),
+        "path": shown_path(dataset.path),
         **{name: getattr(dataset, name) for name in own},
         "tracks": len(dataset.tracks),
         "tracks_used": len(tracks),
@@ -163,7 +164,7 @@ def about_data(ready: Plan) -> dict[str, Any]:
         "repairs": [asdict(repair) for repair in dataset.repairs],
     }
     if dataset.sessions:
-        about["sessions"] = [str(Path(one).absolute()) for one in dataset.sessions]
+        about["sessions"] = [shown_path(one) for one in dataset.sessions]
     if len(tracks) < FEW_PEOPLE:
         stages, used = ready.settings.stages, len(tracks)
         about["would_help"] = what_would_help(dataset.tracks, settings=stages, used=used)
@@ -176,6 +177,7 @@ def describe(ready: Plan) -> dict[str, Any]:
     from isac_track.privacy import mean_interval_s  # noqa: PLC0415 - a reader needs none
 
     tracks, settings, axes = ready.tracks, ready.settings, ready.axes
+    labels = labels_of_ids(ready)
     linkers = dict.fromkeys(link.spec for _, link in axes.links)
     requires = {plugin.spec: plugin.instance.requires for plugin in axes.predictors}
     undeclared = (plugin for plugin in axes.mechanisms if not plugin.adding)
@@ -204,7 +206,9 @@ def describe(ready: Plan) -> dict[str, Any]:
             "machine": f"{platform.system()} {platform.machine()}",
             "libraries": {name: version(name) for name in _LIBRARIES},
             "git_commit": _git_commit(),
-            "command": [word.encode(errors="replace").decode() for word in sys.argv],
+            "command": shown_words(
+                word.encode(errors="replace").decode() for word in sys.argv or ()
+            ),
         },
         "code": ready.code,
         "settings": {
@@ -231,7 +235,7 @@ def describe(ready: Plan) -> dict[str, Any]:
             "points": float(np.diff(tracks.offsets).mean()),
             "interval_s": float(mean_interval_s(t=tracks.t, offsets=tracks.offsets).mean()),
         },
-        "groups": sorted(set(tracks.group)),
+        "groups": [labels[name] for name in sorted(set(tracks.group))],
         "horizons": {
             f"{horizon_s:g}": {
                 "tracks_used": len(tracks.further.get(horizon_s, ())),

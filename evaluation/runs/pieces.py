@@ -249,8 +249,8 @@ def files_to_come(units: Iterable[Unit], code_of: Mapping[str, str]) -> dict[Pla
 class Gathered:
     """What is computed of files to come, and of each until it is whole."""
 
-    def __init__(self, files: Mapping[Place, ToCome]) -> None:
-        self._files = files
+    def __init__(self, files: Mapping[Place, ToCome], names: Mapping[str, str]) -> None:
+        self._files, self._names = files, names
         self._found: dict[str, dict[Place, Item | None]] = {}
 
     def add(self, place: Place, item: Item | None) -> WholeFile | None:
@@ -268,7 +268,7 @@ class Gathered:
         ]
         if not whole:
             return None
-        content = packed(whole, unit=file.unit, code=file.code)
+        content = packed(whole, unit=file.unit, code=file.code, names=self._names)
         return WholeFile(file.name, content, tuple(found))
 
     def rest(self) -> Iterator[Item]:
@@ -277,9 +277,15 @@ class Gathered:
             yield from filter(None, found.values())
 
 
-def in_files(work: Work, *, files: Mapping[Place, ToCome], **options: Any) -> Iterator[Found]:  # noqa: ANN401 - handed on
+def in_files(
+    work: Work,
+    *,
+    files: Mapping[Place, ToCome],
+    names: Mapping[str, str],
+    **options: Any,  # noqa: ANN401 - handed on
+) -> Iterator[Found]:
     """Yield what `attempt` does, packed where files are whole: there is less to send."""
-    gathered, failed = Gathered(files), list[Failed]()
+    gathered, failed = Gathered(files, names), list[Failed]()
     for found in attempt(work, **options):
         if isinstance(found, Failed):
             failed.append(found)

@@ -125,6 +125,7 @@ def load(
     else:
         found = _one_file(path, source, files=files, unit=unit)
     tracks, repairs, sha256, format_name = found
+    notice = notice or _of_registered(sha256, source)
     return Dataset(
         name=source.name,
         tracks=tracks,
@@ -157,9 +158,35 @@ def _one_file(path: Path, source: Known, *, files: Mapping[str, Path], unit: str
     return tracks, (*found, *repairs), sha256, name
 
 
+def _refuse_copies(paths: list[Path], source: Known) -> None:
+    """Raise DataError if two files hold the same bytes: nobody comes back in a copy."""
+    first_of: dict[str, Path] = {}
+    for path in paths:
+        sha256 = hashlib.sha256(registry.read_bytes(path, data_set=source)).hexdigest()
+        first = first_of.setdefault(sha256, path)
+        if first is not path:
+            both = f"sessions {shown(first)} and {shown(path)}"
+            raise DataError(f"{both} hold the same bytes, one recording twice; leave out one")
+
+
+def _of_registered(sha256: str, source: Known) -> str | None:
+    """Return a notice if a file of one's own is a known data set under another rate."""
+    for name, known in KNOWN.items():
+        is_of_it = source.name not in KNOWN and sha256 in known.sha256.values()
+        if is_of_it and None not in (known.fps, source.fps) and source.fps != known.fps:
+            assert known.fps is not None
+            assert source.fps is not None
+            return (
+                f"these are the bytes of {name}, recorded at {known.fps:g} frames/s, read at "
+                f"{source.fps:g}: speeds are {source.fps / known.fps:.2g} times what they were"
+            )
+    return None
+
+
 def _sessions(paths: list[Path], source: Known, *, unit: str | None, same_people: bool) -> _Read:
     """Return what sessions hold, as `_one_file` does; the digest is over the lines of sha256sum."""
     parts, notes, digest, formats, marked = [], list[Repair](), hashlib.sha256(), set(), {}
+    _refuse_copies(paths, source)
     for path in paths:
         data, where = registry.read_bytes(path, data_set=source), shown(path)
         format_name, found = _format_of(path, source.format, data=data)

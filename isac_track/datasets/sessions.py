@@ -39,7 +39,9 @@ def as_one(parts: Sequence[tuple[str, Tracks, str]], *, same_people: bool) -> Tr
     names = [name for name, _, _ in parts]
     for name in names:
         if names.count(name) > 1:
-            raise DataError(f"two sessions are called {name}; rename one file")
+            raise DataError(
+                f"two sessions are called {name}; rename one file if they are two sessions"
+            )
     steps_s = [float(np.median(np.diff(its.t)[steps_within(its.offsets)])) for _, its, _ in parts]
     for (name, _, unit), step_s in zip(parts, steps_s, strict=True):
         both = f"sessions {names[0]} and {name}"

@@ -17,6 +17,7 @@ from evaluation import sensitivity
 from evaluation.experiment.variants import BASE, parse, settings_of, variants
 from evaluation.reporting.difference_tables import turned
 from evaluation.runs.manifest import read_manifest
+from evaluation.runs.people import with_paths
 from evaluation.sensitivity import main
 from evaluation.verdict import sensitivity as held
 from evaluation.verdict.sensitivity import COLUMNS, attacks_of, folder_of, read_verdict
@@ -161,7 +162,7 @@ def settings(finished, name, *, manifest=None, out="nowhere", **more):
     """The settings of a variant of a run, and what is left out."""
     return settings_of(
         parse(name),
-        manifest=read_manifest(finished) if manifest is None else manifest,
+        manifest=with_paths(finished, read_manifest(finished) if manifest is None else manifest),
         attacks=attacks_of(read_verdict(finished)["items"]),
         out=Path(out),
         **more,

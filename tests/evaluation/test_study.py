@@ -5,6 +5,7 @@ import math
 import pandas as pd
 import pytest
 from helpers.commands import assert_refused
+from helpers.small_runs import write_walks
 
 from evaluation import study
 from evaluation.analysis import pooled
@@ -102,3 +103,13 @@ def test_what_fid_is_held_against_fixed_noise_by_is_no_other_mechanism(answered)
 def test_a_mistake_is_told_before_anything_runs(options, says, tmp_path, ran):
     assert_refused(ran(study, *options, "--preset", "smoke", "--out", tmp_path / "study"), says)
     assert not (tmp_path / "study").exists()
+
+
+def test_the_same_bytes_twice_are_one_recording(tmp_path, ran):
+    write_walks(tmp_path / "monday.csv", n_people=24)
+    (tmp_path / "copy.csv").write_bytes((tmp_path / "monday.csv").read_bytes())
+    names = [tmp_path / name for name in ("monday.csv", "copy.csv")]
+    words = [word for path in names for word in ("--dataset", path)]
+    ended = ran(study, *words, "--preset", "smoke", "--out", tmp_path / "out")
+    assert_refused(ended, "hold the same bytes", "leave out one")
+    assert not (tmp_path / "out").exists()

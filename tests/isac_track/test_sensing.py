@@ -11,6 +11,7 @@ from isac_track.config import SensingSettings
 from isac_track.rng import stream
 from isac_track.sensing import (
     KNOTS,
+    NEAREST_M,
     Channel,
     draw_channel,
     draw_walk_channel,
@@ -266,8 +267,19 @@ def test_sensing_adds_the_unit_error_scaled():
     assert (sensed.sigma_raw > 0).all()
     assert (sensed.sigma_raw <= settings.sigma_cap_m + 1e-12).all()
     assert sensed.law == "radial"
-    with pytest.raises(ValueError, match="stands on the base station"):
-        sense(t=t, xy=np.full((5, 2), [settings.bs_x_m, settings.bs_y_m]), **rest)
+
+
+@pytest.mark.parametrize("away_m", [0.0, 1e-9, 0.5, 1.0])
+def test_nobody_is_sensed_as_nearer_than_the_reference_distance(away_m):
+    t, settings = np.array([0.0, 0.1, 0.2, 0.0, 0.1]), SensingSettings()
+    rest = {"offsets": np.array([0, 3, 5]), "channel": draw((0,), (3, 2)), "settings": settings}
+    station = np.array([settings.bs_x_m, settings.bs_y_m])
+    near, at_reference = (
+        sense(t=t, xy=np.tile(station + np.array([0.0, distance_m]), (5, 1)), **rest)
+        for distance_m in (away_m, NEAREST_M)
+    )
+    assert np.isfinite(near.xy).all()
+    assert np.array_equal(near.sigma_raw, at_reference.sigma_raw)
 
 
 def test_errors_of_a_fixed_direction_lie_on_one_line_for_each_track():

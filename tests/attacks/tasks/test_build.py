@@ -13,7 +13,7 @@ from helpers.walks import release_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from attacks.tasks.build import joined, sessions_of
+from attacks.tasks.build import joined, sample_at, sessions_of
 from attacks.tasks.task_list import TASKS, task_named
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, SettingsError
@@ -356,3 +356,65 @@ def test_a_cluster_is_whoever_can_be_reached_over_shared_groups(people):
         assert {k for k in range(len(people)) if cluster[k] == name} == within
         assert type(name) is str
         assert name == min(people[other][0] for other in within)
+
+
+def sampled(*rates_hz, duration_s=20.0):
+    """One person for each rate, all of them there for alike long."""
+    times = [np.arange(0.0, duration_s, 1.0 / rate) for rate in rates_hz]
+    offsets = np.cumsum([0, *map(len, times)])
+    names = tuple(map(str, range(len(times))))
+    t = np.concatenate(times)
+    return Tracks(t, np.zeros((t.size, 2)), offsets, source=names, group=names)
+
+
+def shares_of(tracks, n=3001):
+    """How often each track is drawn by evenly spread shares."""
+    samples = sample_at((np.arange(n) + 0.5) / n, tracks)
+    owner = np.searchsorted(tracks.offsets, samples, side="right") - 1
+    return np.bincount(owner, minlength=len(tracks)) / n
+
+
+class TestPlacesByTime:
+    def test_alike_sampled_each_sample_is_as_likely_as_another(self):
+        tracks, shares = sampled(2.5, 2.5, 2.5), np.linspace(0.0, 0.9999, 777)
+        by_sample = (shares * tracks.t.size).astype(np.int64)
+        assert np.array_equal(sample_at(shares, tracks), by_sample)
+
+    @pytest.mark.parametrize("fast", [10.0, 1000.0])
+    def test_a_faster_track_is_drawn_for_its_time(self, fast):
+        assert np.abs(shares_of(sampled(2.5, fast, 2.5)) - 1 / 3).max() < 0.01
+
+    def test_a_burst_within_a_track_is_drawn_for_its_time(self):
+        steps = np.repeat([0.4, 0.001, 0.4], [25, 5000, 25])  # 10 s, 5 s, 10 s
+        t = np.cumsum(steps)
+        slow = sampled(2.5)
+        both = Tracks(
+            np.concatenate([t, slow.t]),
+            np.zeros((t.size + slow.t.size, 2)),
+            np.array([0, t.size, t.size + slow.t.size]),
+            ("a", "b"),
+            ("a", "b"),
+        )
+        samples = sample_at((np.arange(4000) + 0.5) / 4000, both)
+        in_burst = ((samples >= 25) & (samples < 5025)).mean()
+        assert abs(in_burst - 5.0 / 45.0) < 0.01
+
+    def test_a_gap_draws_nobody_more_often(self):
+        tracks = sampled(2.5, 2.5)
+        t = tracks.t.copy()
+        t[-1] += 1000.0
+        assert np.abs(shares_of(replace(tracks, t=t)) - 0.5).max() < 0.01
+
+    def test_one_sample_a_track(self):
+        t = np.zeros(3)
+        tracks = Tracks(t, np.zeros((3, 2)), np.arange(4), ("a", "b", "c"), ("a", "b", "c"))
+        assert sample_at(np.array([0.0, 0.5, 0.99]), tracks).tolist() == [0, 1, 2]
+
+    def test_a_track_of_one_sample_does_not_change_what_is_drawn(self):
+        even = sampled(2.5, 2.5)
+        t, offsets = np.append(even.t, 3.0), np.append(even.offsets, even.t.size + 1)
+        names = ("a", "b", "c")
+        tracks = Tracks(t, np.zeros((t.size, 2)), offsets, source=names, group=names)
+        shares = np.linspace(0.0, 0.9999, 777)
+        by_sample = (shares * t.size).astype(np.int64)
+        assert np.array_equal(sample_at(shares, tracks), by_sample)

@@ -78,8 +78,9 @@ class TestScores:
             for row, order in enumerate(of):
                 assert (search.scores[row, order[n:]] < computed.min()).all()
                 ranked = first[row, order]
-                assert (np.diff(ranked[n:]) <= 0).all()
-                assert ranked[:n].min() >= ranked[n:].max(initial=-np.inf)
+                # Up to rounding: another numpy sums in another order.
+                assert (np.diff(ranked[n:]) <= 1e-12).all()
+                assert ranked[:n].min() >= ranked[n:].max(initial=-np.inf) - 1e-12
         # A stranger is asked about one probe at a time; some are searched in full as well.
         asked = [size for probes, size in spy.seen if probes == 1 and size <= n]
         assert len(asked) >= len(sessions.probe)

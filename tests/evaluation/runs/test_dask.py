@@ -132,6 +132,7 @@ def cluster(folder):
 def settings(csv_recording, tmp_path):
     axes = {"mechanisms": ("raw", "fid:1000", "fixed:0.7")}
     axes["predictors"] = ("least_squares", "kalman_cv")
+    axes["keep_ids"] = True  # pseudonyms are others in another folder
     return smoke(csv_recording, tmp_path / "run", **axes)
 
 
@@ -279,7 +280,7 @@ class TestWhatIsKilled:
 class TestWhatIsRefused:
     def test_an_address_where_nobody_answers(self, settings, monkeypatch, capsys):
         monkeypatch.setattr(on_cluster, "_CONNECT_S", 0.5)
-        for address in ("tcp://127.0.0.1:1", "nonsense", "carrier-pigeon://a:1"):
+        for address in ("tcp://127.0.0.1:1", "nonsense:1", "carrier-pigeon://a:1"):
             words = ["--dataset", settings.dataset, "--out", str(settings.out), "--mechanism=raw"]
             words += ["--predictor=none", "--attack=none", "--task=none"]
             words += ["--executor", "dask", "--scheduler", address]

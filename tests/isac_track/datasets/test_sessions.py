@@ -1,5 +1,8 @@
 """Several files as sessions of one recording, and who of them comes back."""
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -22,7 +25,8 @@ def walk(who, *, marker=None, unit="m", step=10):
 def petrack(path, people, *, marked=True, unit="m", rate=25, step=10):
     names = f"# id frame x/{unit} y/{unit} z/{unit}" + " markerID" * marked
     rows = [row for who, marker in people for row in walk(who, marker=marker, unit=unit, step=step)]
-    path.write_text("\n".join([f"# framerate: {rate}", names, *rows]) + "\n")
+    lines = [f"# framerate: {rate}", f"# {path.stem}", names, *rows]  # no two files are alike
+    path.write_text("\n".join(lines) + "\n")
     return path
 
 
@@ -121,9 +125,31 @@ def test_single_file_experiments_and_a_further_run_of_theirs(single_file, data_f
     assert (len(found.tracks), len(set(found.tracks.person)), found.notice) == (48, 20, None)
     text = (single_file / "croma_female_04_1.txt").read_text()
     further = data_folder / "singlefile" / "croma_female_24_1.txt"
-    further.write_text(text)
+    further.write_text(text + "\n")
     assert load("singlefile").notice == "singlefile: no known hash: croma_female_24_1.txt"
     further.rename(data_folder / "singlefile" / "croma_female_04_1.txt")
-    (data_folder / "singlefile" / "croma_female_04_1.txt").write_text(text + "\n")
+    (data_folder / "singlefile" / "croma_female_04_1.txt").write_text(text + "\n\n")
     with pytest.raises(DataError, match=r"is not the croma_female_04_1.txt of singlefile"):
         load("singlefile")
+
+
+def test_a_copy_is_no_session(tmp_path):
+    rows = "".join(f"{0.4 * i},{who},{i},{who}\n" for who in range(3) for i in range(60))
+    paths = [tmp_path / name for name in ("monday.csv", "tuesday.csv", "copy.csv")]
+    for path, more in zip(paths, ("", "30.0,9,1,1\n30.4,9,1,2\n", ""), strict=True):
+        path.write_text(f"t,id,x,y\n{rows}{more}")
+    assert len(load(sessions=paths[:2]).tracks) > 0
+    with pytest.raises(DataError, match="hold the same bytes"):
+        load(sessions=paths)
+
+
+def test_the_bytes_of_a_known_recording_under_another_rate_get_a_notice(tmp_path):
+    if not (
+        Path(os.environ.get("ISAC_TRACK_DATA", "/nowhere")) / "zara01" / "obsmat.txt"
+    ).is_file():
+        pytest.skip("needs zara01 in the folder that ISAC_TRACK_DATA names")
+    copy = tmp_path / "street.txt"
+    copy.write_bytes((Path(os.environ["ISAC_TRACK_DATA"]) / "zara01" / "obsmat.txt").read_bytes())
+    found = load(copy, format="obsmat", fps=50.0)
+    assert "the bytes of zara01, recorded at 25 frames/s, read at 50" in found.notice
+    assert load(copy, format="obsmat", fps=25.0).notice is None
