@@ -1,9 +1,9 @@
 """How far the attacks of a run are from what no attack exceeds, where that is known.
 
-In worlds of walks that follow the fitted motion, `plr_gap` is what an attack with one release lacks
-of the exact posterior where errors are Gaussian, and at most what it lacks where they are not,
-since only a genie who is told the scale of every error reaches the ceiling. On recorded walks a gap
-would mix that with how far people are from the motion.
+In worlds where each walk follows the motion that was fitted to it, `plr_gap` is what an attack with
+one release lacks of the exact posterior where errors are Gaussian, and at most what it lacks where
+they are not, since only a genie who is told the scale of every error reaches the ceiling. Recorded
+walks follow no model: there the genie's value is no bound, and a gap would mix errors with motion.
 """
 
 from collections.abc import Sequence

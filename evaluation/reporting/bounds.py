@@ -1,4 +1,4 @@
-"""The best attacks beside the optimum of model worlds, and the ceiling of the recorded walks."""
+"""The best attacks beside the optimum of model worlds, and what a genie knows of recorded walks."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -12,12 +12,13 @@ from evaluation.reporting.rows import Results, estimates, mechanism_columns
 from evaluation.reporting.table import Cell, Column, Table
 
 _MODEL = (
-    "Everybody walks as the fitted motion says, with the errors of the recording. optimum: the "
-    "exact posterior, which no attack exceeds in the fitted model world, in expectation."
+    "Everybody walks as the fitted motion says, with the errors of the recording: where attacks "
+    "rebuild, each person has an own motion, else all share one. optimum: the exact posterior of "
+    "who knows the motion, which no attack exceeds in the fitted model world, in expectation."
 )
 _GENIE = (
     "ceiling: a genie who is told the scale of every error; the gap is at most that. On recorded "
-    "walks, under the motion of who is easiest to smooth, it is no bound."
+    "walks, which follow no model, the genie's value is no bound: attacks do exceed it."
 )
 _RATIO = (
     "Of linkers: the exact likelihood ratio of each pair, of Gaussian errors of known variance. "
