@@ -27,6 +27,8 @@ class Cut(Tracks):
     xy_future: Floats = field(metadata=TRACK)  # (N, H, 2) m, true positions on the grid.
     too_short: int  # Recorded tracks below `min_duration_s`.
     no_future: int  # Tracks that are long enough but do not cover the horizon after the split.
+    n_replaced: int = field(default=0, kw_only=True)
+    """Pieces of the walks of these tracks that are no spline, lest it overshoots."""
 
 
 def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
@@ -40,7 +42,7 @@ def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
     except ValueError as error:
         raise DataError(f"{error}; {what_would_help(recorded, settings=settings)}") from None
     whole_of = dict(zip(recorded.source, recorded, strict=True))
-    conflict = settings.conflict
+    conflict, n_replaced = settings.conflict, 0
     parts: list[tuple[Floats, Floats, Floats, Floats, str, str]] = []
     for track in sampled:
         n_history = history_samples(n_samples=track.t.size, ratio=settings.scenes.history_ratio)
@@ -53,7 +55,9 @@ def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
         whole = whole_of[track.source[0]]
         if t_future[-1] <= whole.t[-1]:
             names = track.source[0], track.group[0]
-            parts.append((t, xy, t_future, walk(whole)(t_future), *names))
+            continuous = walk(whole, max_overshoot_m=settings.resample.max_overshoot_m)
+            n_replaced += continuous.n_monotone + continuous.n_linear
+            parts.append((t, xy, t_future, continuous(t_future), *names))
     if len(parts) < settings.scenes.agents:
         raise DataError(
             f"{len(parts)} of {len(recorded)} tracks last {settings.resample.min_duration_s:g} s "
@@ -71,6 +75,7 @@ def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
         group=group,
         too_short=len(recorded) - len(sampled),
         no_future=len(sampled) - len(parts),
+        n_replaced=n_replaced,
     )
 
 

@@ -34,8 +34,8 @@ cut from and by how much these are longer than needed, (2,) s each."""
 
 
 @lru_cache(maxsize=2048)  # all tasks of a recording cut their windows from the same walks
-def _walk(tracks: Tracks, row: int) -> Callable[[Floats], Floats]:
-    return walk(tracks[row])
+def _walk(tracks: Tracks, row: int, max_overshoot_m: float) -> Callable[[Floats], Floats]:
+    return walk(tracks[row], max_overshoot_m=max_overshoot_m)
 
 
 @lru_cache(maxsize=4)  # as above: the recording, and both sessions of the crowd
@@ -94,7 +94,7 @@ class Draft:
         for row, start, end, key in each:
             rng = self.rng("sampling", side, self.tracks.source[row], key)
             t.append(sampling_times(start_s=start, end_s=end, settings=resample, rng=rng))
-            xy.append(_walk(self.tracks, row)(t[-1]))
+            xy.append(_walk(self.tracks, row, resample.max_overshoot_m)(t[-1]))
         return np.concatenate(t), np.concatenate(xy), np.cumsum([0, *map(len, t)])
 
     def sessions(
