@@ -44,10 +44,7 @@ def walk(track: Tracks, *, max_overshoot_m: float = _USUAL.max_overshoot_m) -> W
     """
     if len(track) != 1 or track.t.size < 2:  # noqa: PLR2004 - a walk needs two points
         raise ValueError("a walk needs one track of at least two samples")
-    from scipy.interpolate import (  # noqa: PLC0415 - heavy, and workers get walks sampled
-        CubicSpline,
-        PchipInterpolator,
-    )
+    from scipy.interpolate import CubicSpline, PchipInterpolator  # noqa: PLC0415 - heavy to import
 
     curve = CubicSpline(track.t, track.xy)  # scipy lowers the degree below four points
     bad = _overshoots(curve.c, track, max_overshoot_m=max_overshoot_m)
@@ -114,7 +111,14 @@ def resample(tracks: Tracks, *, settings: ResampleSettings, seed: int) -> Tracks
             continue
         rng = stream(seed, "resample", track.source[0])
         t = sampling_times(start_s=start_s, end_s=end_s, settings=settings, rng=rng)
-        parts.append((t, walk(track, max_overshoot_m=settings.max_overshoot_m)(t), track.source[0], track.group[0]))
+        parts.append(
+            (
+                t,
+                walk(track, max_overshoot_m=settings.max_overshoot_m)(t),
+                track.source[0],
+                track.group[0],
+            )
+        )
     if not parts:
         raise ValueError(f"no track lasts {settings.min_duration_s:g} s")
     t_parts, xy_parts, source, group = zip(*parts, strict=True)

@@ -21,7 +21,8 @@ from isac_track.errors import DataError, PluginError, told
 from isac_track.plugins import Plugin
 from isac_track.scenes import Cut, cut
 
-_HOW_TO_READ = ("format", "fps", "unit", "sessions", "persistent_ids")  # Options of a data set.
+_ASKED = ("columns", "on_duplicate", "crs", "drop_frozen")  # Of the identity where they are given.
+_HOW_TO_READ = ("format", "fps", "unit", "sessions", "persistent_ids", *_ASKED)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -102,6 +103,7 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
         identity["unit"] = settings.unit
     if settings.persistent_ids:
         identity["persistent_ids"] = True
+    identity |= _asked_of_file(settings)
     if settings.n_utility_scenes != settings.n_scenes:
         identity["scenes_utility"] = settings.n_utility_scenes
     linked = partial(sessions_of, tracks=dataset.tracks, seed=settings.seed)
@@ -144,6 +146,13 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
             if one.task.is_one_stretch and any(crossed.linked_in.values())
         ),
     )
+
+
+def _asked_of_file(settings: Settings) -> dict[str, Any]:
+    """Return what a user says of a file that is not as usual."""
+    usual = Settings()
+    asked = {name: getattr(settings, name) for name in _ASKED}
+    return {name: value for name, value in asked.items() if value != getattr(usual, name)}
 
 
 def _units(

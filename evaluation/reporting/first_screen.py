@@ -110,6 +110,7 @@ def _doubts(run: Results, of: Headline) -> list[str]:
         n_controls=sum(one["decision"] == DOES_NOT for one in run.verdict.get("controls", ())),
         n_frozen=max((one.get("frozen", 0) for one in tasks), default=0),
         skipped=[*linkage.get("skipped", ())],
+        n_units=sum(one["kind"] == "doubt" for one in run.manifest["dataset"]["repairs"]),
         n_notices=len(notices(run.manifest)),
     )
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from isac_track.datasets.recording import METRES, Repair, Rows, listed, steps_within
+from isac_track.datasets.recording import FOOT_M, METRES, Repair, Rows, listed, steps_within
 from isac_track.errors import DataError
 from isac_track.types import Bools, Floats, Ints, Tracks
 
@@ -21,13 +21,13 @@ FAST_STEP_MPS = 12.0  # Faster than a sprinter: a jump of the tracker.
 JUMP_M = 1.0  # A shorter jump is the noise of quick samples: counted and kept.
 WALK_MPS = 4.0  # Nobody walks faster.
 REUSE_M = 2.0  # Who is further away behind a gap than a walk leads is somebody else.
+METRES_PER_DEGREE = 111_320.0  # Of latitude.
 NEAR_STEPS = 0.5  # A step of fewer usual steps of its id is the same sample twice,
 NEAR_M = 0.5  # unless it leads further than this.
 CLOCK_S = 1e-4  # Shorter steps are those of no sensor: they say nothing of the usual step.
 FROZEN_S = 2.0  # At exactly one place for so long: a box that is repeated.
 _ZIGZAG_M = 0.02  # Beside a walk at `WALK_MPS`.
 _LEAST_RUN = 3  # Rows between two falls of a clock; fewer are rows out of order.
-ON_DUPLICATE = ("error", "first", "mean")
 
 
 def to_tracks(
@@ -219,9 +219,7 @@ def _averaged(rows: Rows, keep: Bools, *, and_time: bool) -> Rows:
     return replace(rows, xy=xy, t=t)
 
 
-def _without_near(
-    rows: Rows, order: Ints, run: Ints
-) -> tuple[Rows, Ints, Ints, list[Repair]]:
+def _without_near(rows: Rows, order: Ints, run: Ints) -> tuple[Rows, Ints, Ints, list[Repair]]:
     """Return sorted rows with samples of an id that are much closer than usual made one."""
     steps = np.diff(rows.t)
     within = (rows.person[1:] == rows.person[:-1]) & (run[1:] == run[:-1])
@@ -260,7 +258,8 @@ def _copies(rows: Rows, run: Ints) -> Bools:
     """Return (M - 1,) which of the sorted rows have the id and the time of the one before."""
     person = rows.person
     again: Bools = (np.diff(rows.t) < SAME_TIME_S) & (person[1:] == person[:-1])
-    return again & (run[1:] == run[:-1])
+    same_run: Bools = run[1:] == run[:-1]
+    return np.asarray(again & same_run)
 
 
 def _cuts(rows: Rows, order: Ints, run: Ints) -> tuple[Rows, Bools, list[Repair]]:
@@ -369,12 +368,20 @@ def _check_speeds(rows: Rows) -> None:
         speeds /= duration[moving]
     speed = float(np.median(speeds, overwrite_input=True))
     if not low <= speed <= high:
-        units = [] if rows.unit else [one for one in METRES if one != "m"]
+        units = {} if rows.unit else {**METRES, "ft": FOOT_M}
         hints = [
-            f" (--unit {one} makes it {speed * METRES[one]:.2g} m/s)"
-            for one in units
-            if _WALKING_MPS[0] <= speed * METRES[one] <= _WALKING_MPS[1]
+            f" (--unit {unit} makes it {speed * metres:.2g} m/s)"
+            for unit, metres in units.items()
+            if unit != "m" and _WALKING_MPS[0] <= speed * metres <= _WALKING_MPS[1]
         ]
+        on_earth = bool((np.abs(rows.xy) <= (180.0, 180.0)).all()) and not rows.unit
+        degrees_mps = speed * METRES_PER_DEGREE
+        if on_earth and _WALKING_MPS[0] / 4 <= degrees_mps <= _WALKING_MPS[1] * 2:
+            raise DataError(
+                f"{rows.place.path}: the median speed of moving people is {speed:.3g} m/s, as of "
+                "degrees of longitude and latitude; --crs degrees makes metres of x (longitude) "
+                "and y (latitude)"
+            )
         guess = (
             f"pixels or centimetres for metres{''.join(hints)}, a wrong --fps, or frame and id "
             "swapped"
