@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from isac_track.datasets import crowd, read_frames, read_gc, read_table, registry
+from isac_track.datasets import crowd, read_frames, read_gc, read_table, read_tools, registry
 from isac_track.datasets.recording import (
     Reading,
     Repair,
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-__all__ = ["FORMATS", "Dataset", "Repair", "load", "read", "summarise"]
+__all__ = ["FORMATS", "TOOLS", "Dataset", "Repair", "load", "read", "summarise"]
 
 FORMATS: Mapping[str, Callable[..., Rows]] = {
     **{name: partial(read_frames.read_columns, name) for name in read_frames.COLUMNS},
@@ -49,15 +49,25 @@ FORMATS: Mapping[str, Callable[..., Rows]] = {
     "parquet": read_table.read_parquet,
 }
 """Each turns the bytes of a file into rows, and lets no error but `DataError` out."""
+TOOLS: Mapping[str, Callable[..., Rows]] = {
+    "jupedsim": read_tools.read_jupedsim,
+    "hdf5": read_tools.read_hdf5,
+    "vadere": read_tools.read_vadere,
+    "mot": read_tools.read_mot,
+    "sdd": read_tools.read_sdd,
+    "viswalk": read_tools.read_viswalk,
+}
+"""The same for what other tools write."""
+READERS: Mapping[str, Callable[..., Rows]] = {**FORMATS, **TOOLS}
 _WITH_COLUMNS = ("csv", "parquet")  # Their columns have names,
-_WITH_CLOCK = _WITH_COLUMNS  # and their times are seconds, not frames.
+_WITH_CLOCK = (*_WITH_COLUMNS, "vadere", "viswalk")  # and their times are seconds, not frames.
 FRAME = "DataFrame"  # Name, path and format of a recording that is none of a file.
 WALKING_MPS = (0.15, 2.5)  # Of the median speed; beyond, the units are in doubt.
 WALK_MPS = 1.2  # What most people walk at.
 USUAL_MPS = (0.4, 2.2)  # Of people who walk: what another unit would have to explain.
 STEP_S = 1.0  # With a longer usual step, the clock is in doubt.
 GRAND_CENTRAL = "gc"  # The format of an archive or a folder, as `read_gc` describes it.
-_EXTENSIONS = {".csv": "csv", ".parquet": "parquet", ".ndjson": "trajnet"}
+_EXTENSIONS = {".csv": "csv", ".parquet": "parquet", ".ndjson": "trajnet", ".fzp": "viswalk"}
 _Read: TypeAlias = "tuple[Tracks, tuple[Repair, ...], str, str]"  # Tracks, repairs, hash, format.
 SLOW_MPS = 0.2  # Slower steps than this are not walking.
 FROZEN_SHARE = 0.9
@@ -351,7 +361,7 @@ def _grand_central(path: Path, source: Known, *, reading: Reading) -> _Read:
 def _format_of(path: Path, name: str, *, data: bytes) -> tuple[str, tuple[Repair, ...]]:
     """Return the format, as named, by extension or by header; columns tell no id from frame."""
     name = name or _EXTENSIONS.get(path.suffix.lower(), "")
-    known = ", ".join((*FORMATS, GRAND_CENTRAL))
+    known = ", ".join((*READERS, GRAND_CENTRAL))
     if not name:
         where = shown(path)
         header = read_frames.read_header("pedpy", data=data, path=where)
@@ -364,8 +374,8 @@ def _format_of(path: Path, name: str, *, data: bytes) -> tuple[str, tuple[Repair
             f"{where}: the format is not known from the name, and no header names id, frame, x and "
             f"y; give --format ({known})"
         )
-    if name not in FORMATS:
-        raise DataError(f"unknown format {name!r}{did_you_mean(name, FORMATS)} (known: {known})")
+    if name not in READERS:
+        raise DataError(f"unknown format {name!r}{did_you_mean(name, READERS)} (known: {known})")
     return name, ()
 
 
@@ -382,7 +392,7 @@ def read(
 ) -> tuple[Tracks, tuple[Repair, ...]]:
     """Return the tracks in the bytes of one file, and what was mended or left out.
 
-    `path` is its name, for messages, and `format` one of `FORMATS`; `fps`, frames a second, is for
+    `path` is its name, for messages, and `format` one of `READERS`; `fps`, frames a second, is for
     those that count frames; `unit`, of lengths, is m if neither it nor the file says. `groups` are
     (id, label) pairs of who walks together, if that is in another file. `by_marker`: who it is
     says the marker that a pedpy header names. `reading` is what else is known of it.
@@ -391,7 +401,7 @@ def read(
     if fps is not None:
         checked_fps(fps, where="--fps")
     if fps is not None and format in _WITH_CLOCK:
-        raise DataError(f"{path}: format {format} has times in seconds (column t); leave --fps out")
+        raise DataError(f"{path}: format {format} has times in seconds; leave --fps out")
     options: dict[str, object] = {}
     if format in _WITH_COLUMNS:
         options["columns"] = reading.columns
@@ -403,7 +413,7 @@ def read(
         options["by_marker"] = True
     # The rows have no name here: they are let go as soon as they are sorted.
     return _tracks_of(
-        FORMATS[format](data=data, path=path, **options), groups, unit=unit, reading=reading
+        READERS[format](data=data, path=path, **options), groups, unit=unit, reading=reading
     )
 
 

@@ -294,7 +294,8 @@ def _times(column: pa.ChunkedArray, used: _Used, *, place: recording.Place) -> F
         exact = column.drop_null().cast(pa.int64()).to_numpy()
         if exact.size == ticks.size:  # the difference first: a double holds 1970 to 0.2 us
             ticks = (exact - exact.min()).astype(np.float64)
-        return ticks * TIMES[value.unit]
+        seconds: Floats = ticks * TIMES[value.unit]
+        return seconds
     if value in {pa.string(), pa.large_string()} and len(column):
         return _dates(column, place=place)
     t = _numbers(column, name="t", path=path)

@@ -1,6 +1,5 @@
 """Files that no reader can read, by format: their content and what is said of them."""
 
-import pyarrow as pa
 from helpers.recordings import CORPUS, SECONDS, packed
 
 GAN = b"0 1 0.0 0.0\n10 1 0.4 0.0\n"
@@ -85,7 +84,7 @@ BAD = {
         (b"t,person,x,y\n", "f, line 1: no column id"),
         (b"time,id,x,y\n", "f, line 1: no column t (needed"),
         (b"T,t,id,ID,x,y\n0,0,0,0,0,0\n", "f: no track has two samples"),
-        (b"T,id,x,X,Y\n", "f, line 1: the file holds no rows"),
+        (b"T,id,x,X,Y\n", "f: the file holds no rows"),
         (b"T,Id,iD,x,y\n", "f, line 1: two columns are called id"),
         (b"t,id,x,x,y\n", "f, line 1: two columns are called x"),
         (b"t;id;x;y\n", "f, line 1: semicolons between the columns"),
