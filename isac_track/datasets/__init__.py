@@ -68,6 +68,18 @@ USUAL_MPS = (0.4, 2.2)  # Of people who walk: what another unit would have to ex
 STEP_S = 1.0  # With a longer usual step, the clock is in doubt.
 GRAND_CENTRAL = "gc"  # The format of an archive or a folder, as `read_gc` describes it.
 _EXTENSIONS = {".csv": "csv", ".parquet": "parquet", ".ndjson": "trajnet", ".fzp": "viswalk"}
+_TO_CSV = "to_csv('walks.csv', index=False)"
+_EXCEL = f"import pandas; pandas.read_excel('FILE').{_TO_CSV}"
+_CONVERTED = {
+    ".xlsx": _EXCEL,
+    ".xls": _EXCEL,
+    ".json": f"import pandas; pandas.read_json('FILE').{_TO_CSV}",
+    ".geojson": (
+        "import geopandas; f = geopandas.read_file('FILE'); "
+        f"f.assign(x=f.geometry.x, y=f.geometry.y).drop(columns='geometry').{_TO_CSV}"
+    ),
+}
+"""How files of other kinds become a csv, by their extension."""
 _Read: TypeAlias = "tuple[Tracks, tuple[Repair, ...], str, str]"  # Tracks, repairs, hash, format.
 SLOW_MPS = 0.2  # Slower steps than this are not walking.
 FROZEN_SHARE = 0.9
@@ -364,6 +376,10 @@ def _format_of(path: Path, name: str, *, data: bytes) -> tuple[str, tuple[Repair
     known = ", ".join((*READERS, GRAND_CENTRAL))
     if not name:
         where = shown(path)
+        if convert := _CONVERTED.get(path.suffix.lower()):
+            raise DataError(
+                f"{where}: not read as it is; save it as csv first, in Python: {convert}"
+            )
         header = read_frames.read_header("pedpy", data=data, path=where)
         if header.columns:
             rate = "" if header.fps is None else f", {header.fps:g} frames a second"

@@ -72,6 +72,18 @@ def test_what_simulates_says_so_first_and_doubts_are_counted():
     assert [*notices(run.manifest)] == ["rerelease: 7 of 9 tracks are nearly frozen"]
 
 
+def test_units_in_doubt_are_a_doubt_and_what_was_mended_a_notice():
+    run = make_run()
+    doubt = {"kind": "doubt", "count": 1, "detail": "f: units may be wrong: likely feet?"}
+    bent = {"kind": "overshoot", "count": 1234, "detail": "pieces"}
+    run.manifest["dataset"]["repairs"] = [doubt, bent]
+    text = " ".join(" ".join(first_screen(run)).split())
+    assert "units of the recording may be wrong" in text.partition("Doubts: ")[2]
+    first, second = data_notices(run.manifest["dataset"])
+    assert first == doubt["detail"]
+    assert "1,234 pieces of walks made straight where a spline overshoots" in second
+
+
 @pytest.mark.parametrize("name", ["students03-paper-0", "a-recording-with-a-long-name-paper-0"])
 def test_where_to_read_on_can_be_copied_and_fits(tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)

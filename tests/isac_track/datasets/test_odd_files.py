@@ -186,6 +186,14 @@ def test_what_cannot_be_meant_is_named_with_the_way_out(tmp_path, data, message)
 
 
 @pytest.mark.parametrize(
+    ("name", "way"), [("f.xlsx", "read_excel"), ("f.json", "read_json"), ("f.geojson", "geopandas")]
+)
+def test_files_that_are_no_table_say_how_they_become_one(tmp_path, name, way):
+    with pytest.raises(DataError, match=way):
+        loaded(b"[{}]", tmp_path, name)
+
+
+@pytest.mark.parametrize(
     ("data", "cause"),
     [
         (table(x=X / 0.3048, y=Y / 0.3048), "feet"),
