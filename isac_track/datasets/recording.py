@@ -43,6 +43,8 @@ CRS = ("degrees",)
 ON_DUPLICATE = ("error", "first", "mean")
 _EARTH_M = 6_378_137.0  # Semi-major axis of WGS 84,
 _FLATNESS = 0.00669437999014  # and its first eccentricity, squared.
+_SEVERAL = 5  # People whose walks say which axis is which; of fewer it may be chance.
+_STEADIER = 0.8  # Of how unsteady a walk is: so much less speaks for another order of the axes.
 FPS_LIMITS = (1e-3, 1e6)  # Frames per second outside are a mistake, and would overflow the clock.
 _SHOWN = 5
 _EXCEL = (
@@ -173,16 +175,40 @@ def projected(rows: Rows) -> Rows:
     if np.ptp(rows.xy, axis=0).max() > 1:
         raise DataError(f"{path}: --crs degrees: positions span over a degree; not of one place")
     middle = np.median(rows.xy, axis=0)
-    bend = 1.0 - _FLATNESS * np.sin(np.radians(middle[1])) ** 2
-    north_m = _EARTH_M * (1.0 - _FLATNESS) / bend**1.5  # per radian
-    east_m = _EARTH_M / bend**0.5 * np.cos(np.radians(middle[1]))
-    xy = np.radians(rows.xy - middle) * [east_m, north_m]
+    xy = np.radians(rows.xy - middle) * _metres_per_radian(middle[1])
     detail = (
         f"{path}: degrees, x as longitude and y as latitude (swap them with --columns), "
         f"projected to metres around {middle[0]:.5f}, {middle[1]:.5f}"
     )
-    notes = (*rows.notes, Repair("crs", rows.t.size, detail))
-    return replace(rows, xy=xy, unit="m", notes=notes)
+    notes = [*rows.notes, Repair("crs", rows.t.size, detail)]
+    if abs(middle[0]) <= 90 and len(rows.ids) >= _SEVERAL:  # noqa: PLR2004 - as above
+        swapped = np.radians(rows.xy - middle) * _metres_per_radian(middle[0])[::-1]
+        if _unsteady(rows, swapped) < _STEADIER * _unsteady(rows, xy):
+            text = "walks are steadier with x as latitude: --columns x=y,y=x swaps them"
+            notes.append(Repair("doubt", 1, f"{path}: {text}"))
+    return replace(rows, xy=xy, unit="m", notes=tuple(notes))
+
+
+def _metres_per_radian(latitude: float) -> Floats:
+    """Return the metres of a radian to the east and to the north, on WGS 84."""
+    bend = 1.0 - _FLATNESS * np.sin(np.radians(latitude)) ** 2
+    north_m = _EARTH_M * (1.0 - _FLATNESS) / bend**1.5
+    return np.array([_EARTH_M / bend**0.5 * np.cos(np.radians(latitude)), north_m])
+
+
+def _unsteady(rows: Rows, xy: Floats) -> float:
+    """Return how much the speed of a walk usually varies, as a share of its mean."""
+    order = np.lexsort((rows.t, rows.person))
+    person, step_s = rows.person[order], np.diff(rows.t[order])
+    moves = (person[1:] == person[:-1]) & (step_s > 0)
+    speed = np.hypot(*np.diff(xy[order], axis=0)[moves].T) / step_s[moves]
+    owner, n_people = person[1:][moves], len(rows.ids)
+    count = np.maximum(np.bincount(owner, minlength=n_people), 1)
+    mean = np.bincount(owner, speed, n_people) / count
+    square = np.bincount(owner, speed**2, n_people) / count
+    walks = mean > 0
+    variance = np.maximum(square[walks] / mean[walks] ** 2 - 1.0, 0.0)
+    return float(np.median(np.sqrt(variance))) if walks.any() else 0.0
 
 
 def in_metres(rows: Rows, *, unit: str | None) -> Rows:

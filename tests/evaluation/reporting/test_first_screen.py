@@ -13,7 +13,7 @@ from helpers.finished_runs import (
 )
 
 from evaluation.analysis.keys import Source
-from evaluation.reporting.announcements import condensed, notices
+from evaluation.reporting.announcements import condensed, data_notices, notices
 from evaluation.reporting.answers import chosen_levels, headline_of
 from evaluation.reporting.first_screen import first_screen
 from evaluation.reporting.progress import Clock

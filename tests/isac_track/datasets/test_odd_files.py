@@ -377,6 +377,7 @@ ODD = Path(os.environ.get("ISAC_TRACK_DATA", "nowhere")) / "odd"
         ("iso.csv", {}, {}),
         ("epoch_ms.csv", {"columns": "t=t[ms]"}, {}),
         ("latlon.csv", {"crs": "degrees", "columns": "x=y,y=x"}, {"crs": 6000}),
+        ("latlon.csv", {"crs": "degrees"}, {"crs": 6000, "doubt": 1}),
         ("feet.csv", {}, {"doubt": 1}),
         ("feet.csv", {"unit": "ft"}, {"unit": 6000}),
         ("frames_as_seconds.csv", {}, {"doubt": 1}),
