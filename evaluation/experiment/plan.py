@@ -103,7 +103,7 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
         identity["unit"] = settings.unit
     if settings.persistent_ids:
         identity["persistent_ids"] = True
-    identity |= _asked_of_file(settings)
+    identity |= asked_of_file(settings)
     if settings.n_utility_scenes != settings.n_scenes:
         identity["scenes_utility"] = settings.n_utility_scenes
     linked = partial(sessions_of, tracks=dataset.tracks, seed=settings.seed)
@@ -148,7 +148,7 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     )
 
 
-def _asked_of_file(settings: Settings) -> dict[str, Any]:
+def asked_of_file(settings: Settings) -> dict[str, Any]:
     """Return what a user says of a file that is not as usual."""
     usual = Settings()
     asked = {name: getattr(settings, name) for name in _ASKED}
