@@ -52,6 +52,14 @@ _OPTIONS: Final[dict[str, tuple[type, str, str]]] = {
     "format": (str, "NAME", "format of your own file; see docs/data.md"),
     "fps": (float, "N", "frames per second of your own file"),
     "unit": (str, "m|cm|mm", "of lengths in your own file (default: as its header says, else m)"),
+    "columns": (str, "t=NAME,...", "of t, id, x, y, group in your table: t=time[ms],x=pos_x[cm]"),
+    "on_duplicate": (
+        str,
+        "error|first|mean",
+        "of an id at two places at one time (default: error)",
+    ),
+    "crs": (str, "degrees", "x is longitude and y latitude: project them to local metres"),
+    "drop_frozen": (float, "S", "drop stretches of S seconds or more at exactly one place"),
     "session": (list, "FILE", "a file of several sessions of one recording; repeatable"),
     "scenes": (int, "N", "Monte Carlo scenes (default: the preset's)"),
     "precision": (float, "H", _PRECISION),
@@ -119,7 +127,7 @@ def settings_from(options: argparse.Namespace) -> Settings:
         if not equals:
             raise SettingsError(f"--set takes STAGE.KEY=VALUE, got {text!r}")
         stage_values[name.strip()] = value.strip()
-    for key in ("fps", "format", "unit"):
+    for key in ("fps", "format", "unit", "columns", "crs"):
         if key in values and not values.keys() & {"dataset", "session"}:
             raise SettingsError(f"--{key} describes your own file: name it with --dataset PATH")
     for key in ("mechanism", "predictor", "attack", "task"):

@@ -41,6 +41,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--seed", action="append", metavar="N", type=int, help="repeatable (default: 0)")
     about = "repeatable: law of the sensing error (default: radial)"
     add("--law", action="append", choices=LAWS, help=about)
+    for option, about in {
+        "--columns": "as in evaluation.matrix, of every file",
+        "--on-duplicate": "error, first or mean, as in evaluation.matrix",
+        "--crs": "degrees, as in evaluation.matrix",
+    }.items():
+        add(option, help=about)
+    add("--drop-frozen", metavar="S", type=float, help="as in evaluation.matrix")
     add("--out", metavar="DIR", type=Path, required=True, help="folder of the study")
     add("--jobs", metavar="N", type=int, help="worker processes of a run")
     add("--executor", metavar="local|dask", default="local", help="as in evaluation.matrix")
@@ -52,6 +59,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _study(options: argparse.Namespace) -> int:
     axes = options.dataset, options.seed or [0], options.law or LAWS[:1]
     same = {name: getattr(options, name) for name in ("preset", "jobs", "executor", "scheduler")}
+    how = ("columns", "on_duplicate", "crs", "drop_frozen")
+    asked_of_files = {name: getattr(options, name) for name in how}
+    same |= {name: value for name, value in asked_of_files.items() if value is not None}
     asked = []
     # Each once, and all is checked before the first run begins.
     for dataset, seed, law in product(*map(dict.fromkeys, axes)):

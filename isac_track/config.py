@@ -92,6 +92,7 @@ class ResampleSettings(_Stage):
     rate_max_hz: float = _number(16.0, 0.01, 1e3)  # paper: fastest update rate
     rate_hold_s: float = _number(1.0, 1e-3, 1e6)  # reading: drawn anew after so much of a track
     min_duration_s: float = _number(21.6, 0.1, 1e6)  # reading: of a track; gives the 366 points
+    max_overshoot_m: float = _number(0.2, 0, 1e6)  # reading: a spline leaves the chord no further
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,6 +39,8 @@ class Cut(Tracks):
     no_future: int  # Tracks that are long enough but do not cover the horizon after the split.
     further: "Mapping[float, Cut]" = field(default_factory=dict, kw_only=True)
     """By horizon, s: the same tracks with a longer future, those that cover it."""
+    n_replaced: int = field(default=0, kw_only=True)
+    """Pieces of the walks of these tracks that are no spline, lest it overshoots."""
 
 
 def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
@@ -52,7 +54,7 @@ def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
     except ValueError as error:
         raise DataError(f"{error}; {what_would_help(recorded, settings=settings)}") from None
     whole_of = dict(zip(recorded.source, recorded, strict=True))
-    conflict = settings.conflict
+    conflict, n_replaced = settings.conflict, 0
     parts: list[tuple[Floats, Floats, Floats, Floats, str, str]] = []
     for track in sampled:
         n_history = history_samples(n_samples=track.t.size, ratio=settings.scenes.history_ratio)
@@ -65,7 +67,9 @@ def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
         whole = whole_of[track.source[0]]
         if t_future[-1] <= whole.t[-1]:
             names = track.source[0], track.group[0]
-            parts.append((t, xy, t_future, walk(whole)(t_future), *names))
+            continuous = walk(whole, max_overshoot_m=settings.resample.max_overshoot_m)
+            n_replaced += continuous.n_monotone + continuous.n_linear
+            parts.append((t, xy, t_future, continuous(t_future), *names))
     if len(parts) < settings.scenes.agents:
         raise DataError(
             f"{len(parts)} of {len(recorded)} tracks last {settings.resample.min_duration_s:g} s "
@@ -83,6 +87,7 @@ def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
         group=group,
         too_short=len(recorded) - len(sampled),
         no_future=len(sampled) - len(parts),
+        n_replaced=n_replaced,
     )
 
 
@@ -112,7 +117,8 @@ def _at_horizon(
     rows = np.flatnonzero(covered)
     if rows.size < settings.scenes.agents:
         return None
-    futures = [walk(wholes[row])(ahead[row]) for row in rows]
+    overshoot_m = settings.resample.max_overshoot_m
+    futures = [walk(wholes[row], max_overshoot_m=overshoot_m)(ahead[row]) for row in rows]
     if covered.all():  # the histories are the very same arrays
         return derived(tracks, t_future=ahead, xy_future=np.stack(futures))
     runs, offsets = runs_of(tracks.offsets, rows)

@@ -37,12 +37,12 @@ cut from and by how much these are longer than needed, (2,) s each."""
 
 
 @lru_cache(maxsize=2048)  # all tasks of a recording cut their windows from the same walks
-def _walk(tracks: Tracks, row: int) -> Callable[[Floats], Floats]:
-    return walk(tracks[row])
+def _walk(tracks: Tracks, row: int, max_overshoot_m: float) -> Callable[[Floats], Floats]:
+    return walk(tracks[row], max_overshoot_m=max_overshoot_m)
 
 
 @lru_cache(maxsize=2048)  # as above
-def _way(tracks: Tracks, row: int) -> tuple[Floats, Floats]:
+def _way(tracks: Tracks, row: int, max_overshoot_m: float) -> tuple[Floats, Floats]:
     """Return instants of a whole recorded walk, and how far it has come at them in m.
 
     They follow each other in even steps from its first sample on, wherever windows are cut.
@@ -50,13 +50,11 @@ def _way(tracks: Tracks, row: int) -> tuple[Floats, Floats]:
     track = tracks[row]
     n_steps = int((track.t[-1] - track.t[0]) / WAY_STEP_S)
     t = np.append(track.t[0] + WAY_STEP_S * np.arange(n_steps + 1), track.t[-1])
-    steps_m = np.sqrt(squared_lengths(np.diff(_walk(tracks, row)(t), axis=0)))
+    steps_m = np.sqrt(squared_lengths(np.diff(_walk(tracks, row, max_overshoot_m)(t), axis=0)))
     return t, np.concatenate([[0.0], np.cumsum(np.minimum(steps_m, WAY_STEP_S * FAST_STEP_MPS))])
 
 
-@lru_cache(
-    maxsize=4
-)  # of the recording, and both sessions of the crowd: the recording, and both sessions of the crowd
+@lru_cache(maxsize=4)  # of the recording, and both sessions of the crowd
 def _moving(tracks: Tracks) -> Bools:
     return np.asarray(~summarise(tracks)["frozen"].to_numpy())
 
@@ -129,8 +127,9 @@ class Draft:
         for row, start, end, key in each:
             rng = self.rng("sampling", side, self.tracks.source[row], key)
             t.append(sampling_times(start_s=start, end_s=end, settings=resample, rng=rng))
-            xy.append(_walk(self.tracks, row)(t[-1]))
-            walked_m.append(np.interp(t[-1], *_way(self.tracks, row)))
+            xy.append(_walk(self.tracks, row, resample.max_overshoot_m)(t[-1]))
+            way = _way(self.tracks, row, resample.max_overshoot_m)
+            walked_m.append(np.interp(t[-1], *way))
         return Stretches(
             t=np.concatenate(t),
             xy=np.concatenate(xy),

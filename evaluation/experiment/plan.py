@@ -23,7 +23,8 @@ from isac_track.plugins import Plugin
 from isac_track.scenes import Cut, cut, with_horizons
 from isac_track.types import Tracks
 
-_HOW_TO_READ = ("format", "fps", "unit", "sessions", "persistent_ids")  # Options of a data set.
+_ASKED = ("columns", "on_duplicate", "crs", "drop_frozen")  # Of the identity where they are given.
+_HOW_TO_READ = ("format", "fps", "unit", "sessions", "persistent_ids", *_ASKED)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -162,6 +163,7 @@ def _identity(settings: Settings, dataset: Dataset) -> dict[str, Any]:
         identity["ids"] = "kept"
     if settings.persistent_ids:
         identity["persistent_ids"] = True
+    identity |= asked_of_file(settings)
     if settings.n_utility_scenes != settings.n_scenes:
         identity["scenes_utility"] = settings.n_utility_scenes
     return identity
@@ -180,6 +182,13 @@ def trial(ready: Plan, *, specs: Iterable[str]) -> Plan:
     crossed = Axes(some, (), attacks, adversaries=breakers, trial=True)
     units, code_of = _units(crossed, settings, identity=ready.identity)
     return replace(ready, axes=crossed, units=units, code_of=code_of, sessions=())
+
+
+def asked_of_file(settings: Settings) -> dict[str, Any]:
+    """Return what a user says of a file that is not as usual."""
+    usual = Settings()
+    asked = {name: getattr(settings, name) for name in _ASKED}
+    return {name: value for name, value in asked.items() if value != getattr(usual, name)}
 
 
 def _units(

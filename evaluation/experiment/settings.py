@@ -21,9 +21,11 @@ _KINDS: dict[str, tuple[Any, type, str]] = {
     **dict.fromkeys(
         ("scenes", "utility_scenes", "seed", "jobs"), (Integral, int, "a whole number, as {}=40")
     ),
-    **dict.fromkeys(("fps", "cell_timeout_s", "precision"), (Real, float, "a number, as {}=2.5")),
+    **dict.fromkeys(
+        ("fps", "cell_timeout_s", "precision", "drop_frozen"), (Real, float, "a number, as {}=2.5")
+    ),
     **dict.fromkeys(("preset", "format", "executor", "scheduler"), (str, str, "text")),
-    "dataset": ((str, Path), str, "text"),
+    **dict.fromkeys(("unit", "columns", "on_duplicate", "crs"), (str, str, "text")),
     "out": ((str, Path), Path, "the path of a folder"),
 }
 """What an option must be, what it becomes, and how that is said."""
@@ -54,12 +56,16 @@ class Settings:
     """
 
     preset: str = "paper"
-    dataset: str | None = None  # Name of a known data set, or a path.
+    dataset: Any = None  # Name of a known data set, a path, or a data frame (pandas, polars).
     format: str | None = None
     fps: float | None = None
     unit: str | None = None  # Of lengths in a file of one's own: m, cm or mm.
     sessions: tuple[str, ...] = ()  # Paths of files that are sessions of one recording.
     persistent_ids: bool = False  # Whether ids are the same people in all sessions.
+    columns: str | None = None  # Of a table of one's own: t=time[ms],id=ped_id,x=pos_x,y=pos_y.
+    on_duplicate: str = "error"  # Or first, or mean: of an id at two places at one time.
+    crs: str | None = None  # Or degrees: longitude and latitude, projected to local metres.
+    drop_frozen: float | None = None  # Stretches of so many s at exactly one place are dropped.
     scenes: int | None = None  # Attacked ones, and all.
     utility_scenes: int | None = None  # All, where the attacked ones stay the preset's first.
     precision: float | None = None  # Half-width of missed-conflict rates: finds `utility_scenes`.
@@ -116,6 +122,8 @@ class Settings:
         given: dict[str, Any] = {one.name: getattr(self, one.name) for one in fields(self)}
         if isinstance(given["stages"], Mapping):
             given["stages"] = StageSettings().changed(given["stages"])
+        if isinstance(given["columns"], Mapping):
+            given["columns"] = ",".join(f"{key}={name}" for key, name in given["columns"].items())
         given["sessions"] = tuple(map(str, given["sessions"]))
         for axis in (*_AXES, "adversaries"):
             some = given[axis]
@@ -130,6 +138,7 @@ class Settings:
                 if not isinstance(value, kind) or isinstance(value, bool):
                     raise SettingsError(f"{name} must be {what.format(name)}; got {quoted(value)}")
                 given[name] = becomes(value)
+        given["dataset"] = _dataset(given["dataset"])
         for name, value in given.items():
             object.__setattr__(self, name, value)
 
@@ -150,6 +159,15 @@ class Settings:
         if self.utility_scenes is not None:
             return self.utility_scenes
         return PRESETS[self.preset].utility_scenes if self.scenes is None else self.scenes
+
+
+def _dataset(given: Any) -> Any:  # noqa: ANN401 - frames of any library
+    """Return a name or path as text, and a data frame as it is; SettingsError for all else."""
+    if given is None or isinstance(given, str | Path):
+        return None if given is None else str(given)
+    if hasattr(given, "to_pandas") or hasattr(given, "__dataframe__"):
+        return given
+    raise SettingsError(f"dataset must be text or a DataFrame; got {quoted(given)}")
 
 
 def _check_known(what: str, names: Iterable[str], known: Collection[str]) -> None:

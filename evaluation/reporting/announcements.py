@@ -23,7 +23,7 @@ WIDTH: Final = 80  # Columns of the first screen.
 USUAL_DISTANCE_M: Final = (20.0, 40.0)  # From the station: the constants were fitted at 30 m.
 USUAL_AT_CAP: Final = 0.3  # At most, of the tracks: there 13 %.
 _COMMANDS = ("matrix.py", "isac-track", "__main__.py")
-_TOLD_WHOLE: Final = ("header", "unit", "frame-clock")
+_TOLD_WHOLE: Final = ("header", "unit", "frame-clock", "crs", "doubt")
 _LARGE_GALLERY = 3000  # People, above which it is proposed to score some alone.
 _KINDS: tuple[Kind, ...] = ("mechanisms", "predictors", "attacks")
 
@@ -220,7 +220,10 @@ def _same_run(manifest: Mapping[str, Any]) -> list[str]:
     options += sessions or [("dataset", dataset["name"] if known else dataset["path"])]
     if not known:
         options.append(("format", dataset["format"] or None))
-        options += [(option, identity.get(option)) for option in ("fps", "unit")]
+        options += [(option, identity.get(option)) for option in ("fps", "unit", "columns", "crs")]
+    options += [
+        (name.replace("_", "-"), identity.get(name)) for name in ("on_duplicate", "drop_frozen")
+    ]
     options += [("scenes", None if is_usual else scenes), ("seed", identity["seed"] or None)]
     for option in ("mechanism", "predictor", "attack", "task"):
         used = settings.get(f"{option}s", [])

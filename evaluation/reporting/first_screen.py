@@ -129,6 +129,7 @@ def _doubts(run: Results, of: Headline) -> list[str]:
         n_frozen=max((one.get("frozen", 0) for one in tasks), default=0),
         slower=used_are_slower(run.manifest, least=_MUCH),
         skipped=[*linkage.get("skipped", ())],
+        n_units=sum(one["kind"] == "doubt" for one in run.manifest["dataset"]["repairs"]),
         n_notices=len(notices(run.manifest)),
     )
 

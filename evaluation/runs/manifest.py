@@ -163,6 +163,10 @@ def about_data(ready: Plan) -> dict[str, Any]:
         "speed_mps": mean_speeds(dataset.tracks, used=tracks.source),
         "repairs": [asdict(repair) for repair in dataset.repairs],
     }
+    if tracks.n_replaced:
+        most_m = ready.settings.stages.resample.max_overshoot_m
+        detail = f"pieces where a spline leaves the chord by over {most_m:g} m or runs; straighter"
+        about["repairs"].append({"kind": "overshoot", "count": tracks.n_replaced, "detail": detail})
     if dataset.sessions:
         about["sessions"] = [shown_path(one) for one in dataset.sessions]
     if len(tracks) < FEW_PEOPLE:

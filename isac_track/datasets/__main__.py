@@ -44,6 +44,12 @@ def _parser() -> Parser:
     show.add_argument("--format", help="format of a file: see docs/data.md")
     show.add_argument("--fps", type=float, help="frames per second, if the format counts frames")
     show.add_argument("--unit", help="of its lengths: m (default), cm or mm")
+    show.add_argument("--columns", help="of a table: t=time[ms],id=ped_id,x=pos_x[cm],y=pos_y[cm]")
+    show.add_argument(
+        "--on-duplicate", default="error", help="of an id twice at one time: error, first or mean"
+    )
+    show.add_argument("--crs", help="degrees: x is longitude, y is latitude")
+    show.add_argument("--drop-frozen", type=float, metavar="S", help="drop stretches at one place")
     fetch = commands.add_parser("fetch", help="download known data sets into the cache")
     fetch.add_argument("name", metavar="NAME", nargs="+", help=f"one of {', '.join(KNOWN)}")
     return parser
@@ -89,7 +95,8 @@ def _list(_: Namespace) -> int:
 
 
 def _show(arguments: Namespace) -> int:
-    own = {name: getattr(arguments, name) for name in ("format", "fps", "unit")}
+    asked = ("format", "fps", "unit", "columns", "on_duplicate", "crs", "drop_frozen")
+    own = {name: getattr(arguments, name) for name in asked}
     found = datasets.load(arguments.name, **own)
     tracks, summary = found.tracks, datasets.summarise(found.tracks)
     frozen = [tracks.source[row] for row in np.flatnonzero(summary.frozen)]

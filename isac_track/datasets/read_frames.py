@@ -33,7 +33,18 @@ _CALLED = {
     "y": "y",
 }
 """What headers call the columns that are used, in small letters and without their unit."""
-_FRAME_RATE = r"(?:frame\s*rate|\bfps\s*[:=])[^\d.+-]*([-+]?[\d.]+(?:e[-+]?\d+)?)"
+_FRAME_RATE = re.compile(r"frame\s*rate|\bfps(?=\s*[:=])", re.IGNORECASE)
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
+_RATE = re.compile(
+    rf"({_NUMBER})(?:\s*/\s*({_NUMBER}))?(?![\d.,/]|\s*,\s*\d|[^#]*/\s*\d)", re.IGNORECASE
+)
+_BEGINS = re.compile(r"[-+.]?\d[^\s;)\]]*")
+_LENGTH = re.compile(r"\b[xy]\s*[/\[(]\s*(?:in\s+)?([a-z]+)|\bin\s+([cm]?m)\b")
+_POSITIONS = re.compile(
+    r"\b([xy]|xy|positions?|coordinates?|trajector(y|ies)|lengths?|units?|distances?|points?|data|"
+    r"all|everything|values)\b"
+)
+"""What a header calls positions where it says their unit in a sentence."""
 _USED = ("frame", "id", "x", "y")
 _TRACK_FIELDS = ("f", "p", "x", "y")
 
@@ -110,10 +121,9 @@ def read_header(format_name: str, *, data: bytes, path: str) -> Header:
             n_fields = len(text.split("#", 1)[0].split())
             break
         if fps is None:
-            found = re.search(_FRAME_RATE, text, re.IGNORECASE)
-            fps = recording.checked_fps(found[1], where=f"{path}, line {number}") if found else None
-        for unit in re.findall(r"\b[xy]\s*[/\[(]\s*([a-z]+)|\bin\s+([cm]?m)\b", text.lower()):
-            units.setdefault((unit[0] or unit[1])[:40], number)
+            fps = _declared_rate(text, where=f"{path}, line {number}")
+        for unit in _declared_units(text.lower()):
+            units.setdefault(unit[:40], number)
         bare = re.sub(r"\s*[/\[(]\s*[a-z]+[\])]?", "", text.lower()[1:])
         names = [_CALLED.get(word, "") for word in re.split(r"[\s,;]+", bare.strip())]
         if all(names.count(name) == 1 for name in _USED):
@@ -129,6 +139,46 @@ def read_header(format_name: str, *, data: bytes, path: str) -> Header:
     places = {name: names.index(name) for name in _USED if of_line}
     marker = names.index("marker") if names.count("marker") == 1 else None
     return Header(fps, next(iter(units), ""), places, of_line, marker)
+
+
+def _declared_rate(text: str, *, where: str) -> float | None:
+    """Return the frame rate that a comment gives, None if it gives none; DataError if unclear.
+
+    A number, or a fraction, directly behind the word or behind the last colon or equals sign.
+    """
+    keyword = _FRAME_RATE.search(text)
+    if keyword is None:
+        return None
+    behind = text[keyword.end() :]
+    for value in (behind, re.split("[:=]", behind)[-1]):
+        # Its unit may stand before the number.
+        bare = re.sub(r"^\s*([\[(][^\])]*[\])])?\s*[:=]*", "", value).strip()
+        if begins := _BEGINS.match(bare):
+            break
+    else:
+        return None
+    rate = _RATE.match(bare.rstrip(". "))
+    if rate is None:
+        written = begins[0][:40]
+        hint = "; write a decimal point" if "," in written else ""
+        raise DataError(f"{where}: the framerate {written!r} is not a number{hint}")
+    fps = recording.checked_fps(rate[1], where=where)
+    if rate[2]:
+        fps = recording.checked_fps(fps / recording.checked_fps(rate[2], where=where), where=where)
+    return fps
+
+
+def _declared_units(text: str) -> list[str]:
+    """Return the units of positions that a comment in small letters names; not those of height."""
+    units, end = [], 0
+    for match in _LENGTH.finditer(text):
+        subject = re.split(r"[;.:(\[]", text[end : match.start()])[-1]
+        end = match.end()
+        if match[1]:
+            units.append(match[1])
+        elif _POSITIONS.search(subject) or not re.search("[a-z]", subject):
+            units.append(match[2])
+    return units
 
 
 def _split(data: bytes) -> Iterator[tuple[int, list[str]]]:

@@ -5,21 +5,33 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from isac_track.datasets import recording
+from isac_track.datasets.recording import LENGTHS, TIMES, Column
 from isac_track.errors import DataError, told
 from isac_track.types import Floats, Ints
 
 if TYPE_CHECKING:
+    import pandas as pd
     import pyarrow as pa
 
 
 _NEEDED = ("t", "id", "x", "y")
-_USED = (*_NEEDED, "group")
+_USED = recording.COLUMNS
+_ISO = re.compile(
+    r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d+)?)?\s*(Z|[+-]\d\d:?(\d\d)?)?", re.IGNORECASE
+)
+_SIXTY = re.compile(r"(?<=\d\d:\d\d):60")
+_EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))
+"""Clocks since 1970, from when on a number is taken for which unit."""
+_EPOCH_S = 1e9  # Seconds since 1970 in this millennium,
+_FLOAT32_STEP_S = 64.0  # which 32 bits hold to this multiple.
+_Names: TypeAlias = Mapping[str, Column]
 _UNITS = {"t": "seconds", "x": "metres", "y": "metres"}
 _DECIMAL = re.compile(r"[+-]?\d+\.\d*(e[+-]?\d+)?", re.IGNORECASE)
 _LONGEST_NAME = 200  # Characters: ids stand in messages, tables and figures.
@@ -29,21 +41,30 @@ _FREE_BYTES = 50_000_000
 _MOST_TIMES = 100  # A file above `_FREE_BYTES` unpacked may be this many times its size.
 
 
-def read_csv(*, data: bytes, path: str) -> recording.Rows:
-    """Read comma-separated values with a header line; DataError names file and line."""
+def read_csv(*, data: bytes, path: str, columns: _Names | None = None) -> recording.Rows:
+    """Read comma-separated values with a header line; DataError names file and line.
+
+    A second line may name the units of t, x and y. `columns` are what the columns are called.
+    """
     import pyarrow as pa  # noqa: PLC0415 - a plain import of the package stays quick
     from pyarrow import csv as arrow_csv  # noqa: PLC0415 - only for such a file
 
     recording.check_text(data=data, path=path)
     names = _csv_header(header=next(recording.lines_of(data), ""), path=path)
+    used = _columns_in(names, columns or {}, where=f"{path}, line 1")
     _, _, body = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").partition(b"\n")
+    used, body, begins = _unit_line(used, body=body, n_fields=len(names))
     if not body.strip():
         raise DataError(f"{path}: the file holds no rows")
     # Each text once: a long one that stands in every row would take as much memory as the file.
     text = pa.dictionary(pa.int32(), pa.string())
-    used = {f"c{names.index(name)}": name for name in _USED if name in names}
-    types = {column: pa.float64() if name in _UNITS else text for column, name in used.items()}
-    n_rows = sum(1 for _ in _csv_lines(body))
+    is_dated = _is_dated(body, place=used["t"].place)
+    numbers = {*_UNITS} - ({"t"} if is_dated else set())
+    types = {
+        f"c{column.place}": pa.float64() if name in numbers else text
+        for name, column in used.items()
+    }
+    n_rows = sum(1 for _ in _csv_lines(body, begins))
     try:
         table = arrow_csv.read_csv(
             pa.py_buffer(body),
@@ -58,16 +79,16 @@ def read_csv(*, data: bytes, path: str) -> recording.Rows:
         if table.num_rows != n_rows:  # pyarrow lets quoted fields go on in the next line
             raise pa.ArrowInvalid(f"{table.num_rows} rows in {n_rows} lines")
     except (pa.ArrowException, MemoryError, UnicodeError) as error:
-        for number, line in enumerate(recording.lines_of(body), start=2):
-            if message := _csv_fault(line, names) if line else "":
+        for number, line in enumerate(recording.lines_of(body), start=begins):
+            if message := _csv_fault(line, len(names), used, numbers) if line else "":
                 raise DataError(f"{path}, line {number}: {message}") from None
         raise DataError(f"{path}: cannot be read as csv ({told(error)})") from None
-    place = recording.Place(path, lambda: np.fromiter(_csv_lines(body), dtype=np.int64))
-    return _rows(table.rename_columns([*used.values()]), names=names, place=place)
+    place = recording.Place(path, lambda: np.fromiter(_csv_lines(body, begins), dtype=np.int64))
+    return _rows(table.rename_columns([*used]), names=names, used=used, place=place)
 
 
-def read_parquet(*, data: bytes, path: str) -> recording.Rows:
-    """Read a parquet file; DataError names file and row."""
+def read_parquet(*, data: bytes, path: str, columns: _Names | None = None) -> recording.Rows:
+    """Read a parquet file; DataError names file and row. `columns` are what these are called."""
     import pyarrow as pa  # noqa: PLC0415 - a plain import of the package stays quick
     from pyarrow import parquet  # noqa: PLC0415 - only for such a file
 
@@ -82,13 +103,13 @@ def read_parquet(*, data: bytes, path: str) -> recording.Rows:
     except Exception as error:  # noqa: BLE001 - a damaged file makes pyarrow raise nearly anything
         raise DataError(f"{path}: not a parquet file ({told(error)})") from None
     names = tuple(schema.names)
-    _check_header(names=names, where=path)
+    places = _columns_in(names, columns or {}, where=path)
     if n_rows > max(_FREE_ROWS, len(data)):
         raise DataError(f"{path}: claims {n_rows} rows in {len(data)} bytes; not a recording")
     if size > max(_FREE_BYTES, _MOST_TIMES * len(data)):
         raise DataError(f"{path}: {size} bytes when unpacked, over {_MOST_TIMES} times its size")
     try:
-        used = [name for name in names if name in _USED]
+        used = [column.name for column in places.values()]
         # Each text once: a long one that stands in every row would not fit into the memory.
         kinds = {pa.string(), pa.large_string()}
         texts = [name for name in used if schema.field(name).type in kinds]
@@ -101,7 +122,27 @@ def read_parquet(*, data: bytes, path: str) -> recording.Rows:
     except Exception as error:  # noqa: BLE001 - as above
         raise DataError(f"{path}: the parquet file is damaged ({told(error)})") from None
     place = recording.Place(path, lambda: np.arange(1, n_rows + 1), unit="row")
-    return _rows(table, names=names, place=place)
+    table = table.select(used).rename_columns([*places])
+    return _rows(table, names=names, used=places, place=place)
+
+
+def read_frame(frame: pd.DataFrame, *, columns: _Names | None = None) -> recording.Rows:
+    """Read a pandas DataFrame as if it were a file; DataError names the row."""
+    import pyarrow as pa  # noqa: PLC0415 - only for such data
+
+    path = "DataFrame"
+    names = tuple(map(str, frame.columns))
+    places = _columns_in(names, columns or {}, where=path)
+    try:
+        parts = [
+            pa.Table.from_pandas(frame.iloc[:, [column.place]], preserve_index=False)
+            for column in places.values()
+        ]
+    except (pa.ArrowException, TypeError, ValueError, OverflowError) as error:
+        raise DataError(f"{path}: a column cannot be read ({told(error)})") from None
+    table = pa.table([part.column(0) for part in parts], names=[*places])
+    place = recording.Place(path, lambda: np.arange(1, len(frame) + 1), unit="row")
+    return _rows(table, names=names, used=places, place=place)
 
 
 def _csv_header(*, header: str, path: str) -> tuple[str, ...]:
@@ -116,40 +157,92 @@ def _csv_header(*, header: str, path: str) -> tuple[str, ...]:
         if len(names) == 1 and separator in header.strip():
             message = f"{name} between the columns; csv has commas (and decimal points)"
             raise DataError(f"{where}: {message}")
-    _check_header(names=names, where=where)
     return names
 
 
-def _check_header(*, names: Sequence[str], where: str) -> None:
-    missing = [name for name in _NEEDED if name not in names]
-    if missing:
-        near = [name for name in names if name.lower() == missing[0]]
-        hint = f"; did you mean {near[0]!r}? Rename it" if near else ""
-        raise DataError(
-            f"{where}: no column {', '.join(missing)} (needed: t in s, id, x and y in m){hint}"
-        )
+@dataclass(frozen=True, slots=True)
+class _Used(Column):
+    """A column that is read, and its place in the file."""
+
+    place: int = 0
+
+
+def _columns_in(names: Sequence[str], columns: _Names, *, where: str) -> dict[str, _Used]:
+    """Return the columns that are read; DataError if one is missing or there twice.
+
+    A column is called exactly so, or else in other letters, small or capital.
+    """
+    used, missing = dict[str, _Used](), []
     for name in _USED:
-        if list(names).count(name) > 1:
-            raise DataError(f"{where}: two columns are called {name}")
+        wanted = columns.get(name, Column(name))
+        exact = [place for place, called in enumerate(names) if called == wanted.name]
+        small = wanted.name.casefold()
+        near = [place for place, called in enumerate(names) if called.casefold() == small]
+        places = exact or near
+        if len(places) > 1:
+            raise DataError(f"{where}: two columns are called {wanted.name}")
+        if places:
+            used[name] = _Used(wanted.name if exact else names[places[0]], wanted.unit, places[0])
+        elif name in columns or name in _NEEDED:
+            missing.append(wanted.name)
+    if missing:
+        there = recording.listed([recording.printable(called[:40]) for called in names])
+        raise DataError(
+            f"{where}: no column {', '.join(missing)} (needed: t in s, id, x and y in m); it has "
+            f"{there}: --columns t=NAME,id=NAME,x=NAME,y=NAME says which is which"
+        )
+    return used
 
 
-def _csv_lines(body: bytes) -> Iterator[int]:
+def _unit_line(
+    used: dict[str, _Used], *, body: bytes, n_fields: int
+) -> tuple[dict[str, _Used], bytes, int]:
+    """Return the columns, with the units that a second line names, the rows, and their line."""
+    first, _, rest = body.partition(b"\n")
+    fields = [
+        field.strip(" []()").lower() for field in first[:1000].decode("utf-8", "replace").split(",")
+    ]
+    if len(fields) != n_fields:
+        return used, body, 2
+    units = {name: fields[used[name].place] for name in _UNITS}
+    known = {"t": TIMES, "x": LENGTHS, "y": LENGTHS}
+    if not all(unit in known[name] for name, unit in units.items()):
+        return used, body, 2
+    named = {
+        name: replace(column, unit=column.unit or units[name]) if name in units else column
+        for name, column in used.items()
+    }
+    return named, rest, 3
+
+
+def _is_dated(body: bytes, *, place: int) -> bool:
+    """Whether the times of a csv are dates, as its first row has it."""
+    first = next((line for line in io.BytesIO(body) if line.strip()), b"")
+    fields = first[:4000].decode("utf-8", "replace").split(",")
+    return len(fields) > place and bool(_ISO.fullmatch(fields[place].strip(' "\r\n')))
+
+
+def _csv_lines(body: bytes, begins: int) -> Iterator[int]:
     """Yield the numbers of the lines that are rows; pyarrow leaves out empty ones alone."""
-    return (number for number, line in enumerate(io.BytesIO(body), start=2) if line != b"\n")
+    return (number for number, line in enumerate(io.BytesIO(body), start=begins) if line != b"\n")
 
 
-def _csv_fault(line: str, names: tuple[str, ...]) -> str:
+def _csv_fault(
+    line: str, n_fields: int, used: Mapping[str, _Used], numbers: Collection[str]
+) -> str:
     try:
         fields = next(csv.reader([line], strict=True))
     except csv.Error as error:
         return f"{error}{'; each row must be on one line' if 'end of data' in str(error) else ''}"
-    if len(fields) != len(names):
+    if len(fields) != n_fields:
         return (
-            f"{len(fields)} column(s) where the header has {len(names)}; a decimal comma would "
+            f"{len(fields)} column(s) where the header has {n_fields}; a decimal comma would "
             f"split a number{'; semicolons do not separate columns' if ';' in line else ''}"
         )
     for name, unit in _UNITS.items():
-        field = fields[names.index(name)]
+        if name not in numbers:
+            continue
+        field = fields[used[name].place]
         try:
             float(field.replace("_", "?").encode("ascii", "replace") or "nan")  # as arrow has it
         except ValueError:
@@ -158,12 +251,19 @@ def _csv_fault(line: str, names: tuple[str, ...]) -> str:
     return ""
 
 
-def _rows(table: pa.Table, *, names: Sequence[str], place: recording.Place) -> recording.Rows:
-    """Return the rows of arrow columns; `names` are the file's."""
-    t, x, y = (_numbers(table[name], name=name, path=place.path) for name in _UNITS)
-    if not t.size:
+def _rows(
+    table: pa.Table, *, names: Sequence[str], used: Mapping[str, _Used], place: recording.Place
+) -> recording.Rows:
+    """Return the rows of arrow columns, called as we call them; `names` are the file's."""
+    if not table.num_rows:
         raise DataError(f"{place.path}: the file holds no rows")
+    t = _times(table["t"], used["t"], place=place)
+    x, y = (_numbers(table[name], name=name, path=place.path) for name in ("x", "y"))
     recording.check_numbers({"t": t, "x": x, "y": y}, place)
+    scales = [LENGTHS[used[name].unit or "m"] for name in ("x", "y")]
+    xy = np.column_stack([x, y])
+    if scales != [1.0, 1.0]:
+        xy *= scales
     person, ids = _index(table["id"], is_group=False, place=place)
     groups: tuple[tuple[str, str], ...] = ()
     if "group" in names:  # an empty cell is no group
@@ -171,10 +271,86 @@ def _rows(table: pa.Table, *, names: Sequence[str], place: recording.Place) -> r
         pairs = np.unique(np.column_stack([person, group]), axis=0)
         groups = tuple((ids[who], labels[label]) for who, label in pairs if labels[label])
     notes: tuple[recording.Repair, ...] = ()
-    if others := [recording.printable(name[:40]) for name in names if name not in _USED]:
+    read = {column.name for column in used.values()}
+    if others := [recording.printable(name[:40]) for name in names if name not in read]:
         unused = f"column(s) {recording.listed(others)}: not used, {t.size} rows each"
         notes = (recording.Repair("ignored-column", len(others), f"{place.path}: {unused}"),)
-    return recording.Rows(person, ids, t - t.min(), np.column_stack([x, y]), place, groups, notes)
+    in_units = {used[name].unit for name in ("x", "y")}
+    if in_units - {"", "m"}:
+        detail = f"{place.path}: positions in {' and '.join(sorted(in_units))}; converted to m"
+        notes += (recording.Repair("unit", t.size, detail),)
+    unit = "m" if in_units != {""} else ""
+    return recording.Rows(person, ids, t - t.min(), xy, place, groups, notes, unit)
+
+
+def _times(column: pa.ChunkedArray, used: _Used, *, place: recording.Place) -> Floats:
+    """Return (M,) s of a column of numbers, time stamps or ISO 8601 dates, from some origin."""
+    import pyarrow as pa  # noqa: PLC0415 - only for such a file
+
+    kind, path = column.type, place.path
+    value = kind.value_type if pa.types.is_dictionary(kind) else kind
+    if pa.types.is_timestamp(value):
+        ticks = column.cast(pa.int64()).to_numpy().astype(np.float64)
+        exact = column.drop_null().cast(pa.int64()).to_numpy()
+        if exact.size == ticks.size:  # the difference first: a double holds 1970 to 0.2 us
+            ticks = (exact - exact.min()).astype(np.float64)
+        seconds: Floats = ticks * TIMES[value.unit]
+        return seconds
+    if value in {pa.string(), pa.large_string()} and len(column):
+        return _dates(column, place=place)
+    t = _numbers(column, name="t", path=path)
+    usual = float(np.median(t)) if np.isfinite(t).all() else 0.0
+    if used.unit:
+        scaled = (t - (t.min() if np.isfinite(t).all() else 0.0)) * TIMES[used.unit]
+        return np.asarray(scaled)
+    for least, unit in _EPOCHS:
+        if usual >= least:
+            raise DataError(
+                f"{path}: times like {usual:.6g} are no seconds: {unit} since 1970? "
+                f"--columns t={used.name}[{unit}] reads them so"
+            )
+    if usual > _EPOCH_S and t.size > 1 and not (t % _FLOAT32_STEP_S).any():
+        raise DataError(
+            f"{path}: times like {usual:.6g}, all multiples of {_FLOAT32_STEP_S:g} s: seconds "
+            "since 1970 as 32-bit numbers (float32), which hold no more; save them as 64-bit "
+            "numbers, or from the first sample on"
+        )
+    return t
+
+
+def _dates(column: pa.ChunkedArray, *, place: recording.Place) -> Floats:
+    """Return (M,) s of ISO 8601 dates, of which all have a zone or none has."""
+    import pandas as pd  # noqa: PLC0415 - only for such a file
+
+    try:
+        codes, texts = pd.factorize(
+            column.to_pandas(integer_object_nulls=True), use_na_sentinel=False
+        )
+    except (ValueError, UnicodeError) as error:
+        raise DataError(f"{place.path}: column t cannot be read ({told(error)})") from None
+    zones = set[bool]()
+    for code, text in enumerate(texts):
+        match = _ISO.fullmatch(text.strip()) if isinstance(text, str) else None
+        if match is None:
+            if not code:  # no row is a date: the column is something else
+                raise DataError(f"{place.path}: column t holds string, not numbers of seconds")
+            where = place.at(int((codes == code).argmax()))
+            raise DataError(f"{where}: t {str(text)[:40]!r} is no date of ISO 8601 like the others")
+        zones.add(match[3] is not None)
+    if len(zones) > 1:
+        raise DataError(f"{place.path}: some times have a zone and others have none")
+    # A second of 60 is a leap second, or rounded.
+    leaps = np.array([bool(_SIXTY.search(text)) for text in texts])
+    texts = [_SIXTY.sub(":59", text) for text in texts]
+    try:
+        dates = pd.to_datetime(
+            [text.strip().replace(",", ".") for text in texts], format="ISO8601", utc=True
+        )
+    except (ValueError, OverflowError) as error:
+        raise DataError(f"{place.path}: column t cannot be read ({told(error)})") from None
+    ticks = dates.as_unit("ns").asi8
+    seconds: Floats = (ticks - ticks.min()) * 1e-9 + leaps
+    return np.asarray(seconds[codes])
 
 
 def _numbers(column: pa.ChunkedArray, *, name: str, path: str) -> Floats:

@@ -1,15 +1,17 @@
 """Rows of a recording as a reader found them, and the means to say where a row stands."""
 
 import io
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from isac_track.errors import DataError
 from isac_track.types import Bools, Floats, Ints
 
+COLUMNS = ("t", "id", "x", "y", "group")  # Of a table.
 WHOLE_LIMIT = 2.0**53  # Frames and ids are float64, which holds every whole number below this.
 _LIMITS = {
     **dict.fromkeys(("frame", "f", "id", "p"), WHOLE_LIMIT),
@@ -20,8 +22,35 @@ _LIMITS = {
     "y": 1e9,
 }
 METRES: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}  # By unit of length.
+FOOT_M = 0.3048
+LENGTHS: Mapping[str, float] = {
+    **dict.fromkeys(("m", "meter", "metre", "meters", "metres"), 1.0),
+    **dict.fromkeys(("cm", "centimeter", "centimetre", "centimeters", "centimetres"), 0.01),
+    **dict.fromkeys(("mm", "millimeter", "millimetre", "millimeters", "millimetres"), 0.001),
+    **dict.fromkeys(("ft", "foot", "feet"), FOOT_M),
+    "km": 1000.0,
+}
+"""Metres by the name of a unit, of a column."""
+TIMES: Mapping[str, float] = {
+    **dict.fromkeys(("s", "sec", "second", "seconds"), 1.0),
+    **dict.fromkeys(("ms", "millisecond", "milliseconds"), 1e-3),
+    **dict.fromkeys(("us", "microsecond", "microseconds"), 1e-6),
+    **dict.fromkeys(("ns", "nanosecond", "nanoseconds"), 1e-9),
+    **dict.fromkeys(("min", "minute", "minutes"), 60.0),
+}
+"""Seconds by the name of a unit, of a column."""
+CRS = ("degrees",)
+ON_DUPLICATE = ("error", "first", "mean")
+_EARTH_M = 6_378_137.0  # Semi-major axis of WGS 84,
+_FLATNESS = 0.00669437999014  # and its first eccentricity, squared.
+_SEVERAL = 5  # People whose walks say which axis is which; of fewer it may be chance.
+_STEADIER = 0.8  # Of how unsteady a walk is: so much less speaks for another order of the axes.
 FPS_LIMITS = (1e-3, 1e6)  # Frames per second outside are a mistake, and would overflow the clock.
 _SHOWN = 5
+_EXCEL = (
+    'an Excel workbook or a zip archive; convert it first: python -c "import pandas; '
+    "pandas.read_excel('FILE.xlsx').to_csv('FILE.csv', index=False)\""
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,11 +98,125 @@ class Rows:
     split_s: float | None = None  # The longest step within a track, if the format says so.
 
 
+@dataclass(frozen=True, slots=True)
+class Column:
+    """What a column of a table is called, and its unit; an empty unit is the usual one."""
+
+    name: str
+    unit: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What a user says of a file of their own beyond format, frame rate and unit."""
+
+    columns: Mapping[str, Column] = field(default_factory=dict)  # By t, id, x, y and group.
+    on_duplicate: str = "error"  # Of `ON_DUPLICATE`.
+    crs: str | None = None  # Of `CRS`; None is a plane.
+    drop_frozen_s: float | None = None  # Longer stretches at one place are dropped.
+
+    def __post_init__(self) -> None:
+        """Raise DataError for what cannot be meant."""
+        if self.on_duplicate not in ON_DUPLICATE:
+            known = ", ".join(ON_DUPLICATE)
+            raise DataError(f"--on-duplicate must be one of {known}, got {self.on_duplicate!r:.40}")
+        if self.crs not in (None, *CRS):
+            raise DataError(f"--crs must be {', '.join(CRS)}, got {self.crs!r:.40}")
+        if self.drop_frozen_s is not None and not 0 < self.drop_frozen_s < math.inf:
+            raise DataError(f"--drop-frozen takes seconds above 0, got {self.drop_frozen_s:g}")
+
+
+def columns_named(text: str | Mapping[str, str] | None) -> dict[str, Column]:
+    """Return the columns that ``t=time[ms],x=pos_x`` names; DataError if that is no such list."""
+    if not text:
+        return {}
+    pairs = text.items() if isinstance(text, Mapping) else _pairs(text)
+    columns = {}
+    for name, called in pairs:
+        if name not in COLUMNS:
+            raise DataError(f"--columns names {', '.join(COLUMNS)}, got {str(name)[:40]!r}")
+        if name in columns:
+            raise DataError(f"--columns names {name} twice")
+        units = TIMES if name == "t" else LENGTHS if name in {"x", "y"} else {}
+        named = re.fullmatch(r"(.+?)\s*\[\s*([^\[\]]*?)\s*\]", str(called).strip())
+        if named and units and named[2].lower() not in units:
+            known = ", ".join(units)
+            raise DataError(f"--columns {name}: unknown unit {named[2][:40]!r} (known: {known})")
+        is_unit = named is not None and bool(units)
+        columns[name] = Column(
+            named[1] if named and is_unit else str(called).strip(),
+            named[2].lower() if named and is_unit else "",
+        )
+    return columns
+
+
+def _pairs(text: str) -> list[tuple[str, str]]:
+    pairs = []
+    for part in text.split(","):
+        name, equals, called = part.partition("=")
+        if not equals or not called.strip():
+            raise DataError(f"--columns takes t=NAME,id=NAME,x=NAME,y=NAME, got {part[:40]!r}")
+        pairs.append((name.strip(), called.strip()))
+    return pairs
+
+
+def projected(rows: Rows) -> Rows:
+    """Return rows of longitude (x) and latitude (y) in degrees as local metres, east and north.
+
+    A plane that touches the ellipsoid WGS 84 at the middle of the recording; within 5 km of it
+    distances are right to some 0.1 %. DataError for what is no degree or spans more than a degree.
+    """
+    path = rows.place.path
+    x, y = rows.xy.T
+    if (np.abs(x) > 180).any() or (np.abs(y) > 90).any():  # noqa: PLR2004 - of the Earth
+        swapped = (np.abs(x) <= 90).all() and (np.abs(y) <= 180).all()  # noqa: PLR2004 - as above
+        hint = "; x is longitude, y latitude: swap them with --columns" if swapped else ""
+        raise DataError(f"{path}: --crs degrees: not degrees, within 180 (x) and 90 (y){hint}")
+    if np.ptp(rows.xy, axis=0).max() > 1:
+        raise DataError(f"{path}: --crs degrees: positions span over a degree; not of one place")
+    middle = np.median(rows.xy, axis=0)
+    xy = np.radians(rows.xy - middle) * _metres_per_radian(middle[1])
+    detail = (
+        f"{path}: degrees, x as longitude and y as latitude (swap them with --columns), "
+        f"projected to metres around {middle[0]:.5f}, {middle[1]:.5f}"
+    )
+    notes = [*rows.notes, Repair("crs", rows.t.size, detail)]
+    if abs(middle[0]) <= 90 and len(rows.ids) >= _SEVERAL:  # noqa: PLR2004 - as above
+        swapped = np.radians(rows.xy - middle) * _metres_per_radian(middle[0])[::-1]
+        if _unsteady(rows, swapped) < _STEADIER * _unsteady(rows, xy):
+            text = "walks are steadier with x as latitude: --columns x=y,y=x swaps them"
+            notes.append(Repair("doubt", 1, f"{path}: {text}"))
+    return replace(rows, xy=xy, unit="m", notes=tuple(notes))
+
+
+def _metres_per_radian(latitude: float) -> Floats:
+    """Return the metres of a radian to the east and to the north, on WGS 84."""
+    bend = 1.0 - _FLATNESS * np.sin(np.radians(latitude)) ** 2
+    north_m = _EARTH_M * (1.0 - _FLATNESS) / bend**1.5
+    return np.array([_EARTH_M / bend**0.5 * np.cos(np.radians(latitude)), north_m])
+
+
+def _unsteady(rows: Rows, xy: Floats) -> float:
+    """Return how much the speed of a walk usually varies, as a share of its mean."""
+    order = np.lexsort((rows.t, rows.person))
+    person, step_s = rows.person[order], np.diff(rows.t[order])
+    moves = (person[1:] == person[:-1]) & (step_s > 0)
+    speed = np.hypot(*np.diff(xy[order], axis=0)[moves].T) / step_s[moves]
+    owner, n_people = person[1:][moves], len(rows.ids)
+    count = np.maximum(np.bincount(owner, minlength=n_people), 1)
+    mean = np.bincount(owner, speed, n_people) / count
+    square = np.bincount(owner, speed**2, n_people) / count
+    walks = mean > 0
+    variance = np.maximum(square[walks] / mean[walks] ** 2 - 1.0, 0.0)
+    return float(np.median(np.sqrt(variance))) if walks.any() else 0.0
+
+
 def in_metres(rows: Rows, *, unit: str | None) -> Rows:
     """Return rows in m, a conversion noted; DataError if `unit` contradicts what the file says."""
     told, path = unit or rows.unit or "m", rows.place.path
-    if told not in METRES:
-        hint = f"must be one of {', '.join(METRES)}, got {told[:40]!r}"
+    scale = _metres_per(told)
+    if scale is None:
+        hint = f"must be one of {', '.join(METRES)}, ft, or metres a unit, got {told[:40]!r}"
         raise DataError(f"{path}: --unit {hint}")
     if rows.unit and told != rows.unit:
         raise DataError(f"{path}: --unit {told} contradicts the file's header: {rows.unit}")
@@ -82,7 +225,18 @@ def in_metres(rows: Rows, *, unit: str | None) -> Rows:
     by = "the header" if rows.unit else "--unit"
     detail = f"{path}: positions in {told}, as {by} says; converted to m"
     notes = (*rows.notes, Repair("unit", rows.t.size, detail))
-    return replace(rows, xy=rows.xy * METRES[told], unit="m", notes=notes)
+    return replace(rows, xy=rows.xy * scale, unit="m", notes=notes)
+
+
+def _metres_per(unit: str) -> float | None:
+    """Return the metres of a unit by its name, or of a number of metres; None if it is neither."""
+    if unit in {*METRES, "ft"}:
+        return LENGTHS[unit]
+    try:
+        scale = float(unit)
+    except ValueError:
+        return None
+    return scale if 1e-6 <= scale <= 1e6 else None  # noqa: PLR2004 - beyond is no length
 
 
 def framed(columns: Mapping[str, Floats], place: Place) -> Rows:
@@ -153,6 +307,7 @@ def check_text(*, data: bytes, path: str) -> None:
     for is_so, message in (
         (not data, "the file is empty"),
         (data.startswith(b"\x1f\x8b"), "the file is compressed (gzip); unpack it first"),
+        (data.startswith(b"PK\x03\x04"), _EXCEL),
         (data.startswith(b"PAR1"), "this is a parquet file; read it with --format parquet"),
         (data.startswith((b"\xff\xfe", b"\xfe\xff")), "the file is UTF-16 text; save it as UTF-8"),
         (b"\0" in data, f"the file is binary, not text (zero byte at {data.find(0)})"),

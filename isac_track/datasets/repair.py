@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from isac_track.datasets.recording import METRES, Repair, Rows, listed, steps_within
+from isac_track.datasets.recording import FOOT_M, METRES, Repair, Rows, listed, steps_within
 from isac_track.errors import DataError
-from isac_track.types import Bools, Ints, Tracks
+from isac_track.types import Bools, Floats, Ints, Tracks
 
 SAME_TIME_S = 1e-7  # Closer samples of an id are one: no rate is above 1 MHz, slopes overflow.
 LONGEST_STEP_S = 10.0  # With a longer usual step no walk is seen, and interpolation eats memory.
@@ -17,50 +17,70 @@ SPLIT_S = 2.0  # A gap over this and `SPLIT_STEPS` ends the track: to bridge it 
 SPLIT_STEPS = 3.0  # Slow recordings may have longer gaps: this many median steps.
 SPEED_LIMITS_MPS = (0.01, 5.0)  # Of the median of all steps that move; beyond them units are wrong.
 _WALKING_MPS = (0.2, 2.5)  # A median in another unit that lies here is proposed, never taken.
-FAST_STEP_MPS = 12.0  # Faster than a sprinter: a jump of the tracker, counted and kept.
+FAST_STEP_MPS = 12.0  # Faster than a sprinter: a jump of the tracker.
+JUMP_M = 1.0  # A shorter jump is the noise of quick samples: counted and kept.
+WALK_MPS = 4.0  # Nobody walks faster.
+REUSE_M = 2.0  # Who is further away behind a gap than a walk leads is somebody else.
+METRES_PER_DEGREE = 111_320.0  # Of latitude.
+NEAR_STEPS = 0.5  # A step of fewer usual steps of its id is the same sample twice,
+NEAR_M = 0.5  # unless it leads further than this.
+CLOCK_S = 1e-4  # Shorter steps are those of no sensor: they say nothing of the usual step.
+FROZEN_S = 2.0  # At exactly one place for so long: a box that is repeated.
+_ZIGZAG_M = 0.02  # Beside a walk at `WALK_MPS`.
+_LEAST_RUN = 3  # Rows between two falls of a clock; fewer are rows out of order.
 
 
 def to_tracks(
-    rows: Rows, groups: Iterable[tuple[str, str]] = ()
+    rows: Rows,
+    groups: Iterable[tuple[str, str]] = (),
+    *,
+    on_duplicate: str = "error",
+    drop_frozen_s: float | None = None,
 ) -> tuple[Tracks, tuple[Repair, ...]]:
     """Return the tracks of a recording and all that was mended or let pass on the way.
 
-    The tracks do not depend on the order of the rows. `groups` are (id, label) pairs beside
-    those of the file itself. It is a DataError if one person is at two places at one time, if no
-    track has two samples, or if steps or speeds show that units, frame rate or columns are wrong.
+    The tracks do not depend on the order of the rows, unless a clock falls back. `groups` are
+    (id, label) pairs beside those of the file itself. `on_duplicate`: what becomes of a person at
+    two places at one time. Who stands at exactly one place for `drop_frozen_s` ends a track. It is
+    a DataError if no track has two samples, or if steps or speeds show that units, frame rate or
+    columns are wrong.
     """
-    place, ids, members = rows.place, rows.ids, (*rows.groups, *groups)
+    place, members = rows.place, [*rows.groups, *groups]
     notes = [*rows.notes]
 
-    def taken(rows: Rows, which: Ints | Bools) -> Rows:
-        return replace(rows, person=rows.person[which], t=rows.t[which], xy=rows.xy[which])
-
     order = np.argsort(rows.person, kind="stable")
-    late = (np.diff(rows.t[order]) < 0) & (np.diff(rows.person[order]) == 0)
+    run, fallen = _clock_runs(rows, order)
+    text = "earlier than the row before of the same id, which walks on: the clock falls back; cut"
+    notes += place.noted("clock", order[1:][fallen], text)
+    late = (np.diff(rows.t[order]) < 0) & (np.diff(rows.person[order]) == 0) & ~fallen
     text = "earlier than the row before of the same id; sorted"
     notes += place.noted("unsorted", order[1:][late], text)
-    order = np.lexsort((rows.t, rows.person))  # stable
-    rows = taken(rows, order)
-    again = _copies(rows, order)
-    text = "the same id, time and position again; dropped"
-    notes += place.noted("duplicate", order[1:][again], text)
-    if again.any():
-        keep = np.concatenate([[True], ~again])
-        rows, order = taken(rows, keep), order[keep]
+    order, run = _sorted(rows, order, run)
+    rows = _taken(rows, order)
+    rows, order, run, more = _without_copies(rows, order, run, on_duplicate=on_duplicate)
+    notes += more
+    rows, order, run, more = _without_near(rows, order, run)
+    notes += more
 
-    cut, gaps = _cuts(rows, order)
-    notes += gaps
+    _check_speeds(rows)
+    rows, cut, more = _cuts(rows, order, run)
+    notes += more
+    ids = rows.ids
+    keep, cut, more = _frozen(rows, order, cut, drop_s=drop_frozen_s)
+    notes += more
+    if not keep.all():
+        rows, order = _taken(rows, keep), order[keep]
     lengths = np.diff(np.flatnonzero(np.concatenate([[True], cut, [True]])))
     single = np.repeat(lengths == 1, lengths)
     text = f"a single sample (id {listed([ids[index] for index in rows.person[single]])}); dropped"
     notes += place.noted("one-point", order[single], text)
     if single.any():
-        rows, order = taken(rows, ~single), order[~single]
+        rows, order = _taken(rows, ~single), order[~single]
     offsets = np.concatenate([[0], np.cumsum(lengths[lengths > 1])])
     t, owner = rows.t, rows.person[offsets[:-1]]
     if not t.size:
         raise DataError(f"{place.path}: no track has two samples")
-    notes += _check_speeds(rows, offsets, order)
+    notes += _fast_steps(rows, offsets, order)
     usual_s = float(np.median(np.diff(t)[steps_within(offsets)], overwrite_input=True))
     if usual_s > LONGEST_STEP_S:
         raise DataError(
@@ -113,61 +133,255 @@ def walking_groups(*, ids: tuple[str, ...], members: Iterable[tuple[str, str]]) 
     return tuple(prefix + root(label_of[name]) if name in label_of else name for name in ids)
 
 
-def _copies(rows: Rows, order: Ints) -> Bools:
-    """Return (M - 1,) which of the sorted rows say again what the one before them says."""
-    person, xy, place = rows.person, rows.xy, rows.place
-    again: Bools = (np.diff(rows.t) < SAME_TIME_S) & (person[1:] == person[:-1])
-    other = again & (xy[1:] != xy[:-1]).any(axis=1)
-    if other.any():
+def _taken(rows: Rows, which: Ints | Bools) -> Rows:
+    return replace(rows, person=rows.person[which], t=rows.t[which], xy=rows.xy[which])
+
+
+def _sorted(rows: Rows, order: Ints, run: Ints | None) -> tuple[Ints, Ints]:
+    """Return the rows by person, run of the clock and time, and the run of each."""
+    if run is None:
+        order = np.lexsort((rows.t, rows.person))  # stable
+        return order, np.zeros(order.size, dtype=np.int8)
+    inner = np.lexsort((rows.t[order], run, rows.person[order]))
+    return order[inner], run[inner]
+
+
+def _clock_runs(rows: Rows, order: Ints) -> tuple[Ints | None, Bools]:
+    """Return (M,) in which run of its clock a row is, None if no clock falls, and (M - 1,) where.
+
+    A clock falls back where the rows of an id go back in time, the walk goes on, and sorting by
+    time would make a zigzag of it that nobody walks. `order` sorts the rows by person.
+    """
+    t, person = rows.t[order], rows.person[order]
+    same = person[1:] == person[:-1]
+    back = same & (np.diff(t) < 0)
+    fallen = np.zeros_like(back)
+    if not back.any():
+        return None, fallen
+    xy = rows.xy[order]
+    begins = np.flatnonzero(np.concatenate([[True], back | ~same, [True]]))
+    usual_s = float(np.median(np.diff(t)[same & ~back])) if (same & ~back).any() else 0.0
+    for first, middle, last in zip(begins, begins[1:], begins[2:], strict=False):
+        is_long = min(middle - first, last - middle) >= _LEAST_RUN
+        if not (is_long and back[middle - 1]):
+            continue
+        stride_m = float(np.hypot(*(xy[middle] - xy[middle - 1])))
+        if stride_m > WALK_MPS * usual_s * GAP_STEPS + _ZIGZAG_M:
+            continue
+        both = np.argsort(t[first:last], kind="stable")
+        crossing = np.diff(both >= middle - first)
+        step_s = np.diff(t[first:last][both])[crossing]
+        step_m = np.hypot(*np.diff(xy[first:last][both], axis=0)[crossing].T)
+        fallen[middle - 1] = np.median(step_m - WALK_MPS * step_s) > _ZIGZAG_M
+    if not fallen.any():
+        return None, fallen
+    return np.concatenate([[0], np.cumsum(fallen)]), fallen
+
+
+def _without_copies(
+    rows: Rows, order: Ints, run: Ints, *, on_duplicate: str
+) -> tuple[Rows, Ints, Ints, list[Repair]]:
+    """Return sorted rows with each id once at a time, and what was dropped or averaged."""
+    again = _copies(rows, run)
+    if not again.any():
+        return rows, order, run, []
+    place, notes = rows.place, list[Repair]()
+    other = again & (rows.xy[1:] != rows.xy[:-1]).any(axis=1)
+    text = "the same id, time and position again; dropped"
+    notes += place.noted("duplicate", order[1:][again & ~other], text)
+    keep = np.concatenate([[True], ~again])
+    if other.any() and on_duplicate == "error":
         at = int(other.argmax())
         first, second = sorted((int(order[at]), int(order[at + 1])))
         raise DataError(
-            f"{place.at(second)}: id {rows.ids[person[at]]} is somewhere else at the same "
-            f"time in {place.unit} {int(place.lines()[first])}"
+            f"{place.at(second)}: id {rows.ids[rows.person[at]]} is somewhere else at the same "
+            f"time in {place.unit} {int(place.lines()[first])} ({int(other.sum())} such rows); "
+            "--on-duplicate first or mean takes the first or their mean"
         )
-    return again
+    how = "their mean stands" if on_duplicate == "mean" else "the first in the file stands"
+    text = f"the same id and time at another place; {how}"
+    notes += place.noted("same-time", order[1:][other], text)
+    if on_duplicate == "mean":
+        rows = _averaged(rows, keep, and_time=False)
+    return _taken(rows, keep), order[keep], run[keep], notes
 
 
-def _cuts(rows: Rows, order: Ints) -> tuple[Bools, list[Repair]]:
-    """Return (M - 1,) where a new track begins: at a new person, or behind a long gap."""
+def _averaged(rows: Rows, keep: Bools, *, and_time: bool) -> Rows:
+    """Return rows in which those that stay are the mean of themselves and those behind them."""
+    begins = np.flatnonzero(keep)
+    sizes = np.diff(np.append(begins, keep.size))
+    xy, t = rows.xy.copy(), rows.t.copy()
+    several = sizes > 1  # The others stay to the bit.
+    for column in (xy[:, 0], xy[:, 1], *([t] if and_time else [])):
+        base = column[begins]
+        excess = np.add.reduceat(column - np.repeat(base, sizes), begins)
+        column[begins[several]] = (base + excess / sizes)[several]
+    return replace(rows, xy=xy, t=t)
+
+
+def _without_near(rows: Rows, order: Ints, run: Ints) -> tuple[Rows, Ints, Ints, list[Repair]]:
+    """Return sorted rows with samples of an id that are much closer than usual made one."""
+    steps = np.diff(rows.t)
+    within = (rows.person[1:] == rows.person[:-1]) & (run[1:] == run[:-1])
+    usual_s = _usual_steps(rows, steps, within & (steps > CLOCK_S))
+    near = within & (steps < NEAR_STEPS * usual_s[rows.person[1:]])
+    near &= np.hypot(*np.diff(rows.xy, axis=0).T) <= NEAR_M
+    if not near.any():
+        return rows, order, run, []
+    # In a chain of them no sample is further from the first than half a step.
+    behind = np.flatnonzero(near) + 1
+    keep = np.ones(rows.t.size, dtype=bool)
+    anchor = -1
+    for row in behind.tolist():
+        if anchor < 0 or keep[row - 1]:
+            anchor = row - 1
+        keep[row] = rows.t[row] - rows.t[anchor] >= NEAR_STEPS * usual_s[rows.person[row]]
+    text = "less than half a usual step behind the row before of the same id; merged"
+    notes = rows.place.noted("near-duplicate", order[~keep], text)
+    rows = _averaged(rows, keep, and_time=True)
+    return _taken(rows, keep), order[keep], run[keep], notes
+
+
+def _usual_steps(rows: Rows, steps: Floats, which: Bools) -> Floats:
+    """Return (P,) s the median of some steps of each id; 0 where there are none."""
+    owner, length = rows.person[1:][which], steps[which]
+    inner = np.lexsort((length, owner))
+    counts = np.bincount(owner, minlength=len(rows.ids))
+    ends = np.cumsum(counts)
+    usual = np.zeros(len(rows.ids))
+    some = counts > 0
+    usual[some] = length[inner][(ends - counts + (counts - 1) // 2)[some]]
+    return usual
+
+
+def _copies(rows: Rows, run: Ints) -> Bools:
+    """Return (M - 1,) which of the sorted rows have the id and the time of the one before."""
+    person = rows.person
+    again: Bools = (np.diff(rows.t) < SAME_TIME_S) & (person[1:] == person[:-1])
+    same_run: Bools = run[1:] == run[:-1]
+    return np.asarray(again & same_run)
+
+
+def _cuts(rows: Rows, order: Ints, run: Ints) -> tuple[Rows, Bools, list[Repair]]:
+    """Return the rows, who came back as somebody else under a new id, and (M - 1,) the cuts.
+
+    A new track begins at a new person, behind a long gap or a jump, and where the clock fell back.
+    """
     steps = np.diff(rows.t)
     new = rows.person[1:] != rows.person[:-1]
-    if new.all():
-        return new, []
-    nominal = float(np.median(steps[~new], overwrite_input=True))
+    fell = ~new & (run[1:] != run[:-1])
+    if (new | fell).all():
+        return rows, new | fell, []
+    within = ~new & ~fell
+    nominal = float(np.median(steps[within], overwrite_input=True))
     longest_s = max(SPLIT_S, SPLIT_STEPS * nominal) if rows.split_s is None else rows.split_s
-    long = ~new & (steps > longest_s + SAME_TIME_S)
-    gap = ~new & (steps > GAP_STEPS * nominal) | long
+    long = within & (steps > longest_s + SAME_TIME_S)
+    gap = within & (steps > GAP_STEPS * nominal) | long
+    distance = np.hypot(*np.diff(rows.xy, axis=0).T)
+    reused = gap & (distance > np.maximum(WALK_MPS * steps, REUSE_M))
+    fast = within & ~reused & ~long & (distance > np.maximum(FAST_STEP_MPS * steps, JUMP_M))
     notes = []
     for where, kind, done in (
-        (gap & ~long, "gap", "kept, to be interpolated"),
-        (long, "split", "too long to interpolate; two tracks of one group"),
+        (gap & ~long & ~reused & ~fast, "gap", "kept, to be interpolated"),
+        (long & ~reused, "split", "too long to interpolate; two tracks of one group"),
     ):
         longest = steps[where].max(initial=0)
         text = f"behind a gap (longest {longest:.3g} s, usual step {nominal:.3g} s); {done}"
         notes += rows.place.noted(kind, order[1:][where], text)
-    return new | long, notes
+    text = f"over {FAST_STEP_MPS:g} m/s and {JUMP_M:g} m from the sample before; cut"
+    notes += rows.place.noted("jump", order[1:][fast], text)
+    text = (
+        f"behind a gap further away than {WALK_MPS:g} m/s lead; the id is taken for another person"
+    )
+    notes += rows.place.noted("id-reuse", order[1:][reused], text)
+    return _with_new_ids(rows, reused, new), new | fell | long | fast | reused, notes
 
 
-def _check_speeds(rows: Rows, offsets: Ints, order: Ints) -> list[Repair]:
+def _with_new_ids(rows: Rows, reused: Bools, new: Bools) -> Rows:
+    """Return rows in which an id that came back as somebody else is another person's."""
+    if not reused.any():
+        return rows
+    taken = {*rows.ids}
+    mark = "~"
+    while any(mark in name for name in taken):
+        mark += "~"
+    begins = np.concatenate([[True], new | reused])
+    numbers = np.cumsum(begins) - 1
+    owners = rows.person[begins]
+    # How many times its id was on somebody before.
+    first = np.concatenate([[True], owners[1:] != owners[:-1]])
+    nth = np.arange(owners.size) - np.maximum.accumulate(np.where(first, np.arange(owners.size), 0))
+    ids = tuple(
+        rows.ids[owner] + (f"{mark}{place + 1}" if place else "")
+        for owner, place in zip(owners.tolist(), nth.tolist(), strict=True)
+    )
+    return replace(rows, person=numbers, ids=ids)
+
+
+def _frozen(
+    rows: Rows, order: Ints, cut: Bools, *, drop_s: float | None
+) -> tuple[Bools, Bools, list[Repair]]:
+    """Return which rows stay (M,), the cuts between them, and a note of frozen stretches."""
+    still = ~cut & (rows.xy[1:] == rows.xy[:-1]).all(axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
+    first, last = edges[::2], edges[1::2]  # rows of a stretch, both ends included
+    least_s = FROZEN_S if drop_s is None else drop_s
+    long = rows.t[last] - rows.t[first] >= least_s - SAME_TIME_S
+    first, last = first[long], last[long]
+    keep = np.ones(rows.t.size, dtype=bool)
+    if not first.size:
+        return keep, cut, []
+    n_samples = int((last - first + 1).sum())
+    where = f"at exactly one place for {least_s:g} s or longer ({n_samples} of {keep.size} samples)"
+    if drop_s is None:
+        text = f"{where}; kept, --drop-frozen {least_s:g} drops it"
+        return keep, cut, rows.place.noted("frozen", order[first], text)
+    begins = np.concatenate([[True], cut])
+    for start, end in zip(first.tolist(), last.tolist(), strict=True):
+        keep[start + 1 : end] = False
+        begins[end] = True
+    note = rows.place.noted("frozen-dropped", order[first], f"{where}; dropped, the track is cut")
+    return keep, begins[keep][1:], note
+
+
+def _fast_steps(rows: Rows, offsets: Ints, order: Ints) -> list[Repair]:
+    """Return the note of steps that are fast, but too short for a jump."""
     within = steps_within(offsets)
-    distance = np.hypot(np.diff(rows.xy[:, 0]), np.diff(rows.xy[:, 1]))[within]
+    distance = np.hypot(*np.diff(rows.xy, axis=0)[within].T)
+    # Multiplied out: a step of a denormal time would overflow the quotient.
+    fast = distance > FAST_STEP_MPS * np.diff(rows.t)[within]
+    text = f"over {FAST_STEP_MPS:g} m/s from the sample before; kept"
+    return rows.place.noted("fast-step", order[1:][within][fast], text)
+
+
+def _check_speeds(rows: Rows) -> None:
+    """Raise DataError if the steps of sorted rows show that no unit, rate or column fits."""
+    within = (rows.person[1:] == rows.person[:-1]) & (np.diff(rows.t) > 0)
+    distance = np.hypot(*np.diff(rows.xy, axis=0)[within].T)
     duration = np.diff(rows.t)[within]
     moving = distance > 0
     if not moving.any():
-        return []
+        return
     low, high = SPEED_LIMITS_MPS
     speeds = distance[moving]
     with np.errstate(over="ignore"):
         speeds /= duration[moving]
     speed = float(np.median(speeds, overwrite_input=True))
     if not low <= speed <= high:
-        units = [] if rows.unit else [one for one in METRES if one != "m"]
+        units = {} if rows.unit else {**METRES, "ft": FOOT_M}
         hints = [
-            f" (--unit {one} makes it {speed * METRES[one]:.2g} m/s)"
-            for one in units
-            if _WALKING_MPS[0] <= speed * METRES[one] <= _WALKING_MPS[1]
+            f" (--unit {unit} makes it {speed * metres:.2g} m/s)"
+            for unit, metres in units.items()
+            if unit != "m" and _WALKING_MPS[0] <= speed * metres <= _WALKING_MPS[1]
         ]
+        on_earth = bool((np.abs(rows.xy) <= (180.0, 180.0)).all()) and not rows.unit
+        degrees_mps = speed * METRES_PER_DEGREE
+        if on_earth and _WALKING_MPS[0] / 4 <= degrees_mps <= _WALKING_MPS[1] * 2:
+            raise DataError(
+                f"{rows.place.path}: the median speed of moving people is {speed:.3g} m/s, as of "
+                "degrees of longitude and latitude; --crs degrees makes metres of x (longitude) "
+                "and y (latitude)"
+            )
         guess = (
             f"pixels or centimetres for metres{''.join(hints)}, a wrong --fps, or frame and id "
             "swapped"
@@ -178,7 +392,3 @@ def _check_speeds(rows: Rows, offsets: Ints, order: Ints) -> list[Repair]:
             f"{rows.place.path}: the median speed of moving people is {speed:.3g} m/s, not within "
             f"{low:g} to {high:g}: {guess}?"
         )
-    # Multiplied out: a step of a denormal time would overflow the quotient.
-    fast = distance > FAST_STEP_MPS * duration
-    text = f"over {FAST_STEP_MPS:g} m/s from the sample before; kept"
-    return rows.place.noted("fast-step", order[1:][within][fast], text)

@@ -9,6 +9,7 @@ from helpers.commands import assert_refused
 
 from evaluation import matrix
 from evaluation.experiment.axes import axes
+from evaluation.experiment.plan import asked_of_file
 from evaluation.experiment.presets import DISSOCIATION, PRESETS, PROTECTIONS
 from evaluation.experiment.settings import Settings
 from evaluation.runs.files import to_csv
@@ -210,3 +211,22 @@ def test_what_a_reader_must_know_is_a_notice(csv_recording, tmp_path, ran):
     assert doubts.startswith(told)
     told = (tmp_path / "run" / "tables.txt").read_text(encoding="utf-8")
     assert re.search(r"\d+ background agents found no place", told)
+
+
+def test_what_is_said_of_a_file_is_the_same_from_a_config_and_in_the_identity(tmp_path):
+    (tmp_path / "c.toml").write_text(
+        f"""dataset = {str(tmp_path / "f.csv")!r}
+columns = "t=time[ms],x=px[cm]"
+on_duplicate = "mean"
+crs = "degrees"
+drop_frozen = 3
+"""
+    )
+    typed = settings_of(
+        *("--dataset", tmp_path / "f.csv", "--columns", "t=time[ms],x=px[cm]"),
+        *("--on-duplicate", "mean", "--crs", "degrees", "--drop-frozen", 3),
+    )
+    assert settings_of("--config", tmp_path / "c.toml") == typed
+    expected = {"columns": "t=time[ms],x=px[cm]", "on_duplicate": "mean", "crs": "degrees"}
+    assert asked_of_file(typed) == {**expected, "drop_frozen": 3.0}
+    assert asked_of_file(settings_of()) == {}

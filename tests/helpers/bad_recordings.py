@@ -1,6 +1,5 @@
 """Files that no reader can read, by format: their content and what is said of them."""
 
-import pyarrow as pa
 from helpers.recordings import CORPUS, SECONDS, packed
 
 GAN = b"0 1 0.0 0.0\n10 1 0.4 0.0\n"
@@ -83,7 +82,10 @@ BAD = {
     "csv": [
         (b"t,id,x,y\n", "f: the file holds no rows"),
         (b"t,person,x,y\n", "f, line 1: no column id"),
-        (b"T,id,x,y\n", "did you mean 'T'? Rename it"),
+        (b"time,id,x,y\n", "f, line 1: no column t (needed"),
+        (b"T,t,id,ID,x,y\n0,0,0,0,0,0\n", "f: no track has two samples"),
+        (b"T,id,x,X,Y\n", "f: the file holds no rows"),
+        (b"T,Id,iD,x,y\n", "f, line 1: two columns are called id"),
         (b"t,id,x,x,y\n", "f, line 1: two columns are called x"),
         (b"t;id;x;y\n", "f, line 1: semicolons between the columns"),
         (CSV + b"0,8,1,0,8,0\n", "f, line 4: 6 column(s) where the header has 4"),
@@ -114,7 +116,7 @@ BAD = {
         (table(y=None), "f: no column y"),
         (table(x=[0.0, None]), "f, row 2: x is nan"),
         (table(x=["0", "1"]), "f: column x holds string, not numbers of metres"),
-        (table(t=pa.array([0, 1], pa.timestamp("ms"))), "t holds timestamp[ms], not numbers of s"),
+        (table(t=["0.0", "0.4"]), "column t holds string, not numbers of seconds"),
         (table(id=[1, None]), "f, row 2: the id is missing"),
         (table(id=[[1], [1]]), "f: ids and groups must be numbers or text, not list"),
         (table(t=[0.4, 0.4]), "f, row 2: id 1 is somewhere else at the same time in row 1"),

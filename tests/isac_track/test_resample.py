@@ -3,17 +3,18 @@
 import numpy as np
 import pytest
 from helpers.recordings import tracks_of
-from scipy.interpolate import BSpline, make_interp_spline
+from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 
 from isac_track.config import ResampleSettings
-from isac_track.resample import resample, sampling_times, walk
+from isac_track.resample import SPEED_LIMIT_MPS, resample, sampling_times, walk
 from isac_track.rng import stream
+from isac_track.types import Tracks
 
 
 def some_tracks(*durations_s):
     rng = stream(0, "test", "resample")
     sizes = [int(duration_s / 0.4 + 1e-9) + 1 for duration_s in durations_s]
-    return tracks_of(*(rng.standard_normal((size, 2)).cumsum(axis=0) for size in sizes))
+    return tracks_of(*(0.1 * rng.standard_normal((size, 2)).cumsum(axis=0) for size in sizes))
 
 
 def test_the_walk_is_the_not_a_knot_cubic_of_another_implementation():
@@ -22,6 +23,51 @@ def test_the_walk_is_the_not_a_knot_cubic_of_another_implementation():
     other = make_interp_spline(track.t, track.xy, k=3)  # a B-spline basis, banded solve
     assert isinstance(other, BSpline)
     assert np.allclose(walk(track)(at), other(at), atol=1e-9)
+
+
+@pytest.mark.parametrize("max_overshoot_m", [0.05, 0.2])
+def test_no_piece_leaves_the_chord_or_runs_and_the_others_are_the_spline(max_overshoot_m):
+    rng = stream(0, "test", "overshoot")
+    t = np.cumsum(rng.choice([1e-6, 0.4, 1.3], size=200))
+    xy = np.cumsum(rng.normal(0.0, 0.2, (200, 2)), axis=0)
+    whole = Tracks(t=t, xy=xy, offsets=np.array([0, 200]), source=("a",), group=("a",))
+    curve, spline = walk(whole, max_overshoot_m=max_overshoot_m), CubicSpline(t, xy)
+    n_replaced = 0
+    for row in range(199):
+        share = np.arange(1, 16) / 16
+        at = t[row] + share * (t[row + 1] - t[row])
+        line = xy[row] + share[:, None] * (xy[row + 1] - xy[row])
+        chord = LineString([xy[row], xy[row + 1]])
+        assert max(chord.distance(point) for point in curve(at)) <= max_overshoot_m + 1e-7
+        n_replaced += not np.array_equal(curve(at), spline(at))
+        assert np.allclose(curve(t[row : row + 2]), xy[row : row + 2], atol=1e-9)
+        if chord.speed(t[row + 1] - t[row]) > SPEED_LIMIT_MPS:
+            assert np.allclose(curve(at), line, atol=1e-7)
+    assert n_replaced == curve.n_monotone + curve.n_linear > 50
+    assert curve.n_monotone > 0 < curve.n_linear
+
+
+class LineString:
+    """Distance from a segment, by search along it."""
+
+    def __init__(self, ends):
+        self.start, self.end = np.array(ends)
+
+    def distance(self, point):
+        share = np.linspace(0, 1, 2001)[:, None]
+        on_line = self.start + share * (self.end - self.start)
+        return np.hypot(*(on_line - point).T).min()
+
+    def speed(self, step_s):
+        return np.hypot(*(self.end - self.start)) / step_s
+
+
+def test_a_steady_walk_is_the_spline_to_the_bit():
+    (track,) = some_tracks(30.0)
+    at = np.linspace(track.t[0], track.t[-1], 501)
+    curve = walk(track)
+    assert curve.n_monotone + curve.n_linear == 0
+    assert np.array_equal(curve(at), CubicSpline(track.t, track.xy)(at))
 
 
 @pytest.mark.parametrize("n", [2, 3])

@@ -15,7 +15,7 @@ from helpers.finished_runs import (
 )
 from helpers.summaries import BAD, GOOD, RAW, table
 
-from evaluation.reporting.announcements import condensed, geometry, notices
+from evaluation.reporting.announcements import condensed, data_notices, geometry, notices
 from evaluation.reporting.first_screen import first_screen
 from evaluation.reporting.progress import Clock
 from evaluation.reporting.recommendation import recommended_levels
@@ -76,6 +76,18 @@ def test_what_simulates_says_so_first_and_doubts_are_counted():
     assert "linkage cells invalid (duration gives away)" in text
     assert "7 tracks frozen, split left out, 1 notice." in text
     assert [*notices(run.manifest)] == ["rerelease: 7 of 9 tracks are nearly frozen"]
+
+
+def test_units_in_doubt_are_a_doubt_and_what_was_mended_a_notice():
+    run = make_run()
+    doubt = {"kind": "doubt", "count": 1, "detail": "f: units may be wrong: likely feet?"}
+    bent = {"kind": "overshoot", "count": 1234, "detail": "pieces"}
+    run.manifest["dataset"]["repairs"] = [doubt, bent]
+    text = " ".join(" ".join(first_screen(run)).split())
+    assert "units of the recording may be wrong" in text.partition("Doubts: ")[2]
+    first, second = data_notices(run.manifest["dataset"])
+    assert first == doubt["detail"]
+    assert "1,234 pieces of walks made straight where a spline overshoots" in second
 
 
 @pytest.mark.parametrize("name", ["students03-paper-0", "a-recording-with-a-long-name-paper-0"])

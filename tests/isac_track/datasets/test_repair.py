@@ -34,8 +34,8 @@ A, B = walk(0, 1), walk(0, 1, person="b")
          "f: lines 4, 5, 6, 7, 8 and 4 more: a single sample"),
         (walk(0, 1, 2, 6, 7, 8), {"gap": 1},
          "f: line 5: behind a gap (longest 1.6 s, usual step 0.4 s); kept"),
-        ([(step, "a", x) for step, x in enumerate((0, 0.4, 0.8, 9, 9.4))], {"fast-step": 1},
-         "f: line 5: over 12 m/s from the sample before; kept"),
+        ([(step, "a", x) for step, x in enumerate((0, 0.4, 0.8, 9, 9.4))], {"jump": 1},
+         "f: line 5: over 12 m/s and 1 m from the sample before; cut"),
         ([*walk(0, 1, 2, 3, 9, 10, 20, 30, 31), *B], {"split": 3, "one-point": 1},
          "f: lines 6, 8, 9: behind a gap (longest 4 s, usual step 0.4 s); too long"),
         # People who never move, and rows by time or by person, are nothing to repair.

@@ -1,0 +1,238 @@
+"""Readers of other tools: JuPedSim, the Pedestrian Data Archive, Vadere, MOT, SDD, Viswalk.
+
+Each by its name alone, never by the number of its columns. SQLite, HDF5 and pandas do the parsing.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import sqlite3
+from contextlib import closing
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from isac_track.datasets import recording
+from isac_track.datasets.recording import Place, Rows
+from isac_track.errors import DataError, told
+from isac_track.types import Floats
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import pandas as pd
+
+_MOT = ("frame", "id", "left", "top", "width", "height")  # Further columns are not used.
+_SDD = ("id", "xmin", "ymin", "xmax", "ymax", "frame", "lost", "occluded", "generated", "label")
+
+
+def _rate(fps: float | None, declared: float | None, *, path: str, name: str) -> float:
+    """Return the frame rate that the user or the file gives; DataError if none or both differ."""
+    if fps is not None and declared is not None and not np.isclose(fps, declared, rtol=1e-6):
+        raise DataError(f"{path}: --fps {fps:g} contradicts the file's frame rate {declared:g}")
+    rate = declared if fps is None else fps
+    if rate is None:
+        raise DataError(
+            f"{path}: format {name} counts frames, and the file has no frame rate; "
+            "give frames per second with --fps"
+        )
+    return recording.checked_fps(rate, where=path)
+
+
+def _framed(columns: Mapping[str, Floats], place: Place, *, fps: float) -> Rows:
+    """Return rows of columns frame, id, x and y, on a clock in seconds."""
+    if not columns["frame"].size:
+        raise DataError(f"{place.path}: the file holds no rows")
+    rows = recording.framed({name: columns[name] for name in ("frame", "id", "x", "y")}, place)
+    return replace(rows, t=rows.t / fps)
+
+
+def _timed(t: Floats, person: Floats, xy: Floats, place: Place) -> Rows:
+    """Return rows whose clock is in seconds."""
+    if not t.size:
+        raise DataError(f"{place.path}: the file holds no rows")
+    columns = {"t": t, "id": person, "x": xy[:, 0], "y": xy[:, 1]}
+    recording.check_numbers(columns, place)
+    ids = np.unique(person)
+    names = tuple(str(int(name)) for name in ids)
+    return Rows(np.searchsorted(ids, person), names, t - t.min(), xy, place)
+
+
+def _numbered(path: str, n_rows: int, unit: str = "row") -> Place:
+    return Place(path, lambda: np.arange(1, n_rows + 1), unit=unit)
+
+
+def read_jupedsim(*, data: bytes, path: str, fps: float | None) -> Rows:
+    """Read the SQLite file of JuPedSim: trajectory_data and, in metadata, fps. Metres."""
+    if not data.startswith(b"SQLite format 3\0"):
+        raise DataError(f"{path}: not an SQLite file, as JuPedSim writes")
+    try:
+        with closing(sqlite3.connect(":memory:")) as base:
+            base.deserialize(data)
+            asked = "SELECT frame, id, pos_x, pos_y FROM trajectory_data"
+            table = np.array(base.execute(asked).fetchall(), dtype=np.float64).reshape(-1, 4)
+            declared = base.execute("SELECT value FROM metadata WHERE key = 'fps'").fetchone()
+    except (sqlite3.Error, ValueError, TypeError, OverflowError, MemoryError) as error:
+        raise DataError(f"{path}: cannot be read as JuPedSim's SQLite ({told(error)})") from None
+    rate = None if declared is None else recording.checked_fps(str(declared[0]), where=path)
+    columns = dict(zip(("frame", "id", "x", "y"), table.T, strict=True))
+    rows = _framed(
+        columns, _numbered(path, len(table)), fps=_rate(fps, rate, path=path, name="jupedsim")
+    )
+    return replace(rows, unit="m")
+
+
+def read_hdf5(*, data: bytes, path: str, fps: float | None) -> Rows:
+    """Read the HDF5 file of the Pedestrian Data Archive: `trajectory` and its attribute fps."""
+    try:
+        import h5py  # type: ignore[import-untyped,unused-ignore]  # noqa: PLC0415 - optional
+    except ImportError:
+        raise DataError(f"{path}: HDF5 takes h5py: pip install h5py") from None
+    try:
+        with h5py.File(io.BytesIO(data), "r") as file:
+            table = file["trajectory"][...]
+            attributes = {**file.attrs, **file["trajectory"].attrs}
+            names = ("frame", "id", "x", "y")
+            columns = {name: np.asarray(table[name], dtype=np.float64) for name in names}
+            declared = attributes.get("fps")
+            rate = None if declared is None else float(np.ravel(declared)[0])
+    except Exception as error:  # noqa: BLE001 - a damaged file makes h5py raise nearly anything
+        raise DataError(f"{path}: cannot be read as HDF5 trajectories ({told(error)})") from None
+    rows = _framed(
+        columns, _numbered(path, len(table)), fps=_rate(fps, rate, path=path, name="hdf5")
+    )
+    return replace(rows, unit="m")
+
+
+def _table(data: bytes, *, path: str, name: str, skip: int = 0, **how: object) -> pd.DataFrame:
+    """Return the fields of a text file as text; DataError if it is no table."""
+    import pandas as pd  # noqa: PLC0415 - only for such a file
+
+    try:
+        return pd.read_csv(io.BytesIO(data), dtype=str, skiprows=skip, skipinitialspace=True, **how)  # type: ignore[call-overload, no-any-return]
+    except (ValueError, UnicodeError, MemoryError, OverflowError, csv.Error) as error:
+        raise DataError(f"{path}: cannot be read as {name} ({told(error)})") from None
+
+
+def _number_columns(
+    table: pd.DataFrame, names: Mapping[str, str], place: Place
+) -> dict[str, Floats]:
+    """Return columns of text as numbers, under our names; DataError names the row of a bad one."""
+    import pandas as pd  # noqa: PLC0415 - only for such a file
+
+    columns = {}
+    for ours, theirs in names.items():
+        numbers = pd.to_numeric(table[theirs], errors="coerce").to_numpy(dtype=np.float64)
+        bad = np.isnan(numbers)
+        if bad.any():
+            row = int(bad.argmax())
+            text = recording.printable(str(table[theirs].iloc[row])[:40])
+            raise DataError(f"{place.at(row)}: {ours} {text!r} is not a number")
+        columns[ours] = numbers
+    return columns
+
+
+def read_vadere(*, data: bytes, path: str) -> Rows:
+    """Read Vadere's trajectories: pedestrianId, simTime and startX, startY. Metres and seconds.
+
+    A row is a step of the foot; its start is where the person is at its time.
+    """
+    recording.check_text(data=data, path=path)
+    is_csv = b"," in data.partition(b"\n")[0]
+    table = _table(data, path=path, name="vadere", sep="," if is_csv else r"\s+", comment="#")
+    found = {str(name).partition("-PID")[0].lower(): str(name) for name in table.columns}
+    wanted = {"id": "pedestrianid", "t": "simtime", "x": "startx", "y": "starty"}
+    if "startx" not in found:
+        wanted |= {"x": "x", "y": "y"}
+    if missing := [name for name in wanted.values() if name not in found]:
+        raise DataError(f"{path}: no column {', '.join(missing)}, as Vadere's trajectories have")
+    place = _numbered(path, len(table))
+    columns = _number_columns(table, {ours: found[name] for ours, name in wanted.items()}, place)
+    xy = np.column_stack([columns["x"], columns["y"]])
+    return replace(_timed(columns["t"], columns["id"], xy, place), unit="m")
+
+
+def read_mot(*, data: bytes, path: str, fps: float | None) -> Rows:
+    """Read MOTChallenge boxes: frame, id, left, top, width, height; the foot is where one stands.
+
+    Pixels, unless ``--unit`` says how many metres a pixel is.
+    """
+    recording.check_text(data=data, path=path)
+    table = _table(data, path=path, name="mot", header=None, comment="#")
+    if table.shape[1] < len(_MOT):
+        raise DataError(f"{path}: {table.shape[1]} column(s) where mot has {', '.join(_MOT)}, ...")
+    table = table.iloc[:, : len(_MOT)].set_axis(_MOT, axis=1)
+    place = _numbered(path, len(table))
+    columns = _number_columns(table, {name: name for name in _MOT}, place)
+    columns["x"] = columns["left"] + columns["width"] / 2.0
+    columns["y"] = columns["top"] + columns["height"]
+    return _framed(columns, place, fps=_rate(fps, None, path=path, name="mot"))
+
+
+def read_sdd(*, data: bytes, path: str, fps: float | None) -> Rows:
+    """Read annotations of the Stanford Drone Dataset; boxes that are lost are left out.
+
+    The middle of the box; pixels, unless ``--unit`` says how many metres a pixel is.
+    """
+    recording.check_text(data=data, path=path)
+    table = _table(data, path=path, name="sdd", header=None, sep=r"\s+", quotechar='"')
+    if table.shape[1] != len(_SDD):
+        raise DataError(f"{path}: {table.shape[1]} column(s) where sdd has {len(_SDD)}: {_SDD}")
+    table = table.set_axis(_SDD, axis=1)
+    place = _numbered(path, len(table))
+    columns = _number_columns(table, {name: name for name in _SDD[:7]}, place)
+    there, notes = (
+        columns["lost"] == 0,
+        place.noted(
+            "lost", np.flatnonzero(columns["lost"] != 0), "the box is marked as lost; dropped"
+        ),
+    )
+    others = table["label"].to_numpy() != "Pedestrian"
+    text = "no pedestrian; dropped"
+    notes += place.noted("other-label", np.flatnonzero(there & others), text)
+    there &= ~others
+    line = np.flatnonzero(there) + 1
+    columns = {
+        "frame": columns["frame"][there],
+        "id": columns["id"][there],
+        "x": (columns["xmin"] + columns["xmax"])[there] / 2.0,
+        "y": (columns["ymin"] + columns["ymax"])[there] / 2.0,
+    }
+    place = Place(path, lambda: line, unit="row")
+    rows = _framed(columns, place, fps=_rate(fps, None, path=path, name="sdd"))
+    return replace(rows, notes=tuple(notes))
+
+
+def read_viswalk(*, data: bytes, path: str) -> Rows:
+    """Read Viswalk's pedestrian protocol (.fzp): SIMSEC, NO, COORDCENTX and COORDCENTY.
+
+    Or COORDCENT, which holds both. Seconds and metres.
+    """
+    recording.check_text(data=data, path=path)
+    lines = [line.strip() for line in recording.lines_of(data)]
+    begins = next((n for n, line in enumerate(lines) if line.upper().startswith("$PED")), None)
+    if begins is None:
+        raise DataError(f"{path}: no line $PEDESTRIAN:..., which names the columns of Viswalk")
+    names = [name.strip().upper() for name in lines[begins].partition(":")[2].split(";")]
+    body = [line for line in lines[begins + 1 :] if line and not line.startswith(("*", "$"))]
+    text = "\n".join(body).encode()
+    if not body:
+        raise DataError(f"{path}: the file holds no rows")
+    table = _table(text, path=path, name="viswalk", header=None, sep=";")
+    if table.shape[1] < len(names):
+        raise DataError(f"{path}: {table.shape[1]} column(s) where the header has {len(names)}")
+    table = table.iloc[:, : len(names)].set_axis(names, axis=1)
+    if "COORDCENT" in names:
+        parts = table["COORDCENT"].str.split(expand=True)
+        if parts.shape[1] < 2:  # noqa: PLR2004 - x and y
+            raise DataError(f"{path}: COORDCENT holds no x and y")
+        table["COORDCENTX"], table["COORDCENTY"] = parts[0], parts[1]
+    wanted = {"t": "SIMSEC", "id": "NO", "x": "COORDCENTX", "y": "COORDCENTY"}
+    if missing := [name for name in wanted.values() if name not in table.columns]:
+        raise DataError(f"{path}: no column {', '.join(missing)}, which Viswalk can write")
+    place = _numbered(path, len(table))
+    columns = _number_columns(table, wanted, place)
+    xy = np.column_stack([columns["x"], columns["y"]])
+    return replace(_timed(columns["t"], columns["id"], xy, place), unit="m")

@@ -1,0 +1,391 @@
+"""Files as people have them: each oddity is mended and counted, named, or refused in one line."""
+
+import contextlib
+import io
+import os
+import sqlite3
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pytest
+from helpers.recordings import kinds, packed, read_walk
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from isac_track.datasets import TOOLS, load, read
+from isac_track.datasets.recording import Reading, columns_named
+from isac_track.errors import DataError
+
+N = 100
+T = np.arange(N) / 10.0
+X, Y = 1.2 * T, 0.5 * np.sin(T)
+
+
+def table(t=T, x=X, y=Y, ids="0", names="t,id,x,y", second=""):
+    """A csv of one walker or of several ids."""
+    ids = [ids] * len(t) if isinstance(ids, str) else ids
+    rows = [f"{a},{i},{b!s},{c!s}" for a, i, b, c in zip(t, ids, x, y, strict=True)]
+    return ("\n".join([names, *filter(None, [second]), *rows]) + "\n").encode()
+
+
+def loaded(data, tmp_path, name="f.csv", **options):
+    path = tmp_path / name
+    path.write_bytes(data)
+    return load(path, **options)
+
+
+def micro():
+    t, x = np.repeat(T, 2), np.repeat(X, 2)
+    t[1::2] += 1e-6
+    x[1::2] += 0.02
+    return table(t, x, np.repeat(Y, 2))
+
+
+def clock_back(by_s):
+    t = T.copy()
+    t[50:] -= by_s
+    return table(t)
+
+
+def reused(gap_s, away_m):
+    t, y = T.copy(), Y.copy()
+    t[50:] += gap_s
+    y[50:] += away_m
+    return table(t, y=y)
+
+
+def still(first, last):
+    x, y = X.copy(), Y.copy()
+    for values in (x, y):  # and walks on from there
+        values[last:] -= values[last - 1] - values[first]
+        values[first:last] = values[first]
+    return table(x=x, y=y)
+
+
+@pytest.mark.parametrize(
+    ("data", "expected", "n_tracks", "n_clusters"),
+    [
+        (table(), {}, 1, 1),
+        (micro(), {"near-duplicate": N}, 1, 1),
+        (clock_back(3.0), {"clock": 1}, 2, 1),
+        (clock_back(3.03), {"clock": 1}, 2, 1),
+        (clock_back(1.05), {"clock": 1}, 2, 1),
+        (reused(1.0, 8.0), {"id-reuse": 1}, 2, 2),
+        (reused(0.5, 5.0), {"id-reuse": 1}, 2, 2),
+        (reused(1.0, 0.5), {"gap": 1}, 1, 1),
+        (reused(0.0, 3.0), {"jump": 1}, 2, 1),
+        (still(20, 60), {"frozen": 1}, 1, 1),
+        (still(20, 30), {}, 1, 1),
+    ],
+)
+def test_the_truth_is_cut_not_invented(data, expected, n_tracks, n_clusters):
+    tracks, repairs = read_walk(data, "csv")
+    assert kinds(repairs) == expected
+    assert (len(tracks), len(set(tracks.group))) == (n_tracks, n_clusters)
+    assert all((np.diff(track.t) > 0).all() for track in tracks)
+    steps = [np.hypot(*np.diff(track.xy, axis=0).T) / np.diff(track.t) for track in tracks]
+    assert np.concatenate(steps).max() < 4.0
+
+
+def test_rows_in_any_order_are_sorted_and_no_clock_is_blamed():
+    order = np.random.default_rng(0).permutation(N)
+    for some in (order, np.arange(N)[::-1], np.roll(np.arange(N), 40)):
+        tracks, repairs = read_walk(table(T[some], X[some], Y[some]), "csv")
+        assert len(tracks) == 1
+        assert kinds(repairs).keys() == {"unsorted"}
+        assert np.allclose(tracks.xy[:, 0], X)
+
+
+def test_frozen_stretches_are_dropped_on_request(tmp_path):
+    found = loaded(still(20, 61), tmp_path, drop_frozen=3.0)
+    assert kinds(found.repairs) == {"frozen-dropped": 1}
+    assert found.tracks.source == ("0#1", "0#2")
+    assert np.allclose(found.tracks.t, np.concatenate([T[:21], T[60:]]))
+
+
+@pytest.mark.parametrize(("how", "x"), [("first", X), ("mean", X + 0.05)])
+def test_two_places_at_one_time(tmp_path, how, x):
+    both = np.column_stack([X, X + 0.1]).ravel()
+    data = table(np.repeat(T, 2), both, np.repeat(Y, 2))
+    with pytest.raises(DataError, match=rf"{N} such rows\); --on-duplicate first or mean"):
+        loaded(data, tmp_path)
+    found = loaded(data, tmp_path, on_duplicate=how)
+    assert kinds(found.repairs) == {"same-time": N}
+    assert np.allclose(found.tracks.xy[:, 0], x)
+
+
+def test_what_are_not_copies_stays_to_the_bit_when_others_are_averaged():
+    t, x = np.append(T, T[-1]), np.append(X, X[-1] + 0.1)
+    data = table(t, x, np.append(Y, Y[-1]))
+    averaged, _ = read(data=data, path="f", format="csv", reading=Reading(on_duplicate="mean"))
+    plain, _ = read_walk(table(), "csv")
+    assert np.array_equal(averaged.xy[:-1], plain.xy[:-1])
+
+
+START = datetime(2026, 1, 1, 11, tzinfo=UTC)
+ISO = [(START + timedelta(seconds=float(t))).isoformat(timespec="milliseconds") for t in T]
+
+
+@pytest.mark.parametrize(
+    ("data", "options"),
+    [
+        (table(ISO), {}),
+        (table([text.replace("+00:00", "Z") for text in ISO]), {}),
+        (table([text.replace("T", " ").replace("+00:00", "") for text in ISO]), {}),
+        (table([1_700_000_000_000 + round(1000 * t) for t in T]), {"columns": "t=t[ms]"}),
+        (table([1.7e9 + t for t in T]), {}),
+        (table(names="T,ID,X,Y"), {}),
+        (table(x=100 * X, y=100 * Y, second="s,,cm,cm"), {}),
+        (table(t=1000 * T, second="[ms],[-],[m],[m]"), {}),
+        (table(names="time,ped_id,pos_x,pos_y"),
+         {"columns": "t=time,id=ped_id,x=pos_x,y=pos_y"}),
+        (table(1000 * T, 100 * X, 100 * Y, names="time,who,px,py"),
+         {"columns": {"t": "TIME[ms]", "id": "who", "x": "px[cm]", "y": "py[cm]"}}),
+        (table(x=X / 0.3048, y=Y / 0.3048), {"unit": "ft"}),
+        (table(x=X / 0.025, y=Y / 0.025), {"unit": "0.025"}),
+    ],
+)  # fmt: skip
+def test_a_file_is_read_as_its_writer_meant_it(tmp_path, data, options):
+    found = loaded(data, tmp_path, **options)
+    assert np.allclose(found.tracks.t, T, atol=2e-6)
+    assert np.allclose(found.tracks.xy, np.column_stack([X, Y]), atol=1e-9)
+    assert "doubt" not in kinds(found.repairs)
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
+@pytest.mark.parametrize("zone", [None, "Europe/Berlin"])
+def test_time_stamps_of_parquet(tmp_path, unit, zone):
+    per_s = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[unit]
+    t = np.arange(10)
+    stamps = pa.array((1_700_000_000 + t) * per_s, pa.int64()).cast(pa.timestamp(unit, zone))
+    data = packed(t=stamps, id=["a"] * 10, x=1.0 * t, y=0.0 * t)
+    assert np.array_equal(loaded(data, tmp_path, "f.parquet").tracks.t, t)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (table([1_700_000_000_000 + round(1000 * t) for t in T]), r"ms since 1970\? --columns"),
+        (table([1_700_000_000 * 10**9 + round(1e9 * t) for t in T]), "ns since 1970"),
+        (table([float(np.float32(1.7e9 + 128 * t)) for t in T]), "float32"),
+        (table(x=7 + X / 111e3, y=51 + Y / 111e3), "--crs degrees"),
+        (table([*ISO[:-1], "2026-13-01T00:00:00+00:00"]), "time data|Time data|cannot be read"),
+        (table([*ISO[:-1], ISO[-1].replace("+00:00", "")]), "some times have a zone"),
+        (table([*ISO[:-1], "noon"]), "line 101: t 'noon' is no date"),
+        (table(names="a,b,c,d"), r"it has a, b, c, d: --columns t=NAME"),
+        (b"PK\x03\x04rest", "Excel workbook"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_meant_is_named_with_the_way_out(tmp_path, data, message):
+    with pytest.raises(DataError, match=message) as caught:
+        loaded(data, tmp_path)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "way"), [("f.xlsx", "read_excel"), ("f.json", "read_json"), ("f.geojson", "geopandas")]
+)
+def test_files_that_are_no_table_say_how_they_become_one(tmp_path, name, way):
+    with pytest.raises(DataError, match=way):
+        loaded(b"[{}]", tmp_path, name)
+
+
+@pytest.mark.parametrize(
+    ("data", "cause"),
+    [
+        (table(x=X / 0.3048, y=Y / 0.3048), "feet"),
+        (table(t=np.arange(N) * 2.5), "frame numbers"),
+        (table(x=X / 15, y=Y / 15), "frame numbers"),
+        (table(t=T * 20, x=X * 20, y=Y), "a sample every 2 s"),
+    ],
+)
+def test_units_in_doubt_name_their_likely_cause(tmp_path, data, cause):
+    (doubt,) = [one for one in loaded(data, tmp_path).repairs if one.kind == "doubt"]
+    assert cause in doubt.detail
+
+
+def test_degrees_become_local_metres(tmp_path):
+    north, east = 111_257.0, 70_197.0  # metres a degree at 51 N, of WGS 84
+    data = table(x=7 + X / east, y=51 + Y / north)
+    found = loaded(data, tmp_path, crs="degrees")
+    assert kinds(found.repairs) == {"crs": N}
+    xy = found.tracks.xy - found.tracks.xy[0]
+    assert np.allclose(xy, np.column_stack([X, Y]) - [X[0], Y[0]], atol=0.01)
+    with pytest.raises(DataError, match="not degrees"):
+        loaded(table(x=X + 500), tmp_path, crs="degrees")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"columns": "time"}, "--columns takes t=NAME"),
+        ({"columns": "when=t"}, "--columns names t, id"),
+        ({"columns": "t=t[days]"}, "unknown unit 'days'"),
+        ({"columns": "t=t,t=u"}, "names t twice"),
+        ({"on_duplicate": "last"}, "--on-duplicate must be one of"),
+        ({"crs": "utm"}, "--crs must be degrees"),
+        ({"drop_frozen": 0.0}, "--drop-frozen takes seconds above 0"),
+        ({"drop_frozen": float("nan")}, "--drop-frozen takes seconds above 0"),
+    ],
+)
+def test_options_that_mean_nothing(tmp_path, options, message):
+    with pytest.raises(DataError, match=message):
+        loaded(table(), tmp_path, **options)
+
+
+def test_a_frame_is_a_recording_and_its_content_its_hash():
+    frame = pd.DataFrame({"t": T, "id": "0", "x": X, "y": Y})
+    found = load(frame)
+    assert (found.name, found.path, found.format) == ("DataFrame",) * 3
+    assert np.array_equal(found.tracks.xy, np.column_stack([X, Y]))
+    assert load(frame.rename(columns=str.upper)).sha256 == found.sha256
+    assert load(frame.assign(x=2 * X)).sha256 != found.sha256
+    assert load(Polars(frame)).sha256 == found.sha256
+    with pytest.raises(DataError, match="not list"):
+        load([1, 2])
+    with pytest.raises(DataError, match="no column y"):
+        load(frame.drop(columns="y"))
+
+
+class Polars:
+    """What a frame of another library offers."""
+
+    def __init__(self, frame):
+        self.to_pandas = lambda: frame
+
+
+HEAD = "# id frame x y z\n0 0 0 0 170\n0 1 0.1 0 170\n0 2 0.2 0 170\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "last_s"),
+    [
+        ("framerate: 12.5", 0.16), ("framerate: 25/2", 0.16), ("framerate of camera 2: 12.5", 0.16),
+        ("framerate: 12,5", "'12,5' is not a number; write a decimal point"),
+        ("framerate: 12 , 5", "is not a number"), ("framerate: 1,000", "decimal point"),
+        ("framerate: 30000/1001", 2 * 1001 / 30000), ("frame rate = 16 1/s", 0.125),
+        ("framerate: 12.5\n# z: body height in cm", 0.16),
+    ],
+)  # fmt: skip
+def test_headers_say_the_rate_they_say_or_are_refused(line, last_s):
+    data = f"# {line}\n{HEAD}".encode()
+    if isinstance(last_s, str):
+        with pytest.raises(DataError, match=last_s):
+            read_walk(data, "pedpy", None)
+        return
+    tracks, _ = read_walk(data, "pedpy", None)
+    assert tracks.t[-1] == pytest.approx(last_s)
+    assert tracks.xy[-1, 0] == 0.2
+
+
+def jupedsim(tmp_path):
+    with sqlite3.connect(tmp_path / "j.sqlite") as base:
+        base.execute("CREATE TABLE metadata(key TEXT, value TEXT)")
+        base.execute("INSERT INTO metadata VALUES ('fps', '10.0')")
+        base.execute("CREATE TABLE trajectory_data(frame INT, id INT, pos_x REAL, pos_y REAL)")
+        rows = [(n, 1, X[n], Y[n]) for n in range(N)]
+        base.executemany("INSERT INTO trajectory_data VALUES (?, ?, ?, ?)", rows)
+    base.close()
+    return (tmp_path / "j.sqlite").read_bytes()
+
+
+def lines(head, row):
+    rows = [row.format(n=n, t=T[n], x=X[n], y=Y[n], **boxes(n)) for n in range(N)]
+    return ("\n".join([*head, *rows]) + "\n").encode()
+
+
+def boxes(n):
+    """A box around a person, in pixels of 2.5 cm."""
+    x, y = X[n] / 0.025, Y[n] / 0.025
+    return {"left": x - 5, "right": x + 5, "up": y - 20, "foot": y, "low": y + 20}
+
+
+VISWALK = ["$VISION", "* about", "$PEDESTRIAN:SIMSEC;NO;COORDCENTX;COORDCENTY"]
+VADERE = ["pedestrianId simTime endTime startX-PID1 startY-PID1 endX-PID1 endY-PID1"]
+SDD = '1 {left} {up} {right} {low} {n} 0 0 0 "Pedestrian"'
+LOST = '1 0 0 10 10 500 1 0 0 "Pedestrian"\n2 0 0 9 9 5 0 0 0 "Biker"\n'
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "options", "expected"),
+    [
+        ("jupedsim", jupedsim, {}, {}),
+        ("viswalk", lines(VISWALK, "{t};1;{x};{y}"), {}, {}),
+        ("viswalk", lines(["$PEDESTRIAN:NO;SIMSEC;COORDCENT"], "1;{t};{x} {y} 0"), {}, {}),
+        ("vadere", lines(VADERE, "1 {t} 0 {x} {y} 0 0"), {}, {}),
+        ("mot", lines([], "{n},1,{left},{up},10,20,1,-1,-1,-1"), {"fps": 10, "unit": "0.025"},
+         {"unit": N}),
+        ("sdd", lines([], SDD) + LOST.encode(), {"fps": 10, "unit": "0.025"},
+         {"unit": N, "lost": 1, "other-label": 1}),
+    ],
+)  # fmt: skip
+def test_formats_of_the_neighbours(tmp_path, name, data, options, expected):
+    data = data(tmp_path) if callable(data) else data
+    found = loaded(data, tmp_path, "f.xyz", format=name, **options)
+    assert np.allclose(found.tracks.t, T)
+    assert np.allclose(found.tracks.xy, np.column_stack([X, Y]))
+    assert kinds(found.repairs) == expected
+
+
+@pytest.mark.parametrize("fps", [10.0, None])
+def test_hdf5_of_the_archive(tmp_path, fps):
+    h5py = pytest.importorskip("h5py")
+    fields = [("id", int), ("frame", int), ("x", float), ("y", float), ("z", float)]
+    rows = np.array([(1, n, X[n], Y[n], 1.7) for n in range(N)], dtype=fields)
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w") as file:
+        file["trajectory"] = rows
+        file["trajectory"].attrs["fps"] = 10.0
+    found = loaded(buffer.getvalue(), tmp_path, "f.h5", format="hdf5", fps=fps)
+    assert np.allclose(found.tracks.xy, np.column_stack([X, Y]))
+
+
+@pytest.mark.parametrize("name", ["jupedsim", "hdf5", "vadere", "mot", "sdd", "viswalk"])
+@pytest.mark.parametrize("data", [b"", b"\0\1\2", b"a b c\n1 2 3\n", b'"', b"$PED:\n1;2\n"])
+def test_no_neighbour_lets_another_error_out(name, data):
+    with pytest.raises(DataError):
+        read(data=data, path="f", format=name, fps=None if name in {"vadere", "viswalk"} else 10)
+
+
+@settings(derandomize=True, max_examples=40, deadline=timedelta(seconds=5))
+@given(name=st.sampled_from([*TOOLS]), data=st.binary(max_size=60) | st.text(max_size=60))
+def test_any_bytes_are_tracks_or_refused_in_one_line(name, data):
+    data = data.encode() if isinstance(data, str) else data
+    with contextlib.suppress(DataError):
+        read(data=data, path="f", format=name, fps=None if name in {"vadere", "viswalk"} else 10)
+
+
+def test_columns_may_hold_brackets_that_are_no_unit():
+    assert columns_named("id=who[1]")["id"].name == "who[1]"
+
+
+ODD = Path(os.environ.get("ISAC_TRACK_DATA", "nowhere")) / "odd"
+
+
+@pytest.mark.skipif(not ODD.is_dir(), reason="needs odd: set ISAC_TRACK_DATA")
+@pytest.mark.parametrize(
+    ("name", "options", "expected"),
+    [
+        ("base.csv", {}, {}),
+        ("microstep.csv", {}, {"near-duplicate": 120}),
+        ("clockback.csv", {}, {"clock": 1}),
+        ("idreuse.csv", {}, {"id-reuse": 1}),
+        ("twosensors.csv", {"on_duplicate": "mean"}, {"same-time": 6000}),
+        ("iso.csv", {}, {}),
+        ("epoch_ms.csv", {"columns": "t=t[ms]"}, {}),
+        ("latlon.csv", {"crs": "degrees", "columns": "x=y,y=x"}, {"crs": 6000}),
+        ("latlon.csv", {"crs": "degrees"}, {"crs": 6000, "doubt": 1}),
+        ("feet.csv", {}, {"doubt": 1}),
+        ("feet.csv", {"unit": "ft"}, {"unit": 6000}),
+        ("frames_as_seconds.csv", {}, {"doubt": 1}),
+        ("names.csv", {"columns": "t=time,id=ped_id,x=pos_x,y=pos_y"}, {}),
+        ("upper.csv", {}, {}),
+        ("fps_fraction.txt", {}, {"header": 1}),
+        ("height_in_cm.txt", {}, {"header": 1}),
+    ],
+)
+def test_the_odd_files(name, options, expected):
+    assert kinds(load(ODD / name, **options).repairs) == expected
