@@ -87,7 +87,7 @@ def read_jupedsim(*, data: bytes, path: str, fps: float | None) -> Rows:
 def read_hdf5(*, data: bytes, path: str, fps: float | None) -> Rows:
     """Read the HDF5 file of the Pedestrian Data Archive: `trajectory` and its attribute fps."""
     try:
-        import h5py  # type: ignore[import-untyped,unused-ignore]  # noqa: PLC0415 - optional
+        import h5py  # noqa: PLC0415 - optional
     except ImportError:
         raise DataError(f"{path}: HDF5 takes h5py: pip install h5py") from None
     try:
