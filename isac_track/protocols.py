@@ -111,7 +111,8 @@ class LinkageAttack(Adversary, Protocol):
     """An adversary who tells which releases of two sessions are of one person.
 
     A class attribute ``kind = "linkage"`` tells it from a reconstruction attack (`kind_of`);
-    ``one_stretch = True`` that it links the same steps, and nothing where a task has none.
+    ``one_stretch = True`` that it links the same steps, and nothing where a task has none;
+    ``across_gap = True`` that it bridges a silence within one walk.
     What it scores may be a whole search, or with `linkage.candidates=K` one probe and K candidates:
     the score of a pair should not depend on who else is there.
     """

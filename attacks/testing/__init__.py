@@ -60,7 +60,9 @@ def _rows(subject: Hashable) -> list[Row]:
     world, _ = _WORLDS[_kind(subject)]
     rows = []
     for granted, adversary in _granted(subject).items():
-        row = Row(subject, adversary, granted, granted, *world.ordinary_and_another(granted))
+        same_steps = bool(getattr(subject, "one_stretch", False))
+        cases = world.ordinary_and_another(granted, same_steps=same_steps)
+        row = Row(subject, adversary, granted, granted, *cases)
         try:
             row.raw(copied(row.ordinary))
         except AssertionError:

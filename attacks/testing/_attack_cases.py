@@ -111,7 +111,9 @@ class ReconstructionCase(made.Case):
         )
 
     @staticmethod
-    def ordinary_and_another(_granted: object) -> tuple[ReconstructionCase, ReconstructionCase]:
+    def ordinary_and_another(
+        _granted: object, **_shown: bool
+    ) -> tuple[ReconstructionCase, ReconstructionCase]:
         """Return a small case as most are, and one with another release of the same walks."""
         sizes = tuple(20 + 4 * row for row in range(8))
         case = made_up("ordinary", about="8 walks, noise of 0.3 m", sizes=sizes)
@@ -200,7 +202,8 @@ class LinkageCase(made.Case):
     """P probes, G gallery tracks, and everything that an adversary may know besides.
 
     Where the scene is hidden, every walk comes in a frame and on a clock of its own, in two
-    recordings. Where it is shown, all is in one, and the gallery goes on after `GAP_S` of silence.
+    recordings. Where it is shown, all is in one, and the gallery goes on after `GAP_S` of silence,
+    or, for a linker of one stretch of a walk, shows the same steps at other instants.
     """
 
     asked: ClassVar[tuple[str, ...]] = ("probe", "gallery")
@@ -220,11 +223,17 @@ class LinkageCase(made.Case):
     mechanism: Fixed
     train: LinkageTrainingSet
     scene: bool  # Whether the true frame and clock are shown.
+    same_steps: bool = False  # Whether the gallery then shows the same steps as the probes.
 
     @property
     def everything(self) -> frozenset[Knowledge]:  # type: ignore[override]  # a class variable elsewhere
         """All that there is to grant: the repeats of a walk would be linked already."""
         return frozenset(Knowledge) - OF_WALKS - ({Knowledge.SCENE} if not self.scene else set())
+
+    @property
+    def shown(self) -> dict[str, bool]:
+        """How other people are to be shown alike."""
+        return {"scene": self.scene, "same_steps": self.same_steps}
 
     def fault(self, result: object) -> str:
         if isinstance(result, np.ndarray) and result.dtype.kind == "f":
@@ -277,12 +286,14 @@ class LinkageCase(made.Case):
         return changed, lambda scores: scores
 
     @staticmethod
-    def ordinary_and_another(granted: frozenset[Knowledge]) -> tuple[LinkageCase, LinkageCase]:
+    def ordinary_and_another(
+        granted: frozenset[Knowledge], *, same_steps: bool = False
+    ) -> tuple[LinkageCase, LinkageCase]:
         """Return a small case as most are, with P < G, and one of others under its pseudonyms."""
-        sizes = PEOPLE[:7], PEOPLE[:9], OTHERS
-        about, scene = "P = 7, G = 9, noise of 0.3 m", Knowledge.SCENE in granted
-        case = people_made_up("ordinary", about=about, sizes=sizes, scene=scene)
-        other = people_made_up("another", about=f"{about}, of others", sizes=sizes, scene=scene)
+        sizes, about = (PEOPLE[:7], PEOPLE[:9], OTHERS), "P = 7, G = 9, noise of 0.3 m"
+        shown: dict[str, bool] = {"scene": Knowledge.SCENE in granted, "same_steps": same_steps}
+        case = people_made_up("ordinary", about=about, sizes=sizes, **shown)
+        other = people_made_up("another", about=f"{about}, of others", sizes=sizes, **shown)
         probe = replace(other.probe, pseudonym=case.probe.pseudonym)
         gallery = replace(other.gallery, pseudonym=case.gallery.pseudonym)
         return case, replace(other, probe=probe, gallery=gallery, train=case.train)
@@ -290,11 +301,11 @@ class LinkageCase(made.Case):
     def noisy(self, sigma_m: float, law: ErrorLaw) -> LinkageCase:
         """Return the same 24 people against each other, with the same errors times `sigma_m`."""
         about = f"{N_TRACKS} people, {law} noise of {sigma_m:g} m"
-        return people_made_up("noisy", about=about, sigma_m=sigma_m, law=law, scene=self.scene)
+        return people_made_up("noisy", about=about, sigma_m=sigma_m, law=law, **self.shown)
 
     def null(self) -> LinkageCase:
         """Return probes of people who are not in the gallery, with mates drawn one by one."""
-        strangers = people_made_up("strangers", about="", sigma_m=RAW_SIGMA_M, scene=self.scene)
+        strangers = people_made_up("strangers", about="", sigma_m=RAW_SIGMA_M, **self.shown)
         return replace(
             self.noisy(RAW_SIGMA_M, "radial"),
             about=f"{N_TRACKS} probes of people who are not among the {N_TRACKS} of the gallery",
@@ -307,10 +318,10 @@ class LinkageCase(made.Case):
         for sizes in ODD:
             probes, candidates, _ = (", ".join(map(str, of_side)) for of_side in sizes)
             about = f"probes of {probes} samples against {candidates}"
-            yield people_made_up("short", about=about, sizes=sizes, scene=self.scene)
-        more = {"scene": self.scene, "steps_s": made.IRREGULAR_S}
-        sizes = ((60,) * 6, (60,) * 8, (60,) * 12)
-        yield people_made_up("irregular", about="steps from 1 ms to 30 s", sizes=sizes, **more)
+            yield people_made_up("short", about=about, sizes=sizes, **self.shown)
+        sizes, about = ((60,) * 6, (60,) * 8, (60,) * 12), "steps from 1 ms to 30 s"
+        steps_s = made.IRREGULAR_S
+        yield people_made_up("irregular", about=about, sizes=sizes, steps_s=steps_s, **self.shown)
 
 
 @cache
@@ -321,6 +332,7 @@ def people_made_up(
     sizes: tuple[tuple[int, ...], ...] = (PEOPLE, PEOPLE, OTHERS),
     sigma_m: float = 0.3,
     scene: bool,
+    same_steps: bool = False,
     law: ErrorLaw = "radial",
     steps_s: tuple[float, float] = made.STEADY_S,
 ) -> LinkageCase:
@@ -335,7 +347,8 @@ def people_made_up(
         walks = []
         for row, size in enumerate(sizes):
             elapsed = made.instants(draws(*name, row), size, steps_s)
-            t = GAP_S + elapsed if scene and name[-1] == "gallery" else elapsed - elapsed[-1]
+            is_later = scene and not same_steps and name[-1] == "gallery"
+            t = GAP_S + elapsed if is_later else elapsed - elapsed[-1]
             walks.append((t, who[row](t)))
         # One motion for all that is in one frame, or one for every walk.
         rng = draws(*(name[:-1] if scene else name), "frames")
@@ -363,4 +376,5 @@ def people_made_up(
         mechanism=mechanism,
         train=pair("others", sizes[2], sizes[2]),
         scene=scene,
+        same_steps=same_steps,
     )

@@ -97,7 +97,9 @@ class MechanismCase(made.Case):
         return changed, follow
 
     @staticmethod
-    def ordinary_and_another(_granted: object) -> tuple[MechanismCase, MechanismCase]:
+    def ordinary_and_another(
+        _granted: object, **_shown: bool
+    ) -> tuple[MechanismCase, MechanismCase]:
         """Return 24 walks as most are, and the one of these that is the longest."""
         sizes = tuple(60 + 6 * row for row in range(24))
         return _sensed(sizes, made.STEADY_S), _sensed(sizes[-1:], made.STEADY_S)
@@ -208,7 +210,9 @@ class PredictorCase(made.Case):
         return np.column_stack([one.reshape(len(self.release), -1) for one in found])
 
     @staticmethod
-    def ordinary_and_another(_granted: object) -> tuple[PredictorCase, PredictorCase]:
+    def ordinary_and_another(
+        _granted: object, **_shown: bool
+    ) -> tuple[PredictorCase, PredictorCase]:
         """Return 8 walks and 16 times as most are, and one time alone."""
         case = _asked(tuple(20 + 4 * row for row in range(8)), made.STEADY_S)
         return case, replace(case, t_future=case.t_future[:, -1:])

@@ -254,7 +254,7 @@ def _linked(
                 is_it = linkability["consumer"] == source.consumer
                 sizes = linkability.loc[is_it, "gallery_mean"].dropna().to_list() or sizes
             measure, is_joint = source.measure(SUCCESS), rule_of(found, source) == ASSIGNED
-            one = Shown(_FOUND, head, measure, chance, float(np.mean(sizes)), is_joint)
+            one = Shown(_FOUND, head, measure, chance, float(np.mean(sizes)), is_joint=is_joint)
         columns.append(one)
     return columns
 

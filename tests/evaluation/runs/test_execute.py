@@ -80,10 +80,12 @@ def same(a, b):
     )
 
 
-# min_duration_s chooses tracks, and a decision by probability needs a covariance: both have tests
-# of their own. What is linked passes through no scene: tests/attacks/tasks/test_build.py.
+# min_duration_s chooses tracks, a decision by probability needs a covariance, and no spline of
+# these tracks overshoots: all three have tests of their own. What is linked passes through no
+# scene: tests/attacks/tasks/test_build.py.
 ELSEWHERE = (
     "resample.min_duration_s",
+    "resample.max_overshoot_m",
     "conflict.decision",
     "conflict.probability_threshold",
     "attacks.repeats",
@@ -218,7 +220,7 @@ class TestAnotherRunInTheSameFolder:
     def test_with_a_mechanism_more_computes_only_its_cells(self, finished, drawn):
         kept = stamps(finished.out)
         after = run(finished, mechanisms=(*finished.mechanisms, "fixed:0.3", "clean")).summary
-        assert len(after) == len(drawn.summary) + 2 * 10
+        assert len(after) == len(drawn.summary) + 2 * 11
         common = after.merge(drawn.summary, on=list(drawn.summary.columns))
         assert len(common) == len(drawn.summary)
         assert_kept(kept)
@@ -430,4 +432,4 @@ def test_intervals_cluster_by_group(settings, tmp_path, csv_recording):
     # Of either group somebody is in a conflict, but not in one that is still to come.
     every = results.summary[~results.summary["metric"].isin(["missed_future_rate"])]
     assert set(every["n"]) == {2}
-    assert len(summary.estimates(settings.out, results.manifest)[0]) == 3 * 10
+    assert len(summary.estimates(settings.out, results.manifest)[0]) == 3 * 11
