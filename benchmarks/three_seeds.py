@@ -111,7 +111,8 @@ def pooled(runs: Sequence[Run], where: Where, number: int) -> tuple[Estimate, li
         return None
     sums = []
     for run, column in zip(runs, columns, strict=True):
-        entry = run.entry(where, column)
+        # A matching names mates for all probes at once: the runs' own intervals tell of it.
+        entry = None if column.is_joint else run.entry(where, column)
         sums.append(read_sums(run.out, entry, column.measure.metric) if entry else None)
     counted = [run_sums for run_sums in sums if run_sums is not None]
     is_share = METRICS[columns[0].measure.metric].is_share
