@@ -21,6 +21,7 @@ from evaluation.analysis import weak_attacks
 from evaluation.analysis.families import families_in
 from evaluation.analysis.keys import INFORMED, Source, keys_of, worlds_of
 from evaluation.analysis.metrics import RECONSTRUCTION, SUCCESS, SUCCESS_OF_100, UTILITY
+from evaluation.analysis.strongest_table import ONE_RELEASE
 from evaluation.reporting import answer_tables as answers
 from evaluation.reporting import result_tables as measured
 from evaluation.reporting import terminal
@@ -157,8 +158,9 @@ def _linkage(summary: pd.DataFrame) -> Table:
     return built("linkage", "Rank 1 (%) of every linker; 95 % intervals", records.values(), columns)
 
 
+_FIRST: Final = "headline"  # The first table of a run, in a block.
+_STRONGEST: Final = "-strongest"  # Of the name of a file: the numbers of the strongest attacks.
 DOCS: Final[dict[str, Callable[[pd.DataFrame], Table]]] = {  # By the name in a block.
-    "headline": lambda summary: headline_table(headline(summary)),
     "sweep": lambda summary: measured.sweep_tables(summary)[0],
     "exposure": measured.exposure_table,
     "attacks": measured.attack_table,
@@ -192,7 +194,10 @@ def write_docs(run: Results, *, root: Path) -> list[Path]:
     results.mkdir(parents=True, exist_ok=True)
     path = results / f"{run.dataset}-{settings['preset']}-{settings['seed']}.csv"
     write_whole(path, to_csv(published(run)))
-    written = [path]
+    strongest = path.with_stem(path.stem + _STRONGEST)
+    is_usual = run.attacked["adversary"] == ONE_RELEASE
+    write_whole(strongest, to_csv(run.attacked[is_usual]))
+    written = [path, strongest]
     for page in (root / "README.md", *sorted((root / "docs").glob("*.md"))):
         text = page.read_text(encoding="utf-8")
         if (new := filled(text, results=results)) != text:
@@ -207,11 +212,13 @@ def filled(text: str, *, results: Path) -> str:
     def block(found: re.Match[str]) -> str:
         start, name, run, end = found.groups()
         path = results / f"{run}.csv"
-        if name not in DOCS or not path.is_file():
-            raise DataError(f"no table {name!r} of {path}; known: {', '.join(DOCS)}")
+        if name not in (_FIRST, *DOCS) or not path.is_file():
+            known = ", ".join((_FIRST, *DOCS))
+            raise DataError(f"no table {name!r} of {path}; known: {known}")
         rows = pd.read_csv(path, keep_default_na=True)
-        if name != "headline":  # it alone shows more than one error law
-            rows = rows[worlds_of(rows) == ""]
-        return f"{start}{markdown(DOCS[name](rows))}{end}"
+        if name == _FIRST:  # it alone shows more than one error law, and strongest attacks
+            attacked = pd.read_csv(path.with_stem(path.stem + _STRONGEST))
+            return f"{start}{markdown(headline_table(headline(rows, attacked=attacked)))}{end}"
+        return f"{start}{markdown(DOCS[name](rows[worlds_of(rows) == '']))}{end}"
 
     return _BLOCK.sub(block, text)
