@@ -170,7 +170,7 @@ def projected(rows: Rows) -> Rows:
     x, y = rows.xy.T
     if (np.abs(x) > 180).any() or (np.abs(y) > 90).any():  # noqa: PLR2004 - of the Earth
         swapped = (np.abs(x) <= 90).all() and (np.abs(y) <= 180).all()  # noqa: PLR2004 - as above
-        hint = "; x is longitude, y latitude: swap them with --columns" if swapped else ""
+        hint = "; x is longitude, y latitude: swap them: --columns x=y,y=x" if swapped else ""
         raise DataError(f"{path}: --crs degrees: not degrees, within 180 (x) and 90 (y){hint}")
     if np.ptp(rows.xy, axis=0).max() > 1:
         raise DataError(f"{path}: --crs degrees: positions span over a degree; not of one place")
