@@ -293,7 +293,8 @@ HEAD = "# id frame x y z\n0 0 0 0 170\n0 1 0.1 0 170\n0 2 0.2 0 170\n"
         ("framerate: 12 , 5", "is not a single number"), ("framerate: 1,000", "decimal point"),
         ("framerate: 30000/1001", 2 * 1001 / 30000), ("frame rate = 16 1/s", 0.125),
         ("framerate: 12.5\n# z: body height in cm", 0.16), ("framerate: 25-30", "'25-30' is not a"),
-        ("fps: 25\u201330", "is not a single"), ("fps: 25 to 30", "'25 to 30' is not a"), ("framerate: 25 - 30 fps", "is not a single"),
+        ("fps: 25\u201330", "is not a single"),
+        ("fps: 25 to 30", "'25 to 30' is not a"), ("framerate: 25 - 30 fps", "is not a single"),
         ("framerate: 25 1/s of 2 cameras", 0.08), ("framerate: 25/0", "not a frame rate above 0"),
     ],
 )  # fmt: skip
