@@ -27,6 +27,8 @@ _LIMITS: Final = {
     errno.ENOMEM: "there is not enough memory",
 }
 """What the system says when it has no more to give."""
+_NO_PLACE: Final = "failed to map segment"  # Of a library that finds no place in memory.
+_NOT_LOADED: Final = f"{_LIMITS[errno.ENOMEM]} to load what a run takes"
 _asked = threading.Event()
 
 
@@ -80,9 +82,9 @@ def _limits_told() -> Iterator[None]:
         fault = f"{_LIMITS[errno.ENOMEM]}; ask for less at once (fewer --jobs or --scenes)"
         raise IsacTrackError(fault) from None
     except ImportError as error:
-        if "failed to map segment" not in str(error):  # a library that finds no place
+        if _NO_PLACE not in str(error):
             raise
-        raise IsacTrackError(f"{_LIMITS[errno.ENOMEM]} to load what a run takes") from None
+        raise IsacTrackError(_NOT_LOADED) from None
     except RecursionError:
         depth = sys.getrecursionlimit()
         fault = f"calls go deeper than this Python allows (sys.setrecursionlimit: {depth})"
@@ -92,6 +94,8 @@ def _limits_told() -> Iterator[None]:
             raise
         raise IsacTrackError(f"{_LIMITS[errno.EAGAIN]}; use fewer --jobs") from None
     except OSError as error:
+        if _NO_PLACE in f"{error} {error.__context__}":  # of llvmlite, which hides it in its own
+            raise IsacTrackError(_NOT_LOADED) from None
         if error.errno not in _LIMITS:
             raise
         raise IsacTrackError(f"{_LIMITS[error.errno]}; use fewer --jobs") from None

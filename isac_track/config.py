@@ -101,8 +101,8 @@ class SceneSettings(_Stage):
 
     agents: int = _number(4, 1, 100)  # paper: pedestrians per scene
     history_ratio: float = _number(0.7, 0, 1, is_open=True)  # paper: history's share of a track
-    robot_x_m: float = _number(0.7, -1e6, 1e6)  # reading: centre of the robot's start square
-    robot_y_m: float = _number(0.65, -1e6, 1e6)  # reading: centre of the robot's start square
+    robot_x_m: float = _number(0.7, -1e8, 1e8)  # reading: centre of the robot's start square
+    robot_y_m: float = _number(0.65, -1e8, 1e8)  # reading: centre of the robot's start square
     robot_spread_m: float = _number(4.0, 0, 1e4)  # reading: half side of the start square
     near_miss_max_m: float = _number(1.4, 1e-3, 1e4)  # reading: a near miss passes within this
     ring_min_m: float = _number(2.0, 0, 1e4)  # reading: the others stand at least so far from it
@@ -118,8 +118,8 @@ class SensingSettings(_Stage):
     place: Literal["centred", "file"] = "centred"
     """reading: where a recording stands; `centred`: the median of its people where the robots
     start (`isac_track.place`); `file`: as its own coordinates say"""
-    bs_x_m: float = _number(5.0, -1e6, 1e6)  # paper: base station
-    bs_y_m: float = _number(30.0, -1e6, 1e6)  # paper: base station
+    bs_x_m: float = _number(5.0, -1e8, 1e8)  # paper: base station
+    bs_y_m: float = _number(30.0, -1e8, 1e8)  # paper: base station
     carrier_ghz: float = _number(3.5, 1e-3, 1e4)  # paper
     bandwidth_mhz: float = _number(100.0, 1e-3, 1e6)  # paper: of sensing, taken as a flat spectrum
     n_paths: int = _number(4, 1, 1000)  # paper: multipath number N_p

@@ -10,6 +10,7 @@ import dataclasses
 import hashlib
 import importlib
 import math
+import re
 import secrets
 import sys
 import types
@@ -19,7 +20,7 @@ from dataclasses import dataclass
 from functools import cache, partial
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any, Literal, TypeAlias, Union
 
 from isac_track.command_line import may_be_ctrl_c
@@ -63,6 +64,9 @@ _MECHANISMS = ("isac_track.sharing", "isac_track.sharing_controls", "isac_track.
 _METHOD: dict[Kind, str] = {"attacks": "fit", "mechanisms": "share", "predictors": "predict"}
 _MOST_LEVELS = 1000
 _WHOLE_LIMIT = 10**12  # Names show 12 digits.
+_PATH = re.compile(r"([A-Za-z]:(?=[\\/]|[^:,=]*\.py\b)|[\\/]|\.[\\/]|[^:,=]*\\)[^:]*")
+"""A path at the beginning of a SPEC: ./x.py, /x.py, C:\\x.py, a\\x.py; x and C:0.5 are none."""
+_CLASS_NAME = re.compile(r"([A-Z]\w*)(?::|$)")  # Behind a path; a value begins otherwise.
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,20 +244,43 @@ def _split(kind: Kind, spec: str) -> tuple[str, list[tuple[str, str]]]:
 
 
 def _from_path(kind: Kind, spec: str) -> str:
-    """Return a SPEC with ./, a Python file or its folder, as `package.module:Class[...]`.
+    """Return a SPEC with a path to a Python file or its folder, as `package.module:Class[...]`.
 
-    A folder of `attacks new` needs no ./ where nothing else has its name.
+    A folder of `attacks new` needs no ./ where nothing else has its name. A path may be of
+    Windows; behind it stands a class, unless that is called like the file.
     """
-    path, colon, rest = spec.partition(":")
-    is_free = path.isidentifier() and path not in names(kind) and find_spec(path) is not None
-    if not path.startswith("./") and not (is_free and any(Path().glob(f"{path}/{path}.py"))):
-        return spec
-    parts = PurePosixPath(path.removesuffix(".py")).parts
+    match = _PATH.match(spec)
+    path = match[0] if match else spec.partition(":")[0]
+    _, colon, rest = spec[len(path) :].partition(":")
+    if not match:
+        is_free = path.isidentifier() and path not in names(kind) and find_spec(path) is not None
+        if not (is_free and any(Path().glob(f"{path}/{path}.py"))):
+            return spec
+    parts = parts_below(path.removesuffix(".py"), folder=str(Path.cwd()))
+    if parts is None:
+        file = path.replace("\\", "/").rpartition("/")[2].rpartition(":")[2]
+        raise SettingsError(
+            f"{quoted(spec)}: a file is named from the folder that a run starts in, which holds "
+            f"it: go there and write {quoted(f'./{file}{colon}{rest}')}"
+        )
     if not parts or not all(part.isidentifier() for part in parts):
         raise SettingsError(f"{quoted(spec)}: ./ is followed by a Python file, or its folder")
     class_name = "".join(part.capitalize() for part in parts[-1].split("_"))
+    if named := _CLASS_NAME.match(rest):
+        class_name = named[1]
+        _, colon, rest = rest.partition(":")
     module = ".".join(parts if path.endswith(".py") else (*parts, parts[-1]))
     return f"{module}:{class_name}{colon}{rest}"
+
+
+def parts_below(path: str, *, folder: str) -> tuple[str, ...] | None:
+    """Return the parts of a path from a folder, POSIX or Windows; None if it is not below it."""
+    is_windows = "\\" in path or path[1:2] == ":"
+    pure = PureWindowsPath(path) if is_windows else PurePosixPath(path)
+    if not pure.anchor:
+        return pure.parts
+    base = type(pure)(folder)
+    return pure.relative_to(base).parts if pure.is_relative_to(base) else None
 
 
 def _load(kind: Kind, name: str) -> tuple[type, str]:

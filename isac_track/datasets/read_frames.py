@@ -36,7 +36,8 @@ _CALLED = {
 _FRAME_RATE = re.compile(r"frame\s*rate|\bfps(?=\s*[:=])", re.IGNORECASE)
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
 _RATE = re.compile(
-    rf"({_NUMBER})(?:\s*/\s*({_NUMBER}))?(?![\d.,/]|\s*,\s*\d|[^#]*/\s*\d)", re.IGNORECASE
+    rf"({_NUMBER})(?:\s*/\s*({_NUMBER}))?(?![\d.,/]|\s*(,|-|\u2013|to\b|or\b)\s*\d|[^#]*/\s*\d)",
+    re.IGNORECASE,
 )
 _BEGINS = re.compile(r"[-+.]?\d[^\s;)\]]*")
 _LENGTH = re.compile(r"\b[xy]\s*[/\[(]\s*(?:in\s+)?([a-z]+)|\bin\s+([cm]?m)\b")
@@ -159,9 +160,9 @@ def _declared_rate(text: str, *, where: str) -> float | None:
         return None
     rate = _RATE.match(bare.rstrip(". "))
     if rate is None:
-        written = begins[0][:40]
+        written = bare[:40] if re.match(r"[\d.]+ *(-|\u2013|to|or)", bare) else begins[0][:40]
         hint = "; write a decimal point" if "," in written else ""
-        raise DataError(f"{where}: the framerate {written!r} is not a number{hint}")
+        raise DataError(f"{where}: the framerate {written!r} is not a single number{hint}")
     fps = recording.checked_fps(rate[1], where=where)
     if rate[2]:
         fps = recording.checked_fps(fps / recording.checked_fps(rate[2], where=where), where=where)

@@ -342,13 +342,16 @@ def _dates(column: pa.ChunkedArray, *, place: recording.Place) -> Floats:
     # A second of 60 is a leap second, or rounded.
     leaps = np.array([bool(_SIXTY.search(text)) for text in texts])
     texts = [_SIXTY.sub(":59", text) for text in texts]
+    written = [text.strip().replace(",", ".") for text in texts]
     try:
-        dates = pd.to_datetime(
-            [text.strip().replace(",", ".") for text in texts], format="ISO8601", utc=True
-        )
+        dates = pd.to_datetime(written, format="ISO8601", utc=True, errors="coerce")
+        ticks = dates.as_unit("ns").asi8
     except (ValueError, OverflowError) as error:
         raise DataError(f"{place.path}: column t cannot be read ({told(error)})") from None
-    ticks = dates.as_unit("ns").asi8
+    if dates.isna().any():
+        code = int(dates.isna().argmax())
+        where = place.at(int((codes == code).argmax()))
+        raise DataError(f"{where}: t {written[code][:40]!r} is no date and time that there is")
     seconds: Floats = (ticks - ticks.min()) * 1e-9 + leaps
     return np.asarray(seconds[codes])
 

@@ -170,7 +170,7 @@ def projected(rows: Rows) -> Rows:
     x, y = rows.xy.T
     if (np.abs(x) > 180).any() or (np.abs(y) > 90).any():  # noqa: PLR2004 - of the Earth
         swapped = (np.abs(x) <= 90).all() and (np.abs(y) <= 180).all()  # noqa: PLR2004 - as above
-        hint = "; x is longitude, y latitude: swap them with --columns" if swapped else ""
+        hint = "; x is longitude, y latitude: swap them: --columns x=y,y=x" if swapped else ""
         raise DataError(f"{path}: --crs degrees: not degrees, within 180 (x) and 90 (y){hint}")
     if np.ptp(rows.xy, axis=0).max() > 1:
         raise DataError(f"{path}: --crs degrees: positions span over a degree; not of one place")
@@ -178,13 +178,16 @@ def projected(rows: Rows) -> Rows:
     xy = np.radians(rows.xy - middle) * _metres_per_radian(middle[1])
     detail = (
         f"{path}: degrees, x as longitude and y as latitude (swap them with --columns), "
-        f"projected to metres around {middle[0]:.5f}, {middle[1]:.5f}"
+        f"projected to metres around longitude {middle[0]:.5f}, latitude {middle[1]:.5f}"
     )
     notes = [*rows.notes, Repair("crs", rows.t.size, detail)]
     if abs(middle[0]) <= 90 and len(rows.ids) >= _SEVERAL:  # noqa: PLR2004 - as above
         swapped = np.radians(rows.xy - middle) * _metres_per_radian(middle[0])[::-1]
         if _unsteady(rows, swapped) < _STEADIER * _unsteady(rows, xy):
-            text = "walks are steadier with x as latitude: --columns x=y,y=x swaps them"
+            text = (
+                "x looks like latitude and y like longitude (walks are steadier so); "
+                "swap their columns: --columns x=y,y=x where they are called so"
+            )
             notes.append(Repair("doubt", 1, f"{path}: {text}"))
     return replace(rows, xy=xy, unit="m", notes=tuple(notes))
 

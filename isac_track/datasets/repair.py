@@ -386,7 +386,8 @@ def _check_speeds(rows: Rows) -> None:
             f"pixels or centimetres for metres{''.join(hints)}, a wrong --fps, or frame and id "
             "swapped"
             if speed > high
-            else "milliseconds for seconds, kilometres for metres, or a wrong --fps"
+            else "milliseconds for seconds (of a table: --columns t=t[ms]), kilometres for metres "
+            "(--unit 1000), or a wrong --fps"
         )
         raise DataError(
             f"{rows.place.path}: the median speed of moving people is {speed:.3g} m/s, not within "

@@ -146,6 +146,17 @@ def test_a_limit_of_the_machine_is_one_line(what, capsys):
     assert err.count("\n") == 1
 
 
+def test_a_library_without_place_that_another_error_hides_is_one_line(capsys):
+    hidden = OSError("Could not find/load shared object file")  # as llvmlite says it
+    hidden.__context__ = OSError("libllvmlite.so: failed to map segment from shared object")
+
+    def command():
+        raise hidden
+
+    assert exit_code(command) == 2
+    assert capsys.readouterr().err == "error: there is not enough memory to load what a run takes\n"
+
+
 def test_another_error_of_the_program_stays_one():
     def command():
         raise RuntimeError("something else")

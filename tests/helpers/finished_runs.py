@@ -8,7 +8,16 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis import by_speed, decisions, frontier, linkability, matching, paper, summary
+from evaluation.analysis import (
+    by_speed,
+    decisions,
+    frontier,
+    linkability,
+    matching,
+    paper,
+    strongest_table,
+    summary,
+)
 from evaluation.analysis import levels as levels_table
 from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.keys import Source
@@ -266,6 +275,7 @@ def make_run(out=Path(), dataset="students03", *, at=None, **changes):
         "failed": pd.DataFrame(columns=list(FAILED_COLUMNS)),
         "galleries": pd.DataFrame(),
         "speeds": make_speeds(dataset=dataset),
+        "attacked": pd.DataFrame(columns=strongest_table.COLUMNS),
         "strongest": STRONGEST,
     }
     parts |= changes

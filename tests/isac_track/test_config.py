@@ -126,3 +126,9 @@ def test_a_wrong_type_given_in_python_is_an_error_that_names_the_setting(kind, v
 def test_numbers_of_numpy_are_numbers():
     assert SceneSettings(agents=np.int64(3)).agents == 3
     assert PrivacySettings(epsilon_m=np.float64(0.5)).epsilon_m == 0.5
+
+
+@pytest.mark.parametrize("place_m", ["691000.5", "5334000.25", "9999999", "-2e7"])
+def test_places_may_be_those_of_a_map(place_m):
+    for name in ("sensing.bs_x_m", "sensing.bs_y_m", "scenes.robot_x_m", "scenes.robot_y_m"):
+        assert StageSettings().changed({name: place_m}).flat()[name] == float(place_m)

@@ -110,6 +110,20 @@ def test_sessions_share_one_frame_and_a_file_may_keep_its_own():
     assert placed(first, settings=FILE) is first
 
 
+@pytest.mark.parametrize("shift_m", [UTM_M, np.array([691_000.5, 9_999_000.25])])
+def test_a_file_in_utm_coordinates_is_sensed_alike_where_its_station_goes_along(shift_m):
+    def near(stages, tracks):
+        return geometry(placed(tracks, settings=stages), settings=stages.sensing, seed=0)
+
+    x_m, y_m = shift_m + np.array([FILE.sensing.bs_x_m, FILE.sensing.bs_y_m])
+    moved = FILE.changed({"sensing.bs_x_m": x_m, "sensing.bs_y_m": y_m})
+    tracks = crowd()
+    ours, there = near(FILE, tracks), near(moved, derived(tracks, xy=tracks.xy + shift_m))
+    assert there.distance_m == pytest.approx(ours.distance_m, abs=1e-8)
+    assert there.sigma_raw_m == pytest.approx(ours.sigma_raw_m, abs=1e-8)
+    assert there.at_cap == ours.at_cap
+
+
 def test_a_track_counts_once_however_long_it_is():
     far = np.full((5000, 2), 400.0)
     walks = [np.array([[x, 0.0], [x, 1.0], [x, 2.0]]) for x in np.linspace(-3, 3, 31)]

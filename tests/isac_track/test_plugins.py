@@ -283,6 +283,11 @@ class MyNoise:
         ("my_noise/my_noise.py", "./my_noise:0.5", "my_noise.my_noise:MyNoise"),
         ("my_noise/my_noise.py", "my_noise:0.5", "my_noise.my_noise:MyNoise"),
         ("some/my_noise/my_noise.py", "./some/my_noise:0.5", "some.my_noise.my_noise:MyNoise"),
+        ("my_noise.py", ".\\my_noise.py:0.5", "my_noise:MyNoise"),
+        ("my_noise.py", "./my_noise.py:MyNoise:0.5", "my_noise:MyNoise"),
+        ("some/my_noise.py", "some\\my_noise.py:MyNoise:0.5", "some.my_noise:MyNoise"),
+        ("my_noise.py", "{}/my_noise.py:0.5", "my_noise:MyNoise"),
+        ("my_noise.py", "{}/my_noise.py:MyNoise:0.5", "my_noise:MyNoise"),
     ],
 )
 def test_a_path_names_a_file_of_ones_own(tmp_path, monkeypatch, file, spec, origin):
@@ -291,7 +296,7 @@ def test_a_path_names_a_file_of_ones_own(tmp_path, monkeypatch, file, spec, orig
     path.write_text(MECHANISM, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.chdir(tmp_path)
-    (found,) = plugins.parse("mechanisms", spec)
+    (found,) = plugins.parse("mechanisms", spec.format(tmp_path))
     assert (found.origin, found.level) == (origin, 0.5)
     for name in [name for name in sys.modules if name.partition(".")[0] in ("my_noise", "some")]:
         del sys.modules[name]
@@ -301,6 +306,44 @@ def test_a_path_names_a_file_of_ones_own(tmp_path, monkeypatch, file, spec, orig
 def test_a_path_that_python_cannot_import_is_refused(spec):
     with pytest.raises(SettingsError, match="followed by a Python file"):
         plugins.parse("mechanisms", spec)
+
+
+@pytest.mark.parametrize(
+    ("path", "parts"),
+    [
+        (r"C:\work\x", ("x",)),
+        (r"c:\Work\some\x", ("some", "x")),
+        (r"C:\\work\\x", ("x",)),
+        ("C:/work/x", ("x",)),
+        (r".\x", ("x",)),
+        (r"D:\work\x", None),
+        (r"C:\elsewhere\x", None),
+        ("C:x", None),
+        (r"\\server\share\x", None),
+    ],
+)
+def test_a_windows_path_is_seen_from_the_folder_of_a_run(path, parts):
+    assert plugins.parts_below(path, folder=r"C:\work") == parts
+
+
+@pytest.mark.parametrize(
+    ("spec", "way"),
+    [
+        (r"C:\x.py", "./x.py"),
+        (r"C:\x.py:Class", "./x.py:Class"),
+        (r"C:\\some\\x.py:Class:0.5", "./x.py:Class:0.5"),
+        ("c:/x.py:Class", "./x.py:Class"),
+        ("C:x.py:Class", "./x.py:Class"),
+        (r"\\server\share\x.py:Class", "./x.py:Class"),
+        ("/nowhere/x.py:Class", "./x.py:Class"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["mechanisms", "predictors", "attacks"])
+def test_a_path_that_is_not_below_is_a_path_still(kind, spec, way):
+    with pytest.raises(SettingsError, match="named from the folder that a run starts in") as caught:
+        plugins.parse(kind, spec)
+    assert str(caught.value).endswith(f"write '{way}'")
+    assert len(str(caught.value).splitlines()) == 1
 
 
 def test_a_switch_is_named_as_it_is_asked_for():

@@ -174,3 +174,17 @@ def test_an_unusual_geometry_is_on_the_first_screen(distance_m, at_cap, said):
     assert said in shown
     assert geometry(run.manifest)
     assert geometry(make_run().manifest) == []
+
+
+@pytest.mark.parametrize(
+    ("place", "distance_m", "is_told"),
+    [("file", 5.3e6, True), ("file", 30.0, False), ("centred", 53.0, False)],
+)
+def test_a_station_far_from_a_file_says_the_way_out(place, distance_m, is_told):
+    known = {"distance_m": distance_m, "sigma_raw_m": 2.0, "at_cap": 1.0, "tracks": 9}
+    manifest = make_run().manifest | {"geometry": known}
+    stages = manifest["settings"]["stages"] | {"sensing.place": place}
+    manifest["settings"] = manifest["settings"] | {"stages": stages}
+    (line,) = geometry(manifest)
+    way_out = "--set sensing.bs_x_m and bs_y_m move the station there; sensing.place=centred"
+    assert (way_out in line) == is_told

@@ -219,12 +219,13 @@ class TestTheDocs:
     def test_the_summary_and_the_blocks_are_written_and_written_again_the_same(self, root):
         run = make_run()
         path = root / "docs" / "results" / "students03-paper-3.csv"
-        assert tables.write_docs(run, root=root) == [path, root / "README.md"]
+        strongest = path.with_stem("students03-paper-3-strongest")
+        assert tables.write_docs(run, root=root) == [path, strongest, root / "README.md"]
         text = (root / "README.md").read_text(encoding="utf-8")
         expected = markdown(tables.DOCS["sweep"](tables.published(run)))
         assert text == BLOCK.replace("old\n", expected)
         assert (root / "docs" / "other.md").read_text(encoding="utf-8") == "Nothing.\n"
-        assert tables.write_docs(run, root=root) == [path]
+        assert tables.write_docs(run, root=root) == [path, strongest]
         assert tables.filled(text, results=path.parent) == text
 
     def test_every_table_is_the_same_from_the_file(self, tmp_path):

@@ -172,7 +172,10 @@ def test_time_stamps_of_parquet(tmp_path, unit, zone):
         (table([1_700_000_000 * 10**9 + round(1e9 * t) for t in T]), "ns since 1970"),
         (table([float(np.float32(1.7e9 + 128 * t)) for t in T]), "float32"),
         (table(x=7 + X / 111e3, y=51 + Y / 111e3), "--crs degrees"),
-        (table([*ISO[:-1], "2026-13-01T00:00:00+00:00"]), "time data|Time data|cannot be read"),
+        (table([*ISO[:-1], "2026-13-01T00:00:00+00:00"]), "line 101: t '2026-13-01T00:00:00"),
+        (table([*ISO[:-1], "2026-02-30T00:00:00+00:00"]), "line 101: t '2026-02-30T00:00:00"),
+        (table(np.round(T * 1000)), r"milliseconds for seconds \(of a table: --columns t=t\["),
+        (table(x=X / 1000, y=Y / 1000), r"kilometres for metres \(--unit 1000\)"),
         (table([*ISO[:-1], ISO[-1].replace("+00:00", "")]), "some times have a zone"),
         (table([*ISO[:-1], "noon"]), "line 101: t 'noon' is no date"),
         (table(names="a,b,c,d"), r"it has a, b, c, d: --columns t=NAME"),
@@ -216,6 +219,28 @@ def test_degrees_become_local_metres(tmp_path):
     assert np.allclose(xy, np.column_stack([X, Y]) - [X[0], Y[0]], atol=0.01)
     with pytest.raises(DataError, match="not degrees"):
         loaded(table(x=X + 500), tmp_path, crs="degrees")
+
+
+@pytest.mark.parametrize(("longitude", "is_read"), [(7, True), (139, False)])
+def test_swapped_degrees_say_so_and_how_to_swap_them(tmp_path, longitude, is_read):
+    # Ten people on circles, whose speeds are steady in metres alone.
+    angle = np.tile(2 * np.pi * T / T[-1], 10)
+    ids = np.repeat(np.arange(10), N).astype(str).tolist()
+    metres = 2.0 * np.column_stack([np.cos(angle), np.sin(angle)])
+    lat, lon = 51 + metres[:, 1] / 111_257.0, longitude + metres[:, 0] / 70_197.0
+    data = table(np.tile(T, 10), lat, lon, ids)
+    if is_read:
+        found = loaded(data, tmp_path, crs="degrees")
+        (doubt,) = [note.detail for note in found.repairs if note.kind == "doubt"]
+    else:
+        with pytest.raises(DataError, match="not degrees") as caught:
+            loaded(data, tmp_path, crs="degrees")
+        doubt = str(caught.value)
+    assert "--columns x=y,y=x" in doubt
+    swapped = loaded(data, tmp_path, crs="degrees", columns="x=y,y=x")
+    assert kinds(swapped.repairs) == {"crs": 10 * N}
+    way_m = np.hypot(*np.diff(swapped.tracks.xy[:N], axis=0).T).sum()
+    assert way_m == pytest.approx(2 * np.pi * 2.0, rel=2e-3)
 
 
 @pytest.mark.parametrize(
@@ -264,10 +289,13 @@ HEAD = "# id frame x y z\n0 0 0 0 170\n0 1 0.1 0 170\n0 2 0.2 0 170\n"
     ("line", "last_s"),
     [
         ("framerate: 12.5", 0.16), ("framerate: 25/2", 0.16), ("framerate of camera 2: 12.5", 0.16),
-        ("framerate: 12,5", "'12,5' is not a number; write a decimal point"),
-        ("framerate: 12 , 5", "is not a number"), ("framerate: 1,000", "decimal point"),
+        ("framerate: 12,5", "'12,5' is not a single number; write a decimal point"),
+        ("framerate: 12 , 5", "is not a single number"), ("framerate: 1,000", "decimal point"),
         ("framerate: 30000/1001", 2 * 1001 / 30000), ("frame rate = 16 1/s", 0.125),
-        ("framerate: 12.5\n# z: body height in cm", 0.16),
+        ("framerate: 12.5\n# z: body height in cm", 0.16), ("framerate: 25-30", "'25-30' is not a"),
+        ("fps: 25\u201330", "is not a single"),
+        ("fps: 25 to 30", "'25 to 30' is not a"), ("framerate: 25 - 30 fps", "is not a single"),
+        ("framerate: 25 1/s of 2 cameras", 0.08), ("framerate: 25/0", "not a frame rate above 0"),
     ],
 )  # fmt: skip
 def test_headers_say_the_rate_they_say_or_are_refused(line, last_s):
