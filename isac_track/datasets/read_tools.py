@@ -111,6 +111,7 @@ def _table(data: bytes, *, path: str, name: str, skip: int = 0, **how: object) -
     import pandas as pd  # noqa: PLC0415 - only for such a file
 
     try:
+        # The stubs know no call whose options are handed on.
         return pd.read_csv(io.BytesIO(data), dtype=str, skiprows=skip, skipinitialspace=True, **how)  # type: ignore[call-overload, no-any-return]
     except (ValueError, UnicodeError, MemoryError, OverflowError, csv.Error) as error:
         raise DataError(f"{path}: cannot be read as {name} ({told(error)})") from None

@@ -1,6 +1,5 @@
 """Files as people have them: each oddity is mended and counted, named, or refused in one line."""
 
-import contextlib
 import io
 import os
 import sqlite3
@@ -382,8 +381,16 @@ def test_no_neighbour_lets_another_error_out(name, data):
 @given(name=st.sampled_from([*TOOLS]), data=st.binary(max_size=60) | st.text(max_size=60))
 def test_any_bytes_are_tracks_or_refused_in_one_line(name, data):
     data = data.encode() if isinstance(data, str) else data
-    with contextlib.suppress(DataError):
-        read(data=data, path="f", format=name, fps=None if name in {"vadere", "viswalk"} else 10)
+    tracks, refusal = None, "f"
+    try:
+        tracks, _ = read(
+            data=data, path="f", format=name, fps=None if name in {"vadere", "viswalk"} else 10
+        )
+    except DataError as error:
+        refusal = str(error)
+    assert refusal.startswith("f")  # the file is named
+    assert "\n" not in refusal
+    assert tracks is None or (len(tracks) > 0 and np.isfinite(tracks.xy).all())
 
 
 def test_columns_may_hold_brackets_that_are_no_unit():
