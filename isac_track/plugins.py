@@ -59,7 +59,12 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
         "fusion": "attacks.linkage.fusion:Fusion",
     },
 }
-_MECHANISMS = ("isac_track.sharing", "isac_track.sharing_controls", "isac_track.protection")
+_MECHANISMS = (
+    "isac_track.sharing",
+    "isac_track.sharing_controls",
+    "isac_track.protection",
+    "isac_track.withholding",
+)
 """Modules with a table ``MECHANISMS``: one that is added there is known here."""
 _METHOD: dict[Kind, str] = {"attacks": "fit", "mechanisms": "share", "predictors": "predict"}
 _MOST_LEVELS = 1000

@@ -21,6 +21,7 @@ _MECHANISMS: Final = {
     "correlated": "correlated noise, {level} m",
     "offset": "constant shift, {level} m",
     "thin": "every {level}th sample",
+    "window": "last {level} s only",
 }
 """By family. A mechanism that is not here is a user's: it is called by its SPEC."""
 
