@@ -18,7 +18,7 @@ from isac_track.sharing_controls import correlated_errors
 from isac_track.types import Knowledge
 
 N, SIZE = 60, 250
-STANDS, WALKS = 0, 4  # of `MOTIONS`
+STILL, STANDS, WALKS = 0, 1, 5  # of `MOTIONS`
 NOISE_M = 0.7
 EPSILON_M = 0.3
 
@@ -66,11 +66,11 @@ def test_who_stands_and_who_walks_are_told_apart():
     case = Batch(release.t, release.xy, variance, release.offsets, (100.0, 10.0))
     found = probabilities(case, SlowError(0.0, 0.0))
     np.testing.assert_allclose(found.sum(axis=1), 1.0)
-    assert (found[::2].argmax(axis=1) == STANDS).mean() > 0.9
+    assert (found[::2].argmax(axis=1) <= STANDS).mean() > 0.9
     # Between walkers of neighbouring motions no track decides: their q is within a factor of six.
     q = found[1::2] @ np.log(MOTIONS.q)
     assert abs(q.mean() - np.log(MOTIONS.q[WALKS])) < np.log(2.0)
-    assert (found[1::2, :3].sum(axis=1) < 0.5).all()
+    assert (found[1::2, :4].sum(axis=1) < 0.5).all()
 
 
 def test_a_lone_sample_tells_nothing():
@@ -88,6 +88,16 @@ def test_a_crowd_of_two_motions_is_known_better(slow_m):
     if not slow_m:  # as they walk, with one motion for all and none fitted, that is `KalmanRTS`
         common = plr(replace(attack, own_motion=False), release, truth)
         np.testing.assert_array_equal(common, plr(KalmanRTS(), release, truth))
+
+
+def test_behind_a_slow_error_who_stands_still_is_known_about_as_well_as_by_the_mean_of_the_track():
+    release, truth = crowd(STILL, slow_m=0.5, noise_m=0.1)
+    mean = release.xy.reshape(N, SIZE, 2).mean(axis=1, keepdims=True)
+    off_m = np.linalg.norm(truth.reshape(N, SIZE, 2) - mean, axis=2)
+    by_mean = (off_m < EPSILON_M).mean(axis=1)
+    smoothed = plr(OuRTS(std_m=0.5, tau_s=5.0), release, truth)
+    lost = by_mean - smoothed
+    assert lost.mean() < 0.05 + 2 * lost.std(ddof=1) / np.sqrt(N)
 
 
 @pytest.mark.parametrize("law", ["isotropic", "radial"])
@@ -115,8 +125,11 @@ def test_a_given_q_is_that_of_all_tracks():
 def test_a_track_depends_on_no_other_and_on_no_frame():
     release, _ = crowd(STANDS, WALKS, slow_m=0.5)
     smooth = OuRTS(std_m=0.5, tau_s=5.0).fit(context())
-    whole, some = smooth(release), smooth(release.tracks(np.array([3, 0])))
-    np.testing.assert_array_equal(some.xy[:SIZE], whole.xy[3 * SIZE : 4 * SIZE])
+    # Half of the people: with very few the release does not show whether errors are radial.
+    rows = np.arange(N)[::-2]
+    whole, some = smooth(release), smooth(release.tracks(rows))
+    by_track = whole.xy.reshape(N, SIZE, 2)
+    np.testing.assert_allclose(some.xy.reshape(-1, SIZE, 2), by_track[rows], atol=1e-9)
     turned = moved(release)
     shift = np.hypot(*(smooth(turned).xy - turned.xy).T)
     np.testing.assert_allclose(shift, np.hypot(*(whole.xy - release.xy).T), atol=1e-6)
