@@ -2,12 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import learn, linker, mated
+from attacks.linkage.learning import learn, linker, mated, teaches
+from attacks.linkage.noise_levels import ASSUMED, NoiseModel, level_variance, log_ratios
 from attacks.linkage.signals import loops
 from attacks.parameters import positive, tried
 from attacks.remembered import by_track, noise_m2
@@ -19,6 +20,7 @@ _PRIOR_STD = (100.0, 1.4)  # m around the first sample and m/s around rest: nobo
 _TAIL = 5.0  # Degrees of freedom: people do turn and stop in a gap, more than white noise would.
 _SLACK_S = 0.5
 _LONGEST_S = 60.0  # A longer gap counts as one of this length: nobody's state outlives it.
+_CORRELATIONS = (ASSUMED.correlation, 0.0, 0.3, 0.7, 0.8, 0.9, 0.95)
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +30,8 @@ class Kinematic:
     A constant-velocity filter runs along every probe and, back in time, along every gallery walk.
     The score is the log density of the difference of the probe's last state, predicted across the
     gap, from the gallery's first, under both covariances and the process noise of the gap:
-    Student's t with five degrees of freedom, whose tail is a gate that never closes.
+    Student's t with five degrees of freedom, whose tail is a gate that never closes. To it is added
+    the log likelihood ratio of the noise levels on both sides (`noise_levels.log_ratios`).
 
     References
     ----------
@@ -43,6 +46,10 @@ class Kinematic:
     """Least error variance per axis: a smoother's errors are correlated and do not show in the
     innovations. None: learnt, or `DEFAULT_FLOOR_M2`."""
 
+    noise_correlation: float | None = None
+    """Between the log noise levels of a person on both sides, from 0 (levels are left out) to below
+    1. None: learnt, or that of `noise_levels.ASSUMED`."""
+
     kind: ClassVar[str] = "linkage"
     across_gap: ClassVar[bool] = True
     requires: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.SCENE})
@@ -52,18 +59,27 @@ class Kinematic:
 
     def __post_init__(self) -> None:
         positive(q=self.q, floor_m2=self.floor_m2)
+        if not (self.noise_correlation is None or 0.0 <= self.noise_correlation < 1.0):
+            raise ValueError(
+                f"noise_correlation must be from 0 to below 1, got {self.noise_correlation}"
+            )
 
     def fit(self, context: AttackContext) -> Linker:
         """Return what scores walks like those in the training set."""
         densities = tried(self.q, (self.DEFAULT_Q, 0.0125, 0.2))
         floors_m2 = tried(self.floor_m2, (self.DEFAULT_FLOOR_M2, 0.001, 0.1))
+        correlations = tried(self.noise_correlation, _CORRELATIONS)
+        variance = level_variance(context.train) if teaches(context) else ASSUMED.variance
+        models = tuple(NoiseModel(each, variance) for each in correlations)
 
-        def scores(train: LinkageTrainingSet) -> Callable[[float, float], Floats]:
+        def scores(train: LinkageTrainingSet) -> Callable[[float, float, NoiseModel], Floats]:
             # As releases of their own: several filters of everybody would cost more than they save.
-            probe, gallery = derived(train.probe), derived(train.gallery)
-            return partial(continuations, probe, gallery, gap_s=rivals(train))
+            sides, gap_s = (derived(train.probe), derived(train.gallery)), rivals(train)
+            motion = cache(partial(continuations, *sides, gap_s=gap_s))
+            noise = cache(partial(level_ratios, train.probe, train.gallery))
+            return lambda q, floor_m2, model: motion(q, floor_m2) + noise(model)
 
-        return linker(continuations, *learn(context, (densities, floors_m2), scores=scores))
+        return linker(evidence, *learn(context, (densities, floors_m2, models), scores=scores))
 
 
 def rivals(train: LinkageTrainingSet) -> tuple[float, float]:
@@ -73,6 +89,19 @@ def rivals(train: LinkageTrainingSet) -> tuple[float, float]:
     begun_s = train.gallery.t[train.gallery.offsets[train.mate[rows]]]
     known_s = begun_s - train.probe.t[train.probe.offsets[rows + 1] - 1]
     return float(known_s.min()) - _SLACK_S, float(known_s.max()) + _SLACK_S
+
+
+def evidence(
+    probe: Release, gallery: Release, q: float, floor_m2: float, model: NoiseModel
+) -> Floats:
+    """Return `continuations` and the log likelihood ratio of the noise levels, summed, (P, G)."""
+    motion = continuations(probe, gallery, q, floor_m2)
+    return motion + level_ratios(probe, gallery, model)
+
+
+def level_ratios(probe: Release, gallery: Release, model: NoiseModel) -> Floats | float:
+    """Return the log likelihood ratio of the noise levels, (P, G), or 0 if they tell nothing."""
+    return log_ratios(probe, gallery, model) if model.correlation > 0.0 else 0.0
 
 
 def continuations(
