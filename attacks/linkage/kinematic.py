@@ -1,14 +1,15 @@
 """Who walks on where somebody left off? Kalman states on both sides of a silent gap."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cache, partial
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
 from typing import ClassVar
 
 import numpy as np
 
 from attacks.linkage.learning import learn, linker, mated, teaches
-from attacks.linkage.noise_levels import ASSUMED, NoiseModel, level_variance, log_ratios
+from attacks.linkage.noise_levels import ASSUMED, NoiseModel, fitted_model, log_ratios
 from attacks.linkage.signals import loops
 from attacks.parameters import positive, tried
 from attacks.remembered import by_track, noise_m2
@@ -20,7 +21,6 @@ _PRIOR_STD = (100.0, 1.4)  # m around the first sample and m/s around rest: nobo
 _TAIL = 5.0  # Degrees of freedom: people do turn and stop in a gap, more than white noise would.
 _SLACK_S = 0.5
 _LONGEST_S = 60.0  # A longer gap counts as one of this length: nobody's state outlives it.
-_CORRELATIONS = (ASSUMED.correlation, 0.0, 0.3, 0.7, 0.8, 0.9, 0.95)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,20 +66,26 @@ class Kinematic:
 
     def fit(self, context: AttackContext) -> Linker:
         """Return what scores walks like those in the training set."""
-        densities = tried(self.q, (self.DEFAULT_Q, 0.0125, 0.2))
-        floors_m2 = tried(self.floor_m2, (self.DEFAULT_FLOOR_M2, 0.001, 0.1))
-        correlations = tried(self.noise_correlation, _CORRELATIONS)
-        variance = level_variance(context.train) if teaches(context) else ASSUMED.variance
-        models = tuple(NoiseModel(each, variance) for each in correlations)
+        model = fitted_model(context.train) if teaches(context) else ASSUMED
+        if self.noise_correlation is not None:
+            model = replace(model, correlation=self.noise_correlation)
+        # Both at once: how much one of them widens a state decides what the other should be.
+        options = product(
+            tried(self.q, (self.DEFAULT_Q, 0.0125, 0.2)),
+            tried(self.floor_m2, (self.DEFAULT_FLOOR_M2, 0.001, 0.1)),
+        )
+        ((q, floor_m2),) = learn(context, (tuple(options),), scores=partial(_scores, model=model))
+        return linker(evidence, q, floor_m2, model)
 
-        def scores(train: LinkageTrainingSet) -> Callable[[float, float, NoiseModel], Floats]:
-            # As releases of their own: several filters of everybody would cost more than they save.
-            sides, gap_s = (derived(train.probe), derived(train.gallery)), rivals(train)
-            motion = cache(partial(continuations, *sides, gap_s=gap_s))
-            noise = cache(partial(level_ratios, train.probe, train.gallery))
-            return lambda q, floor_m2, model: motion(q, floor_m2) + noise(model)
 
-        return linker(evidence, *learn(context, (densities, floors_m2, models), scores=scores))
+def _scores(
+    train: LinkageTrainingSet, *, model: NoiseModel
+) -> Callable[[tuple[float, float]], Floats]:
+    """Return what turns q and floor into the scores of a training set, (P, G)."""
+    # As releases of their own: several filters of everybody would cost more than they save.
+    sides, gap_s = (derived(train.probe), derived(train.gallery)), rivals(train)
+    noise = level_ratios(train.probe, train.gallery, model)
+    return lambda choice: continuations(*sides, *choice, gap_s=gap_s) + noise
 
 
 def rivals(train: LinkageTrainingSet) -> tuple[float, float]:

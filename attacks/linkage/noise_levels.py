@@ -24,6 +24,7 @@ is 3 for radial errors and 1.9 for Gaussian ones (tested)."""
 _UNKNOWN: Final = 1e6  # Variance of the log level of a track that is too short to have one.
 _LEAST_M2: Final = 1e-4  # (1 cm)^2: below it innovations show how people accelerate, not noise.
 _LEAST_VARIANCE: Final = 1e-2  # Of log levels over people.
+_CORRELATIONS: Final = tuple(step / 20.0 for step in range(20))
 
 
 class NoiseLevels(NamedTuple):
@@ -57,27 +58,43 @@ street with line of sight (3GPP TR 38.901, tables 7.4.1-1 and 7.5-6)."""
 def log_ratios(probe: Release, gallery: Release, model: NoiseModel) -> Floats:
     """Return the log likelihood ratio of each pair's noise levels, (P, G).
 
-    The level at the end of a probe less that at the start of a gallery walk is normal. Its variance
-    is 2 s^2 (1 - c) for one person and 2 s^2 for two, with s^2 and c of the model; both grow by
-    the variances of the two estimates. Behind a reconstruction levels are those of the positions
-    as shared.
+    Behind a reconstruction levels are those of the positions as shared.
     """
     ends, starts = end_levels(probe, 1), end_levels(gallery, -1)
     square = np.square(ends.log_m2[:, None] - starts.log_m2)
-    strangers = ends.variance[:, None] + starts.variance + 2.0 * model.variance
+    return _log_ratios(square, ends.variance[:, None] + starts.variance, model)
+
+
+def _log_ratios(square: Floats, measured: Floats, model: NoiseModel) -> Floats:
+    """Return the log likelihood ratios of squared differences of two estimated log levels.
+
+    A difference is normal. Its variance is 2 s^2 (1 - c) for one person and 2 s^2 for two, with s^2
+    and c of the model; to both is added `measured`, the sum of the variances of the estimates.
+    """
+    strangers = measured + 2.0 * model.variance
     person = strangers - 2.0 * model.variance * model.correlation
     ratios = np.log(strangers / person) + square / strangers - square / person
     return np.asarray(0.5 * ratios)
 
 
-def level_variance(train: LinkageTrainingSet) -> float:
-    """Return the variance of log noise levels over people, without what estimating them adds."""
-    ends = end_levels(train.probe, 1), end_levels(train.gallery, -1)
-    log_m2, variance = (np.concatenate(each) for each in zip(*ends, strict=True))
-    known = variance < _UNKNOWN
+def fitted_model(train: LinkageTrainingSet) -> NoiseModel:
+    """Return how levels vary over the people of a training set, and how far they persist.
+
+    The variance is that of all levels less what estimating them adds; the correlation makes the
+    differences of mates most probable. Without anybody whose level is known it is `ASSUMED`.
+    """
+    ends, starts = end_levels(train.probe, 1), end_levels(train.gallery, -1)
+    log_m2, measured = (np.concatenate(each) for each in zip(ends, starts, strict=True))
+    known = measured < _UNKNOWN
     if not known.any():
-        return ASSUMED.variance
-    return max(float(log_m2[known].var() - variance[known].mean()), _LEAST_VARIANCE)
+        return ASSUMED
+    variance = max(float(log_m2[known].var() - measured[known].mean()), _LEAST_VARIANCE)
+    rows = np.flatnonzero(train.mate >= 0)
+    mate = train.mate[rows]
+    square = np.square(ends.log_m2[rows] - starts.log_m2[mate])
+    both = ends.variance[rows] + starts.variance[mate]
+    models = [NoiseModel(correlation, variance) for correlation in _CORRELATIONS]
+    return max(models, key=lambda model: float(_log_ratios(square, both, model).sum()))
 
 
 @by_track(lambda levels, rows: NoiseLevels(*(values[rows] for values in levels)))
