@@ -97,14 +97,17 @@ def fitted_model(train: LinkageTrainingSet) -> NoiseModel:
     return max(models, key=lambda model: float(_log_ratios(square, both, model).sum()))
 
 
-@by_track(lambda levels, rows: NoiseLevels(*(values[rows] for values in levels)))
 def end_levels(release: Release, at: int) -> NoiseLevels:
     """Return the noise levels at the ends of walks, or (-1) at their starts.
 
     The mean of squared innovations of the positions as shared, the nearer to the silence the more
     weight. A track of fewer than three samples has the variance `_UNKNOWN`.
     """
-    shared = as_shared(release)
+    return _levels(as_shared(release), at)
+
+
+@by_track(lambda levels, rows: NoiseLevels(*(values[rows] for values in levels)))
+def _levels(shared: Release, at: int) -> NoiseLevels:
     t, offsets, n_tracks = shared.t, shared.offsets, len(shared)
     log_m2, variance = np.zeros(n_tracks), np.full(n_tracks, _UNKNOWN)
     silence_s = t[offsets[1:] - 1] if at > 0 else t[offsets[:-1]]
