@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import product
 from typing import ClassVar
 
 import numpy as np
@@ -69,23 +68,18 @@ class Kinematic:
         model = fitted_model(context.train) if teaches(context) else ASSUMED
         if self.noise_correlation is not None:
             model = replace(model, correlation=self.noise_correlation)
-        # Both at once: how much one of them widens a state decides what the other should be.
-        options = product(
-            tried(self.q, (self.DEFAULT_Q, 0.0125, 0.2)),
-            tried(self.floor_m2, (self.DEFAULT_FLOOR_M2, 0.001, 0.1)),
-        )
-        ((q, floor_m2),) = learn(context, (tuple(options),), scores=partial(_scores, model=model))
-        return linker(evidence, q, floor_m2, model)
+        densities = tried(self.q, (self.DEFAULT_Q, 0.0125, 0.2))
+        floors_m2 = tried(self.floor_m2, (self.DEFAULT_FLOOR_M2, 0.001, 0.1))
+        scores = partial(_scores, model=model)
+        return linker(evidence, *learn(context, (densities, floors_m2), scores=scores), model)
 
 
-def _scores(
-    train: LinkageTrainingSet, *, model: NoiseModel
-) -> Callable[[tuple[float, float]], Floats]:
+def _scores(train: LinkageTrainingSet, *, model: NoiseModel) -> Callable[[float, float], Floats]:
     """Return what turns q and floor into the scores of a training set, (P, G)."""
     # As releases of their own: several filters of everybody would cost more than they save.
     sides, gap_s = (derived(train.probe), derived(train.gallery)), rivals(train)
     noise = level_ratios(train.probe, train.gallery, model)
-    return lambda choice: continuations(*sides, *choice, gap_s=gap_s) + noise
+    return lambda q, floor_m2: continuations(*sides, q, floor_m2, gap_s=gap_s) + noise
 
 
 def rivals(train: LinkageTrainingSet) -> tuple[float, float]:
