@@ -55,6 +55,29 @@ def whole(release: Release) -> tuple[Release, Ints]:
     return (release, np.arange(len(release))) if known is None else known
 
 
+_SHARED: WeakKeyDictionary[Release, Release] = WeakKeyDictionary()
+"""By reconstructed release, for as long as that is alive, the release that it was made from."""
+
+
+def reconstructed_from(release: Release, shared: Release) -> Release:
+    """Return a release with reconstructed positions, of which `as_shared` tells the shared ones."""
+    _SHARED[release] = shared
+    return release
+
+
+def as_shared(release: Release) -> Release:
+    """Return a release with the positions as they were shared: itself, if nothing smoothed it.
+
+    Whoever smooths positions still has them. A smoother takes out the noise, and with it how much
+    there was.
+    """
+    origin, rows = whole(release)
+    shared = _SHARED.get(origin)
+    if shared is None:
+        return release
+    return shared if origin is release else part(shared, rows)
+
+
 def by_track(take: Callable[[Any, Ints], Any] = getitem) -> Callable[[_Made], _Made]:
     """Return what remembers what is made track by track: of a part it is made of the whole, once.
 

@@ -37,18 +37,27 @@ def innovation_variance_m2(
     if not np.isfinite(xy).all():
         raise ValueError("xy must be finite")
     if running:
-        step = np.diff(t)
-        step[offsets[1:-1] - 1] = 1.0  # from one track to the next
-        ratio = step[1:] / step[:-1]
-        move = np.diff(xy, axis=0)
-        square = np.square(move[1:] - ratio[:, None] * move[:-1]).sum(axis=1)
-        scaled = 0.5 * square / (1.0 + np.square(1.0 + ratio) + np.square(ratio))
+        scaled = scaled_innovations_m2(t=t, xy=xy, offsets=offsets)
         variance = running_means(scaled, offsets, start=UNKNOWN_VARIANCE_M2)
     else:
         variance = np.empty(offsets.size - 1)
         import_module("isac_track.kalman._linear_loops").innovation_level(t, xy, offsets, variance)
         variance[np.diff(offsets) < 3] = UNKNOWN_VARIANCE_M2  # noqa: PLR2004 - as many make one
     return np.asarray(np.maximum(variance, MIN_VARIANCE_M2))
+
+
+def scaled_innovations_m2(*, t: Floats, xy: Floats, offsets: Ints) -> Floats:
+    """Return the squared innovations of `innovation_variance_m2`, each an estimate, (M - 2,) m^2.
+
+    They are those of the third of all samples, the fourth, and so on; those that reach from one
+    track into the next mean nothing. Of sound arrays: nothing is checked.
+    """
+    step = np.diff(t)
+    step[offsets[1:-1] - 1] = 1.0  # from one track to the next
+    ratio = step[1:] / step[:-1]
+    move = np.diff(xy, axis=0)
+    square = np.square(move[1:] - ratio[:, None] * move[:-1]).sum(axis=1)
+    return np.asarray(0.5 * square / (1.0 + np.square(1.0 + ratio) + np.square(ratio)))
 
 
 def running_means(inner: Floats, offsets: Ints, *, start: float) -> Floats:

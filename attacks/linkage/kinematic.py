@@ -1,13 +1,14 @@
 """Who walks on where somebody left off? Kalman states on both sides of a silent gap."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import learn, linker, mated
+from attacks.linkage.learning import learn, linker, mated, teaches
+from attacks.linkage.noise_levels import ASSUMED, NoiseModel, fitted_model, log_ratios
 from attacks.linkage.signals import loops
 from attacks.parameters import positive, tried
 from attacks.remembered import by_track, noise_m2
@@ -28,7 +29,8 @@ class Kinematic:
     A constant-velocity filter runs along every probe and, back in time, along every gallery walk.
     The score is the log density of the difference of the probe's last state, predicted across the
     gap, from the gallery's first, under both covariances and the process noise of the gap:
-    Student's t with five degrees of freedom, whose tail is a gate that never closes.
+    Student's t with five degrees of freedom, whose tail is a gate that never closes. To it is added
+    the log likelihood ratio of the noise levels on both sides (`noise_levels.log_ratios`).
 
     References
     ----------
@@ -43,6 +45,10 @@ class Kinematic:
     """Least error variance per axis: a smoother's errors are correlated and do not show in the
     innovations. None: learnt, or `DEFAULT_FLOOR_M2`."""
 
+    noise_correlation: float | None = None
+    """Between the log noise levels of a person on both sides, from 0 (levels are left out) to below
+    1. None: learnt, or that of `noise_levels.ASSUMED`."""
+
     kind: ClassVar[str] = "linkage"
     across_gap: ClassVar[bool] = True
     requires: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.SCENE})
@@ -52,18 +58,28 @@ class Kinematic:
 
     def __post_init__(self) -> None:
         positive(q=self.q, floor_m2=self.floor_m2)
+        if not (self.noise_correlation is None or 0.0 <= self.noise_correlation < 1.0):
+            raise ValueError(
+                f"noise_correlation must be from 0 to below 1, got {self.noise_correlation}"
+            )
 
     def fit(self, context: AttackContext) -> Linker:
         """Return what scores walks like those in the training set."""
+        model = fitted_model(context.train) if teaches(context) else ASSUMED
+        if self.noise_correlation is not None:
+            model = replace(model, correlation=self.noise_correlation)
         densities = tried(self.q, (self.DEFAULT_Q, 0.0125, 0.2))
         floors_m2 = tried(self.floor_m2, (self.DEFAULT_FLOOR_M2, 0.001, 0.1))
+        scores = partial(_scores, model=model)
+        return linker(evidence, *learn(context, (densities, floors_m2), scores=scores), model)
 
-        def scores(train: LinkageTrainingSet) -> Callable[[float, float], Floats]:
-            # As releases of their own: several filters of everybody would cost more than they save.
-            probe, gallery = derived(train.probe), derived(train.gallery)
-            return partial(continuations, probe, gallery, gap_s=rivals(train))
 
-        return linker(continuations, *learn(context, (densities, floors_m2), scores=scores))
+def _scores(train: LinkageTrainingSet, *, model: NoiseModel) -> Callable[[float, float], Floats]:
+    """Return what turns q and floor into the scores of a training set, (P, G)."""
+    # As releases of their own: several filters of everybody would cost more than they save.
+    sides, gap_s = (derived(train.probe), derived(train.gallery)), rivals(train)
+    noise = level_ratios(train.probe, train.gallery, model)
+    return lambda q, floor_m2: continuations(*sides, q, floor_m2, gap_s=gap_s) + noise
 
 
 def rivals(train: LinkageTrainingSet) -> tuple[float, float]:
@@ -73,6 +89,19 @@ def rivals(train: LinkageTrainingSet) -> tuple[float, float]:
     begun_s = train.gallery.t[train.gallery.offsets[train.mate[rows]]]
     known_s = begun_s - train.probe.t[train.probe.offsets[rows + 1] - 1]
     return float(known_s.min()) - _SLACK_S, float(known_s.max()) + _SLACK_S
+
+
+def evidence(
+    probe: Release, gallery: Release, q: float, floor_m2: float, model: NoiseModel
+) -> Floats:
+    """Return `continuations` and the log likelihood ratio of the noise levels, summed, (P, G)."""
+    motion = continuations(probe, gallery, q, floor_m2)
+    return motion + level_ratios(probe, gallery, model)
+
+
+def level_ratios(probe: Release, gallery: Release, model: NoiseModel) -> Floats | float:
+    """Return the log likelihood ratio of the noise levels, (P, G), or 0 if they tell nothing."""
+    return log_ratios(probe, gallery, model) if model.correlation > 0.0 else 0.0
 
 
 def continuations(

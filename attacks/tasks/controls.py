@@ -37,8 +37,8 @@ class Control:
     is_audit: bool = True
     hides_in_scene: bool = False  # Whether it sees what a task in the true frame shows on purpose.
     is_evidence_live: bool = False
-    """Whether what it sees is evidence where people are seen to walk on: there it is an ablation,
-    of what a linker could do by this alone, and no shortcut."""
+    """Whether what it sees is evidence where both sides show one time of one walk: there it is an
+    ablation, of what a linker could do by this alone, and no shortcut."""
     sees_times_only: bool = False  # Whether all levels that share every sample are alike to it.
     circumstance: tuple[int, ...] = ()  # Columns of `circumstances`, which it sees instead.
 
@@ -50,7 +50,7 @@ class Control:
 
     def audits(self, task: Task) -> bool:
         """Whether what it links in a task is a shortcut, which makes the task say nothing."""
-        return self.is_audit and not (self.is_evidence_live and task.is_open)
+        return self.is_audit and not (self.is_evidence_live and task.is_one_time)
 
     def scorer(self, task: Task) -> Score | None:
         """Return what scores in a task."""

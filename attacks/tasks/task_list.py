@@ -73,7 +73,7 @@ TASKS: Final[Mapping[str, Task]] = {
             shows_scene=True,
             is_one_stretch=True,
         ),
-        Task("split", "two windows of one walk that do not touch: behaviour only"),
+        Task("split", "two windows of one walk that do not touch: behaviour, and its noise level"),
         *(
             Task(
                 f"handover-{gap_s:g}s",

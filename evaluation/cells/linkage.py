@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow as pa
 
 from attacks.linkage.alignment import Shape
-from attacks.remembered import part
+from attacks.remembered import part, reconstructed_from
 from attacks.tasks.controls import CONTROLS, closeness
 from evaluation.cells import sharing
 from evaluation.cells.candidates import AT_ONCE, CHECKED, among_candidates, first_stage
@@ -304,7 +304,8 @@ def _smoothed(
     rebuilt, std = list[Release](), []
     for release, view in zip(level.seen.both, sides.both, strict=True):
         found = reconstructed(attack, sharing.handed(view, behind), who=who)
-        rebuilt.append(showing(derived(release, xy=found.xy), shows))
+        smooth = showing(derived(release, xy=found.xy), shows)
+        rebuilt.append(reconstructed_from(smooth, view))
         std.append(found.std)
     return _Sides(tuple(rebuilt), tuple(std))
 

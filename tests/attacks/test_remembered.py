@@ -7,7 +7,8 @@ from helpers.walks import smooth_walks, two_releases
 
 from attacks.linkage.behaviour import features
 from attacks.linkage.signals import on_grid
-from attacks.remembered import noise_m2, part, remembered, whole
+from attacks.remembered import as_shared, noise_m2, part, reconstructed_from, remembered, whole
+from isac_track.types import derived
 
 
 def test_it_is_made_once_for_each_release_and_dies_with_it():
@@ -42,3 +43,18 @@ def test_what_is_known_of_a_part_is_what_is_made_of_its_tracks_alone():
     assert np.array_equal(walks.sizes, by_itself.sizes)
     for row, cells in enumerate(walks.sizes):
         assert np.array_equal(walks.values[:, row, :cells], by_itself.values[:, row, :cells])
+
+
+def test_a_reconstruction_and_its_parts_know_what_was_shared_for_as_long_as_they_live():
+    shared, _, _ = two_releases(9, noise_m=0.3)
+    assert as_shared(shared) is shared
+    smooth = reconstructed_from(derived(shared, xy=0.5 * shared.xy), shared)
+    assert as_shared(smooth) is shared
+    some = as_shared(part(part(smooth, np.array([8, 0, 3])), np.array([2, 0])))
+    assert whole(some)[0] is shared
+    assert np.array_equal(some.xy, shared.tracks([3, 8]).xy)
+    alive = weakref.ref(shared)
+    del shared, some
+    assert alive() is not None
+    del smooth
+    assert alive() is None

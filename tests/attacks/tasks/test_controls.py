@@ -134,6 +134,15 @@ def test_frame_and_clock_are_no_shortcuts_where_the_scene_shows():
         assert control.applies(TASKS["handover-1s"]) == (name not in {"frame", "clock"})
 
 
+def test_the_noise_level_is_a_shortcut_only_where_the_channel_is_another_one():
+    ablated = {"split", "handover-1s", "handover-2s", "handover-5s"}
+    for name, task in TASKS.items():
+        assert CONTROLS["noise_level"].audits(task) == (name not in ablated), name
+        assert CONTROLS["noise_level"].applies(task)
+        assert CONTROLS["duration"].audits(task)
+        assert not CONTROLS["random"].audits(task)
+
+
 def test_closeness_is_the_distance_of_features_in_units_of_their_spread():
     rng = stream(0, "test", "closeness")
     first, second = rng.normal([0, 5, 0], [1, 100, 0], (7, 3)), rng.normal(0, [1, 9, 0], (4, 3))

@@ -8,6 +8,7 @@ from helpers.cells import STAGES
 from helpers.walkers import walkers
 
 from attacks.tasks.build import sessions_of
+from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import TASKS
 from evaluation.cells.link_setup import sensed_sessions
 from isac_track.resample import walk
@@ -51,6 +52,8 @@ def test_a_gain_that_never_forgets_is_one_of_a_walk_on_both_sides_and_at_every_i
     for who in both:
         assert len(probe[who] | gallery[who]) == 1
     assert len(set.union(*probe.values())) == len(probe)
+    # What the walk keeps is evidence.
+    assert not CONTROLS["noise_level"].audits(TASKS[name])
 
 
 @pytest.mark.parametrize("name", ["rerelease", "new_traversal"])
@@ -60,6 +63,7 @@ def test_at_another_time_it_is_drawn_anew(name):
     for who, own in probe.items():
         assert len(own) == len(gallery[who]) == 1
         assert not own & gallery[who]
+    assert CONTROLS["noise_level"].audits(TASKS[name])
 
 
 def test_no_draw_depends_on_the_gap():

@@ -590,6 +590,14 @@ class TestOutcomes:
             row = found.loc[(f"{task}/x", by)]
             assert (row["invalid"], row["outcome"]) == (invalid, said)
 
+    def test_the_noise_level_makes_cells_invalid_only_where_the_channel_is_another_one(self):
+        tasks = ("rerelease", "split", "handover-1s")
+        entries = [(f"{task}/control-noise_level", "raw", 0.0004) for task in tasks]
+        entries += [(f"{task}/x", by, 0.001) for task in tasks for by in ("raw", "clean")]
+        frame = linkability.linkability([entry(*each) for each in entries], dataset="here")
+        invalid = frame.set_index(["consumer", "mechanism"])["invalid"]
+        assert [invalid[f"{task}/x", "raw"] for task in tasks] == ["noise_level", "", ""]
+
     def test_the_simulated_task_has_a_data_set_of_its_own(self):
         assert linkability.dataset_of("new_traversal/x", dataset="here") != "here"
         assert linkability.dataset_of("split/x", dataset="here") == "here"
