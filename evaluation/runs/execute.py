@@ -11,11 +11,11 @@ from typing import Any, Final
 
 import pyarrow as pa
 
-import isac_track
+from evaluation.cells.loops import COMPILED, COMPILING, LOADED, loops_of, prepare_loop
 from evaluation.cells.sample_tracks import chosen, gallery_rows
 from evaluation.cells.where import Failed, here, note
 from evaluation.experiment.constants import horizon_world
-from evaluation.experiment.fingerprint import OURS, has_strangers
+from evaluation.experiment.fingerprint import has_strangers
 from evaluation.experiment.plan import Plan, Unit
 from evaluation.runs import pieces
 from evaluation.runs.cell_files import places_of, read_rows, renamed, sound_files, write_gallery
@@ -33,7 +33,7 @@ from evaluation.runs.manifest import (
 )
 from evaluation.runs.people import names_to_write, share_key
 from evaluation.runs.trials import try_plugins
-from evaluation.runs.workers import spread
+from evaluation.runs.workers import dismiss, spread
 from isac_track.command_line import check_interrupt
 from isac_track.errors import PluginError, told
 from isac_track.plugins import Plugin
@@ -220,13 +220,13 @@ def _compute(
     compute = partial(pieces.in_files, files=files, names=names, **own)
     computed: Generator[tuple[pieces.Work, Iterable[pieces.Found]]]
     if settings.scheduler is None:
+        _prepare_loops(works, ready, partial(tell, 0, total))
         computed = spread(
             compute,
             works,
             jobs=ready.jobs,
             limit_s=settings.cell_timeout_s,
             apart=has_strangers(ready.axes),
-            loops=_loops(works) if ready.jobs > 1 else (),  # one alone loads what it takes
         )
     else:
         from evaluation.runs.dask import spread_on_cluster  # noqa: PLC0415 - an extra
@@ -264,14 +264,25 @@ def _stage(place: pieces.Place) -> str:
     return f"{'linkage' if '/' in label.partition(':')[0] else 'scenes'}: {spec} > {label}"
 
 
-def _loops(works: Iterable[pieces.Work]) -> list[str]:
-    """Return the modules of compiled loops, all of them, if any work takes one."""
-    cells = (cell for work in works for cell in pieces.cells_of(work))
-    if all(one.kind == "shared" or one.spec == "least_squares" for _, _, one in cells):
-        return []
-    root = Path(isac_track.__file__).parent.parent
-    found = (path for name in OURS for path in (root / name).rglob("_*loop*.py"))
-    return sorted(".".join(path.relative_to(root).with_suffix("").parts) for path in found)
+def _prepare_loops(works: Iterable[pieces.Work], ready: Plan, tell: Callable[[str], None]) -> None:
+    """Compile the loops that the cells call, or load them, before the cells.
+
+    Workers that had to compile end here: each keeps half a gigabyte for it. A loop that cannot be
+    compiled fails the cell that calls it, by name.
+    """
+    loops = loops_of(cell[1:] for work in works for cell in pieces.cells_of(work))
+    apart = has_strangers(ready.axes) or ready.settings.cell_timeout_s is not None
+    states: dict[str, str] = {}
+    prepared = spread(prepare_loop, deque(loops), jobs=ready.jobs, limit_s=None, apart=apart)
+    with closing(prepared):
+        for loop, some in prepared:
+            for state in some:
+                states[loop] = LOADED if isinstance(state, Failed) else state
+                if {COMPILING, COMPILED} & {*states.values()}:
+                    n_ready = sum(one != COMPILING for one in states.values())
+                    tell(f"compiling, once: {n_ready} of {len(loops)} loops")
+    if COMPILED in states.values():
+        dismiss()
 
 
 def _write(out: Path, file: pieces.WholeFile | None) -> None:
