@@ -5,6 +5,7 @@ A loop that is missing here is compiled by the first process that calls it.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Final
 
@@ -16,7 +17,8 @@ if TYPE_CHECKING:
     from isac_track.plugins import Plugin
 
 COMPILING, COMPILED, LOADED = "compiling", "compiled", "loaded"
-_GAIN: Final = ("isac_track._gain_loop:correlated",)
+GAIN: Final = "isac_track._gain_loop:correlated"
+"""Loop of the channel: every run senses, and its manifest describes the channel."""
 _DESCRIPTORS: Final = ("isac_track._privacy_loop:described",)
 _NOISE: Final = ("isac_track.kalman._linear_loops:innovation_level",)
 _FILTER: Final = ("isac_track.kalman._linear_loops:cv_last", *_NOISE)
@@ -79,7 +81,7 @@ _SLOWEST: Final = (
 
 def loops_of(cells: Iterable[tuple[Plugin, Consumer]]) -> list[str]:
     """Return the loops of some cells, as ``package.module:loop``, the slowest to compile first."""
-    found = dict.fromkeys(_GAIN)
+    found = {GAIN: None}
     for mechanism, consumer in cells:
         found |= dict.fromkeys(_loops_of_cell(mechanism, consumer))
     ranks = {name: rank for rank, name in enumerate(_SLOWEST)}
@@ -106,11 +108,15 @@ def prepare_loop(name: str) -> Iterator[str]:
     """Load a loop or compile it, in a process that may be a worker.
 
     Yields `COMPILING` before a loop that numba's cache lacks, and at the end `COMPILED` if that
-    filled the cache, `LOADED` if not.
+    filled the cache, `LOADED` if not. What goes wrong is left to the first call, which a cell
+    makes: that cell fails by name.
     """
-    from isac_track.compiling import is_cached, prepared  # noqa: PLC0415 - imports numba
-
     note()
-    if not is_cached(name):
-        yield COMPILING
-    yield COMPILED if prepared(name, quietly=True) else LOADED
+    fills_cache = False
+    with contextlib.suppress(Exception):
+        from isac_track.compiling import is_cached, prepared  # noqa: PLC0415 - imports numba
+
+        if not is_cached(name):
+            yield COMPILING
+        fills_cache = prepared(name, quietly=True)
+    yield COMPILED if fills_cache else LOADED
