@@ -29,6 +29,7 @@ class Preset:
     model_linked: tuple[str, ...] = ()  # of these, linked there, where errors are Gaussian.
     # Adversaries who know more, tried on the levels that would be proposed:
     breakers: tuple[str, ...] = ()
+    adversaries: tuple[str, ...] = ()  # The same, tried on every level from the start.
     model_people: int = 100  # Of a task at most, there: the optimum takes all pairs and lags.
 
 
@@ -127,6 +128,7 @@ _QUICK = Preset(
         *("likelihood_ratio:one_to_one=true", "shape@radial_rts"),
     ),
     against_slow=("ou_rts",),
+    adversaries=BREAKERS,
     tasks=("rerelease", "handover-1s", "handover-5s"),
     summary="2,000 scenes (250 attacked), 9 levels, the strongest attack of each kind",
 )

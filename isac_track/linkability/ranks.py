@@ -179,8 +179,8 @@ def log_sum_exp(values: Floats, *, axis: int) -> Floats:
     small matrices here: it provides for complex, infinite and empty input.
     """
     largest = values.max(axis=axis, keepdims=True)
-    total: Floats = np.exp(values - largest).sum(axis=axis, keepdims=True)
-    return np.log(total) + largest
+    total = np.exp(values - largest).sum(axis=axis, keepdims=True)
+    return np.asarray(np.log(total) + largest)
 
 
 def soft_matches(scores: Floats) -> Floats:
