@@ -262,6 +262,16 @@ def _read_threshold(true: Floats, false: Floats, r: int, limit: float) -> tuple[
 
 
 @part_of_loop
+def _heaviest(table: Bins) -> int:
+    """Return the greatest weight, at least 1."""
+    heaviest = 1
+    for c in range(table.shape[0]):
+        for r in range(table.shape[1]):
+            heaviest = max(heaviest, int(table[c, r]))
+    return heaviest
+
+
+@part_of_loop
 def _occupied(counts: Ints) -> tuple[Ints, int]:
     """Return the cells that have scores, ascending, and how many have mated ones."""
     cells = np.empty(counts.shape[0], dtype=np.int64)
@@ -291,16 +301,9 @@ def read_scores(
     n_replicates, counts = table.shape[1], pairs[5]
     starts, a_of, b_of = _sorted_pairs(table.shape[0] - 1, pairs)
     # As narrow as they come, sixteen to thirty-two in a vector instruction; so few cannot overflow.
-    heaviest = 1
-    for c in range(table.shape[0]):
-        for r in range(n_replicates):
-            heaviest = max(heaviest, int(table[c, r]))
-    most = _MOST // (heaviest * heaviest)
-    some, own, other = (
-        np.empty(n_replicates, dtype=np.uint16),
-        np.empty(n_replicates),
-        np.empty(n_replicates),
-    )
+    most = _MOST // _heaviest(table) ** 2
+    some = np.empty(n_replicates, dtype=np.uint16)
+    own, other = np.empty(n_replicates), np.empty(n_replicates)
     true, false, waiting = np.zeros(n_replicates), np.zeros(n_replicates), np.zeros(n_replicates)
     occupied, n_mated = _occupied(counts)
     sums, n_thresholds = np.zeros((2, n_replicates)), 0
