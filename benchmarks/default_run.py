@@ -1,7 +1,8 @@
 """What a default run takes: ``python -m benchmarks.default_run --json FILE``.
 
-Each run is a fresh process that writes into a folder of its own, after one small run that fills the
-caches. Seconds depend on the machine and on the hour; so a fixed piece of work is timed before and
+Each run is a fresh process that writes into a folder of its own, after a run of few scenes that
+fills the caches. With ``--cold`` no loop is compiled before: the cache is a folder of its own.
+Seconds depend on the machine and on the hour; so a fixed piece of work is timed before and
 after, and what a run takes is told in units of that as well: these numbers compare across machines.
 With ``--tree DIR`` another checkout is measured in the same sitting.
 """
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parent.parent
 EVERY_S = 0.2
+FEW = "40"  # Scenes of a run that calls every loop.
 STAGES = {"cells": "cells/*", "tables and verdict": "verdict.json", "page": "report.html"}
 """A stage ends with the last of these files; before the first cell is the start."""
 
@@ -48,6 +50,7 @@ def parser() -> argparse.ArgumentParser:
     add = command.add_argument
     add("--dataset", nargs="+", default=["students03", "plaza"], metavar="NAME", help="recordings")
     add("--tree", nargs="+", type=Path, default=[ROOT], metavar="DIR", help="checkouts to measure")
+    add("--cold", action="store_true", help="measure a run that has to compile its loops")
     add("--json", type=Path, metavar="FILE", help="write the figures there, too")
     add("options", nargs="*", metavar="OPTION", help="options of the matrix, after --")
     return command
@@ -73,10 +76,13 @@ def _measure_all(options: argparse.Namespace) -> int:
         for dataset in options.dataset:
             with tempfile.TemporaryDirectory(prefix="isac-track-default-run-") as folder:
                 command = ["-m", "evaluation.matrix", "--dataset", dataset]
-                small = ("--preset", "smoke", "--predictor", "least_squares", "--task", "none")
-                measure([*command, *small, "--out", f"{folder}/small"], tree=tree)
+                cache = Path(folder) / "cache" if options.cold else None
+                if not options.cold:
+                    small = [*options.options, "--scenes", FEW]
+                    measure([*command, *small, "--out", f"{folder}/small"], tree=tree)
                 before_s = calibration_s()
-                result = measure([*command, *options.options, "--out", f"{folder}/run"], tree=tree)
+                words = [*command, *options.options, "--out", f"{folder}/run"]
+                result = measure(words, tree=tree, cache=cache)
             calibration = statistics.mean([before_s, calibration_s()])
             result |= {
                 "dataset": dataset,
@@ -105,8 +111,10 @@ def _shown(value: Any) -> str:  # noqa: ANN401 - a cell of a table
     return f"{value:,.1f}" if isinstance(value, float) else str(value)
 
 
-def measure(arguments: Sequence[str], *, tree: Path) -> dict[str, Any]:
+def measure(arguments: Sequence[str], *, tree: Path, cache: Path | None = None) -> dict[str, Any]:
     """Run Python on a command of a checkout, whose last argument is the folder that it makes.
+
+    Compiled loops are cached in the folder `cache`, by default where numba puts them.
 
     Returns
     -------
@@ -121,6 +129,8 @@ def measure(arguments: Sequence[str], *, tree: Path) -> dict[str, Any]:
     """
     folder, load = Path(arguments[-1]), os.getloadavg()[0]
     environment = {**os.environ, "PYTHONPATH": str(tree.resolve())}
+    if cache is not None:
+        environment["NUMBA_CACHE_DIR"] = str(cache)
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     began, started, finished, peak = time(), perf_counter(), Event(), [0.0]
     process = subprocess.Popen(

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from evaluation.experiment.presets import PRESETS
+from evaluation.experiment.presets import DEFAULT, PRESETS
 from evaluation.experiment.settings import Settings
 from evaluation.reporting import announcements
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
@@ -47,7 +47,7 @@ _PRECISION = (
 )
 _OPTIONS: Final[dict[str, tuple[type, str, str]]] = {
     # Key of --config: its type, its metavar, and what --help says.
-    "preset": (str, "NAME", f"{_PRESETS} (default: paper)"),
+    "preset": (str, "NAME", f"{_PRESETS} (default: {DEFAULT})"),
     "dataset": (str, "NAME|PATH", _DATA),
     "format": (str, "NAME", "format of your own file; see docs/data.md"),
     "fps": (float, "N", "frames per second of your own file"),

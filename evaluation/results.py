@@ -76,7 +76,7 @@ def run(
 ) -> Results:
     """Run the matrix and return its results as data frames.
 
-    `settings` are by default those of preset `paper`; `options` are put over them, as in
+    `settings` are by default those of preset `quick`; `options` are put over them, as in
     `evaluation.run(preset="smoke", mechanisms=["raw"])`; `ready` is a plan of `plan` instead of
     both. `progress` is whether to show the data and how far the run is, on standard error, or what
     is called with cells finished, cells to do, and what is under way. Without `pictures` there are

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 
-from evaluation.experiment.presets import PRESETS
+from evaluation.experiment.presets import DEFAULT, PRESETS
 from evaluation.experiment.settings import Settings
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
 from isac_track.config import StageSettings
@@ -37,7 +37,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add = command.add_argument
     about = "repeatable: a recording"
     add("--dataset", action="append", metavar="NAME|PATH", required=True, help=about)
-    add("--preset", default="paper", choices=list(PRESETS), help="of every run (default: paper)")
+    about = "of every run (default: %(default)s)"
+    add("--preset", default=DEFAULT, choices=list(PRESETS), help=about)
     add("--seed", action="append", metavar="N", type=int, help="repeatable (default: 0)")
     about = "repeatable: law of the sensing error (default: radial)"
     add("--law", action="append", choices=LAWS, help=about)

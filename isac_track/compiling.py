@@ -1,4 +1,4 @@
-"""Compile a loop with numba at first use, say so in one line, and cache it where possible.
+"""Compile a loop with numba at its first call, say so in one line, and cache it where possible.
 
 Only the private modules of compiled loops import this one, and they are imported at first use:
 importing numba takes longer than a command may take to print its help.
@@ -10,8 +10,12 @@ import hashlib
 import os
 import secrets
 import sys
+import threading
 from collections.abc import Callable
+from functools import update_wrapper
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Final, TypeVar, cast
 
 import numba
@@ -64,30 +68,83 @@ class _Notice(event.Listener):
 
 
 _notice = _Notice()
+_compiling = threading.RLock()  # Threads of a process compile a loop once.
 
 
-def compiled(*arguments: object) -> Callable[[_Loop], _Loop]:
-    """Return a decorator that compiles a loop without a result for these argument types, now.
+class Loop:
+    """A loop without a result for fixed argument types, compiled when it is first needed.
 
     The machine code comes from numba's cache where there is one. Where none can be written, or
     it cannot take the code (a full disk), the loop is compiled for this process alone. Cached code
     that is damaged is removed and compiled again.
     """
 
-    def decorate(loop: _Loop) -> _Loop:
-        signature = numba.void(*arguments)
-        with event.install_listener("numba:compile", _notice):
-            if _notice.cached:
-                try:
-                    return _from_cache(loop, signature)
-                except (RuntimeError, OSError):  # numba: "no locator available"
-                    _notice.cached = False
-            return cast("_Loop", numba.njit(signature, **_OPTIONS)(loop))
+    def __init__(self, function: Callable[..., None], arguments: tuple[object, ...]) -> None:
+        self.function = function
+        self._arguments = arguments
+        self._machine_code: Callable[..., None] | None = None
+        update_wrapper(self, function)
+
+    def __call__(self, *arguments: object) -> None:
+        """Run the machine code."""
+        (self._machine_code or self.prepare())(*arguments)
+
+    @property
+    def is_cached(self) -> bool:
+        """Whether numba's cache holds files of the loop; they may be of an older source."""
+        return bool(_CachedLoop(self.function).files())
+
+    def prepare(self) -> Callable[..., None]:
+        """Load the machine code, or compile it; return it."""
+        with _compiling, event.install_listener("numba:compile", _notice):
+            if self._machine_code is None:
+                self._machine_code = self._made()
+        return self._machine_code
+
+    def _made(self) -> Callable[..., None]:
+        signature = numba.void(*self._arguments)
+        if _notice.cached:
+            try:
+                return _from_cache(self.function, signature)
+            except (RuntimeError, OSError):  # numba: "no locator available"
+                _notice.cached = False
+        machine_code: Callable[..., None] = numba.njit(signature, **_OPTIONS)(self.function)
+        return machine_code
+
+
+def compiled(*arguments: object) -> Callable[[Callable[..., None]], Loop]:
+    """Return a decorator that makes a `Loop` for these argument types."""
+
+    def decorate(function: Callable[..., None]) -> Loop:
+        return Loop(function, arguments)
 
     return decorate
 
 
-def _from_cache(loop: _Loop, signature: object) -> _Loop:
+def prepared(name: str, *, quietly: bool = False) -> bool:
+    """Load or compile a loop; return whether that filled the cache.
+
+    The `name` is ``package.module:loop``. If `quietly`, no line says that it is compiled once.
+    """
+    module, _, loop = name.partition(":")
+    before = _notice.compiled
+    _notice.said |= quietly and _notice.cached
+    getattr(import_module(module), loop).prepare()
+    return _notice.cached and _notice.compiled > before
+
+
+def is_cached(name: str) -> bool:
+    """Tell whether numba's cache holds files of a loop, named as in `prepared`."""
+    module, _, loop = name.partition(":")
+    return bool(getattr(import_module(module), loop).is_cached)
+
+
+def loops_in(module: ModuleType) -> list[Loop]:
+    """Return the compiled loops of a module."""
+    return [value for value in vars(module).values() if isinstance(value, Loop)]
+
+
+def _from_cache(loop: Callable[..., None], signature: object) -> Callable[..., None]:
     """Return a loop from numba's cache, compiled into it if need be; raises what numba does."""
     cache = _CachedLoop(loop)
     if cache.is_damaged():
@@ -100,7 +157,7 @@ def _from_cache(loop: _Loop, signature: object) -> _Loop:
             raise
         machine_code = numba.njit(signature, cache=True, **_OPTIONS)(loop)
     cache.note_checksum(is_new=_notice.compiled > before)
-    return cast("_Loop", machine_code)
+    return cast("Callable[..., None]", machine_code)
 
 
 class _CachedLoop:
@@ -122,7 +179,7 @@ class _CachedLoop:
             self._folder = Path(dispatcher.stats.cache_path)
             self._name = f"{stem}{tag}"
 
-    def _files(self) -> list[Path]:
+    def files(self) -> list[Path]:
         """Return what numba wrote: the index, and the code of each signature."""
         if self._folder is None:
             return []
@@ -134,14 +191,14 @@ class _CachedLoop:
 
     def _checksum(self) -> str:
         whole = hashlib.sha256()
-        for path in self._files():
+        for path in self.files():
             whole.update(path.name.encode() + b"\0" + hashlib.sha256(path.read_bytes()).digest())
         return whole.hexdigest()
 
     def is_damaged(self) -> bool:
         """Whether the files are not those whose checksum was noted."""
         try:
-            return bool(self._files()) and self._note.read_text("ascii") != self._checksum()
+            return bool(self.files()) and self._note.read_text("ascii") != self._checksum()
         except UnicodeDecodeError:
             return True
         except OSError:  # nothing was noted: an older cache
@@ -150,7 +207,7 @@ class _CachedLoop:
     def remove(self) -> bool:
         """Remove the files, so that the loop is compiled anew; say so, return whether any went."""
         removed: list[Path] = []
-        for path in self._files():
+        for path in self.files():
             with contextlib.suppress(OSError):
                 path.unlink()
                 removed.append(path)
@@ -162,7 +219,7 @@ class _CachedLoop:
     def note_checksum(self, *, is_new: bool) -> None:
         """Note the checksum of files that numba has just written, or that have none."""
         with contextlib.suppress(OSError):  # the files are good; without a note they are trusted
-            if self._files() and (is_new or not self._note.exists()):
+            if self.files() and (is_new or not self._note.exists()):
                 temporary = self._note.with_name(f".{secrets.token_hex(8)}{_CHECKSUM}")
                 temporary.write_text(self._checksum(), "ascii")
                 os.replace(temporary, self._note)  # noqa: PTH105 - atomic on one file system

@@ -18,7 +18,7 @@ from evaluation.experiment.constants import (
     WORLDS,
     horizon_world,
 )
-from evaluation.experiment.presets import BREAKER, PRESETS, SHARED, UTILITY_PREDICTORS
+from evaluation.experiment.presets import BREAKER, PRESETS, SHARED, UTILITY_PREDICTORS, Preset
 from evaluation.experiment.settings import Settings
 from isac_track import plugins
 from isac_track.errors import SettingsError, quoted
@@ -248,7 +248,7 @@ def axes(settings: Settings) -> Axes:
     found = Axes(
         *(mechanisms, predictors, attacks, pairs, ceiling),
         utility=frozenset(utility),
-        adversaries=settings.adversaries,
+        adversaries=_adversaries(settings, preset),
         horizons_s=settings.stages.conflict.horizons_s if utility else (),
         worlds=worlds,
         slow_in_worlds=settings.preset == "audit",
@@ -267,6 +267,12 @@ def axes(settings: Settings) -> Axes:
             f"that does, such as --attack {BREAKER}"
         )
     return found
+
+
+def _adversaries(settings: Settings, preset: Preset) -> tuple[str, ...]:
+    """Return who attacks beside the usual adversaries: as asked, and the preset's own."""
+    own = preset.adversaries if settings.attacks is None else ()
+    return tuple(dict.fromkeys((*settings.adversaries, *own)))
 
 
 def _check_laws(mechanisms: Iterable[Plugin], *, law: str) -> None:

@@ -6,7 +6,7 @@ from attacks.tasks.task_list import TASKS
 from evaluation.experiment.constants import IDENTITY, SHARED
 
 __all__ = ["BREAKER", "DISSOCIATION", "IDENTITY", "PRESETS", "PROTECTIONS", "SHARED", "Preset"]
-__all__ += ["BASELINE", "UTILITY_PREDICTORS"]
+__all__ += ["BASELINE", "DEFAULT", "UTILITY_PREDICTORS"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +29,7 @@ class Preset:
     model_linked: tuple[str, ...] = ()  # of these, linked there, where errors are Gaussian.
     # Adversaries who know more, tried on the levels that would be proposed:
     breakers: tuple[str, ...] = ()
+    adversaries: tuple[str, ...] = ()  # The same, tried on every level from the start.
     model_people: int = 100  # Of a task at most, there: the optimum takes all pairs and lags.
 
 
@@ -109,7 +110,32 @@ _PAPER = replace(
     summary="2,000 scenes (500 attacked), raw, 13 eta, 10 fixed errors, both rules, 6 controls, "
     "4 levels of slow, Laplace and white noise",
 )
+_PROTECTING = ("ou:0.4", "ou:0.8")
+"""Slow noise: the level nearest to a recommendation in `paper`, and a level that qualifies."""
+_QUICK = Preset(
+    scenes=250,
+    utility_scenes=2000,
+    # Fixed noise on either side of eta 1, so that both can be read at equal missed conflicts.
+    mechanisms=(
+        *("raw", "fid:1", "fixed:0.7", "fixed:1"),
+        *(f"{name},adding=independent" for name in ("fid:1", "fixed:0.7", "fixed:1")),
+        *_PROTECTING,
+    ),
+    predictors=UTILITY_PREDICTORS,
+    # The strongest of each kind in `paper`, on every recording or within a point of that.
+    attacks=(
+        *("radial_rts", "kinematic", "kinematic@radial_rts"),
+        *("likelihood_ratio:one_to_one=true", "shape@radial_rts"),
+    ),
+    against_slow=("ou_rts",),
+    adversaries=BREAKERS,
+    tasks=("rerelease", "handover-1s", "handover-5s"),
+    summary="2,000 scenes (250 attacked), 9 levels, the strongest attack of each kind",
+)
+DEFAULT = "quick"
+"""Preset of a run that names none."""
 PRESETS = {
+    "quick": _QUICK,
     "smoke": _SMOKE,
     "paper": _PAPER,
     "full": replace(

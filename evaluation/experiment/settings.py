@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from evaluation.experiment.constants import MOST_JOBS, MOST_SCENES
-from evaluation.experiment.presets import PRESETS
+from evaluation.experiment.presets import DEFAULT, PRESETS
 from isac_track.config import StageSettings
 from isac_track.errors import SettingsError, did_you_mean, quoted
 from isac_track.protocols import ADVERSARIES
@@ -55,7 +55,7 @@ class Settings:
     SettingsError for what the command line refuses, too.
     """
 
-    preset: str = "paper"
+    preset: str = DEFAULT
     dataset: Any = None  # Name of a known data set, a path, or a data frame (pandas, polars).
     format: str | None = None
     fps: float | None = None

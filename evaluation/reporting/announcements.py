@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.experiment.constants import BLOCK_SCENES
-from evaluation.experiment.presets import PRESETS
+from evaluation.experiment.presets import DEFAULT, PRESETS
 from isac_track.config import StageSettings
 
 if TYPE_CHECKING:
@@ -210,12 +210,12 @@ def _same_run(manifest: Mapping[str, Any]) -> list[str]:
 
     identity, settings, dataset = (manifest[key] for key in ("identity", "settings", "dataset"))
     name = settings["preset"]
-    usual = PRESETS.get(name, PRESETS["paper"])
+    usual = PRESETS.get(name, PRESETS[DEFAULT])
     known = dataset["name"] in KNOWN
     scenes = identity["scenes"]
     every = identity.get("scenes_utility", scenes)
     is_usual = (scenes, every) == (usual.scenes, usual.utility_scenes)
-    options = [("preset", name if name in PRESETS and name != "paper" else None)]
+    options = [("preset", name if name in PRESETS and name != DEFAULT else None)]
     sessions = [("session", path) for path in dataset.get("sessions", ())]
     options += sessions or [("dataset", dataset["name"] if known else dataset["path"])]
     if not known:

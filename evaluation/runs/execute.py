@@ -11,16 +11,16 @@ from typing import Any, Final
 
 import pyarrow as pa
 
-import isac_track
+from evaluation.cells.loops import COMPILED, COMPILING, GAIN, LOADED, loops_of, prepare_loop
 from evaluation.cells.sample_tracks import chosen, gallery_rows
 from evaluation.cells.where import Failed, here, note
 from evaluation.experiment.constants import horizon_world
-from evaluation.experiment.fingerprint import OURS, has_strangers
+from evaluation.experiment.fingerprint import has_strangers
 from evaluation.experiment.plan import Plan, Unit
 from evaluation.runs import pieces
 from evaluation.runs.cell_files import places_of, read_rows, renamed, sound_files, write_gallery
 from evaluation.runs.files import FOLDER, label_of, locked, write_checked
-from evaluation.runs.folder import check_folder, open_run
+from evaluation.runs.folder import check_folder, check_preset, open_run
 from evaluation.runs.manifest import (
     describe,
     entries_of,
@@ -33,7 +33,7 @@ from evaluation.runs.manifest import (
 )
 from evaluation.runs.people import names_to_write, share_key
 from evaluation.runs.trials import try_plugins
-from evaluation.runs.workers import spread
+from evaluation.runs.workers import dismiss, spread
 from isac_track.command_line import check_interrupt
 from isac_track.errors import PluginError, told
 from isac_track.plugins import Plugin
@@ -58,7 +58,10 @@ def execute(
     """
     started, out = time.monotonic(), ready.out
     given_up = try_plugins(ready)
+    if not ready.settings.fresh:
+        check_preset(out, preset=ready.settings.preset)
     manifest, held, damaged = open_run(out, identity=ready.identity, fresh=ready.settings.fresh)
+    deque(prepare_loop(GAIN), maxlen=0)
     names = names_to_write(ready, is_continued=bool(held))
     earlier_s = float(manifest.get("wall_time_s", 0.0))
     places = places_of(held)
@@ -120,9 +123,14 @@ def _computed(
     names: Mapping[str, str],
 ) -> list[dict[str, Any]]:
     """Compute what is missing; return what failed, which the manifest then names."""
+    works = deque(pieces.pieces_of(missing, ready))
+    if ready.settings.scheduler is None:  # a cluster's workers compile for themselves
+        total = sum(len(unit.consumers) for unit in missing)
+        compiling_s = _prepare_loops(works, ready, partial(tell, 0, total))
+        manifest["compiling_s"] = round(manifest.get("compiling_s", 0.0) + compiling_s, 3)
     failed = [
         {**named(mechanism, consumer), "block": block, "why": why}
-        for (block, mechanism, consumer), why in _compute(missing, ready, tell, names)
+        for (block, mechanism, consumer), why in _compute(missing, works, ready, tell, names)
     ]
     if failed:
         manifest["failed"] += failed
@@ -205,12 +213,13 @@ def _gallery_part(mechanism: Plugin, **options: Any) -> Iterator[pa.Table | Fail
 
 def _compute(
     missing: Sequence[Unit],
+    works: deque[pieces.Work],
     ready: Plan,
     tell: Callable[[int, int, str], None],
     names: Mapping[str, str],
 ) -> list[tuple[pieces.Cell, str]]:
     """Compute what is missing, here or by workers, and return what could not be, and why."""
-    works, settings = deque(pieces.pieces_of(missing, ready)), ready.settings
+    settings = ready.settings
     if not works:
         return []
     total = sum(len(one.consumers) for one in missing)
@@ -226,7 +235,6 @@ def _compute(
             jobs=ready.jobs,
             limit_s=settings.cell_timeout_s,
             apart=has_strangers(ready.axes),
-            loops=_loops(works) if ready.jobs > 1 else (),  # one alone loads what it takes
         )
     else:
         from evaluation.runs.dask import spread_on_cluster  # noqa: PLC0415 - an extra
@@ -264,14 +272,26 @@ def _stage(place: pieces.Place) -> str:
     return f"{'linkage' if '/' in label.partition(':')[0] else 'scenes'}: {spec} > {label}"
 
 
-def _loops(works: Iterable[pieces.Work]) -> list[str]:
-    """Return the modules of compiled loops, all of them, if any work takes one."""
-    cells = (cell for work in works for cell in pieces.cells_of(work))
-    if all(one.kind == "shared" or one.spec == "least_squares" for _, _, one in cells):
-        return []
-    root = Path(isac_track.__file__).parent.parent
-    found = (path for name in OURS for path in (root / name).rglob("_*loop*.py"))
-    return sorted(".".join(path.relative_to(root).with_suffix("").parts) for path in found)
+def _prepare_loops(works: Iterable[pieces.Work], ready: Plan, tell: Callable[[str], None]) -> float:
+    """Compile the loops that the cells call, or load them; return the seconds that compiling took.
+
+    Workers that had to compile end here: each keeps half a gigabyte for it.
+    """
+    loops = loops_of(cell[1:] for work in works for cell in pieces.cells_of(work))
+    apart = has_strangers(ready.axes) or ready.settings.cell_timeout_s is not None
+    started, states = time.monotonic(), dict[str, str]()
+    prepared = spread(prepare_loop, deque(loops), jobs=ready.jobs, limit_s=None, apart=apart)
+    with closing(prepared):
+        for loop, some in prepared:
+            for state in some:
+                states[loop] = LOADED if isinstance(state, Failed) else state
+                if {COMPILING, COMPILED} & {*states.values()}:
+                    n_ready = sum(one != COMPILING for one in states.values())
+                    tell(f"compiling, once: {n_ready} of {len(loops)} loops")
+    if COMPILED not in states.values():
+        return 0.0
+    dismiss()
+    return time.monotonic() - started
 
 
 def _write(out: Path, file: pieces.WholeFile | None) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from evaluation.experiment.fingerprint import can_be_found, source_digest
+from evaluation.experiment.presets import DEFAULT
 from evaluation.runs import files
 from evaluation.runs.cell_files import Index, sound_files
 from evaluation.runs.manifest import CELL_NAME, parsed, read_manifest, undamaged, write_manifest
@@ -43,6 +44,21 @@ def check_folder(out: Path) -> None:
             is_empty = path.name == files.FOLDER and path.is_dir() and not any(path.iterdir())
             if not (is_ours or is_empty):
                 raise SettingsError(f"{out} is not empty and holds no run; choose another --out")
+
+
+def check_preset(out: Path, *, preset: str) -> None:
+    """Raise SettingsError if a folder holds a run of another preset, and one of both is `quick`.
+
+    The levels of other presets would add up to a run that no command makes. A manifest that cannot
+    be read is left to `open_run`.
+    """
+    with contextlib.suppress(DataError):
+        earlier = read_manifest(out)["settings"].get("preset", preset)
+        if earlier != preset and DEFAULT in {earlier, preset}:
+            raise SettingsError(
+                f"{out} holds a run of --preset {earlier}, not of {preset}; "
+                "use --fresh to replace it or another --out"
+            )
 
 
 def open_run(

@@ -38,7 +38,6 @@ _ONE_THREAD: Final = dict.fromkeys(
 _FREED_STAYS: Final = {"MALLOC_TRIM_THRESHOLD_": str(2**26), "MALLOC_MMAP_THRESHOLD_": str(2**25)}
 """Of glibc's malloc, which else gives every larger array back to the system, page by page."""
 _LOOK_S: Final = 0.25  # How often running cells are held against their limit.
-_COMPILES_S: Final = 5.0  # To load loops takes less.
 _WORKER: Final = """
 import ctypes, os, signal, sys
 if sys.platform == "linux":  # 1: it ends with its parent, even where no other thread may run
@@ -65,7 +64,6 @@ def spread(
     jobs: int,
     limit_s: float | None,
     apart: bool = False,
-    loops: Sequence[str] = (),
     alone: bool = False,
 ) -> Generator[tuple[W, Iterable[R | Failed]]]:
     """Yield each work with what the function makes of it, again and again as it comes.
@@ -75,9 +73,8 @@ def spread(
     kept `apart`; else by workers, of which one that takes longer than `limit_s` between two notes
     is killed: what it has sent stays. What is left of many still gets one: it may kill its process.
 
-    Modules of compiled `loops` are imported by one worker before the others begin: each would
-    compile them for itself. Workers that are done wait for other work until `ahead` ends; if this
-    goes on `alone`, before other work, those do that nobody took. Raises what the function raises.
+    Workers that are done wait for other work until `ahead` ends; if this goes on `alone`, before
+    other work, those do that nobody took. Raises what the function raises.
     """
     if limit_s is None and jobs == 1 and not apart:
         with threadpool_limits(limits=1):
@@ -92,8 +89,6 @@ def spread(
             ends.callback(lane.stop, keeps=not alone)
             lane.begin()
         dismiss(len(_waiting) if alone else 0)  # there is no work for more
-        if loops:
-            lanes[0].load(loops)
         while works or any(lane.is_busy for lane in lanes):
             check_interrupt()
             for lane in lanes:
@@ -244,20 +239,6 @@ class _Lane(Generic[W, R]):
         self._worker.tell("function", self._function)
         return self._worker
 
-    def load(self, modules: Sequence[str]) -> None:
-        """Let the worker import some modules, and wait until it has, or is gone.
-
-        One that had to compile them keeps half a gigabyte for it: another takes its place.
-        """
-        worker, since_s = self._worker or self.begin(), time.monotonic()
-        worker.tell("load", modules)
-        with contextlib.suppress(EOFError, OSError):
-            while not worker.pipe.poll(_LOOK_S):
-                check_interrupt()
-            worker.pipe.recv()
-        if time.monotonic() - since_s > _COMPILES_S:
-            self.stop()
-
     def start(self, work: W) -> None:
         self.work, self.is_busy, self._overdue = work, True, ""
         self._at: tuple[str, ...] = ()
@@ -338,8 +319,6 @@ def serve(pipe: Any, *, parent: int) -> None:  # noqa: ANN401 - a connection, un
                 for name in said:
                     with contextlib.suppress(Exception):  # who needs it fails by name
                         import_module(name)
-                if kind == "load":
-                    pipe.send(("loaded", None))
 
 
 def _end_with(parent: int) -> None:

@@ -228,11 +228,14 @@ def imm_smoother(batch: Batch, moods: Moods) -> tuple[Floats, Floats]:
 
 
 def prepare() -> None:
-    """Compile everything, or load it from the cache.
+    """Compile every loop of this package, or load it from the cache.
 
-    Otherwise the first call does, for what it needs. The machine code is cached beside the
+    Otherwise a loop is compiled when it is first called. The machine code is cached beside the
     package, or in the user's cache if that is read-only; where neither can be written it is
     compiled in every process. Worth a call before a timing or before workers start.
     """
-    for loops in ("linear", "imm", "error"):
-        import_module(f"isac_track.kalman._{loops}_loops")
+    from isac_track.compiling import loops_in  # noqa: PLC0415 - imports numba
+
+    for name in ("linear", "imm", "error"):
+        for loop in loops_in(import_module(f"isac_track.kalman._{name}_loops")):
+            loop.prepare()

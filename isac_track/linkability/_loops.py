@@ -242,13 +242,45 @@ def _read_hull(blocks: Floats, totals: tuple[float, float]) -> tuple[float, floa
 
 
 @part_of_loop
-def _read_threshold(true: Floats, false: Floats, limit: float) -> tuple[float, float]:
-    """Return the counts at the highest threshold of the most hits with no more false links."""
+def _read_threshold(true: Floats, false: Floats, r: int, limit: float) -> tuple[float, float]:
+    """Return the counts at the highest threshold of the most hits with no more false links.
+
+    Of column `r`. The search is written out: numpy's takes seconds to compile.
+    """
     # Rounding must not refuse a share that lies exactly at the level.
-    k = np.searchsorted(false, limit * (1 + 1e-12), side="right") - 1
-    while k > 0 and true[k - 1] == true[k]:
+    limit *= 1 + 1e-12
+    k, above = -1, false.shape[0]
+    while above - k > 1:
+        middle = (k + above) // 2
+        if false[middle, r] <= limit:
+            k = middle
+        else:
+            above = middle
+    while k > 0 and true[k - 1, r] == true[k, r]:
         k -= 1
-    return (true[k], false[k]) if k >= 0 and true[k] > 0 else (0.0, 0.0)
+    return (true[k, r], false[k, r]) if k >= 0 and true[k, r] > 0 else (0.0, 0.0)
+
+
+@part_of_loop
+def _heaviest(table: Bins) -> int:
+    """Return the greatest weight, at least 1."""
+    heaviest = 1
+    for c in range(table.shape[0]):
+        for r in range(table.shape[1]):
+            heaviest = max(heaviest, int(table[c, r]))
+    return heaviest
+
+
+@part_of_loop
+def _occupied(counts: Ints) -> tuple[Ints, int]:
+    """Return the cells that have scores, ascending, and how many have mated ones."""
+    cells = np.empty(counts.shape[0], dtype=np.int64)
+    n, n_mated = 0, 0
+    for k in range(counts.shape[0]):
+        cells[n] = k
+        n += counts[k, 0] + counts[k, 1] > 0
+        n_mated += counts[k, 1] > 0
+    return cells[:n], n_mated
 
 
 @compiled(
@@ -269,16 +301,18 @@ def read_scores(
     n_replicates, counts = table.shape[1], pairs[5]
     starts, a_of, b_of = _sorted_pairs(table.shape[0] - 1, pairs)
     # As narrow as they come, sixteen to thirty-two in a vector instruction; so few cannot overflow.
-    most = _MOST // int(table.max()) ** 2
-    some, own, other = np.empty(n_replicates, dtype=np.uint16), totals[0].copy(), totals[0].copy()
-    true, false, waiting = np.zeros((3, n_replicates))
-    sums, n_mated, n_thresholds = np.zeros((2, n_replicates)), np.count_nonzero(counts[:, 1]), 0
-    hits, alarms = np.empty((2, n_mated, n_replicates))
+    most = _MOST // _heaviest(table) ** 2
+    some = np.empty(n_replicates, dtype=np.uint16)
+    own, other = np.empty(n_replicates), np.empty(n_replicates)
+    true, false, waiting = np.zeros(n_replicates), np.zeros(n_replicates), np.zeros(n_replicates)
+    occupied, n_mated = _occupied(counts)
+    sums, n_thresholds = np.zeros((2, n_replicates)), 0
+    hits, alarms = np.empty((n_mated, n_replicates)), np.empty((n_mated, n_replicates))
     # At the bottom of every stack lies what no block is merged with.
     stacks = np.empty((n_replicates, n_mated + 2, 2))
     stacks[:, 0, 0], stacks[:, 0, 1] = np.inf, 0.0
-    depths, drawn = np.zeros((2, n_replicates), dtype=np.int64)
-    occupied = np.flatnonzero(counts[:, 0] + counts[:, 1])
+    depths = np.zeros(n_replicates, dtype=np.int64)
+    drawn = np.zeros(n_replicates, dtype=np.int64)
     lowest, highest = bins[occupied[0]], bins[occupied[-1]]
     out[:] = 0.0
     for place in range(occupied.size - 1, -1, -1):
@@ -315,15 +349,15 @@ def read_scores(
             # Of the trapezia between bin centres the outer bins have one instead of two.
             inner = 1.0 - 0.5 * (bins[k] == lowest) - 0.5 * (bins[k] == highest)
             _add_share(sums, totals, inner, out[:2])
-    out[2] /= totals[0] * totals[1]
     for r in range(n_replicates):
+        out[2, r] /= totals[0, r] * totals[1, r]
         blocks = stacks[r, 1 : depths[r] + 2]
         blocks[-1, 0], blocks[-1, 1] = 0.0, waiting[r]
         mated, non_mated = totals[0, r], totals[1, r]
         out[3, r], out[4, r] = _read_hull(blocks, (mated, non_mated))
         for number in range(levels.size):
             limit = levels[number] * non_mated
-            true_r, false_r = _read_threshold(hits[:, r], alarms[:, r], limit)
+            true_r, false_r = _read_threshold(hits, alarms, r, limit)
             out[5 + 2 * number, r], out[6 + 2 * number, r] = true_r / mated, false_r / non_mated
 
 

@@ -12,8 +12,8 @@ from typing import Final
 
 import numpy as np
 from scipy.optimize import minimize_scalar
-from scipy.special import logsumexp
 
+from isac_track.linkability.ranks import log_sum_exp
 from isac_track.types import Bools, Floats, Ints
 
 _SCALINGS: Final = 300
@@ -90,7 +90,7 @@ def fit_scale(scores: Sequence[Floats], mates: Sequence[Ints]) -> float:
         for score, mate in rows:
             scaled = steepness / spread * score
             own = scaled[np.arange(mate.size), mate]
-            lost += float((logsumexp(scaled, axis=1) - own).sum())
+            lost += float((log_sum_exp(scaled, axis=1)[:, 0] - own).sum())
         return lost
 
     best = minimize_scalar(loss, bounds=(-_STEEPEST, _STEEPEST), method="bounded")

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.special import logsumexp
 
 from isac_track.types import Floats, Ints
 
@@ -173,6 +172,17 @@ def assign_in(order: Ints, scores: Floats, no_match_score: float | None) -> Ints
     return assigned
 
 
+def log_sum_exp(values: Floats, *, axis: int) -> Floats:
+    """Return log(sum(exp(values))) along an axis, which stays with length 1.
+
+    `values` are finite real numbers, not empty. scipy's `logsumexp` takes four times as long on the
+    small matrices here: it provides for complex, infinite and empty input.
+    """
+    largest = values.max(axis=axis, keepdims=True)
+    total = np.exp(values - largest).sum(axis=axis, keepdims=True)
+    return np.asarray(np.log(total) + largest)
+
+
 def soft_matches(scores: Floats) -> Floats:
     """Return the log probability of every pair where each probe has a mate and nobody two, (N, N).
 
@@ -186,9 +196,9 @@ def soft_matches(scores: Floats) -> Floats:
         raise ValueError(f"as many candidates as probes are needed, got {scores.shape}")
     log_p = scores
     for _ in range(_SCALINGS):
-        of_rows = logsumexp(log_p, axis=1, keepdims=True)
+        of_rows = log_sum_exp(log_p, axis=1)
         log_p = log_p - of_rows
-        log_p -= logsumexp(log_p, axis=0, keepdims=True)
+        log_p -= log_sum_exp(log_p, axis=0)
         if np.abs(of_rows).max() < _SCALED:
             break
     return log_p

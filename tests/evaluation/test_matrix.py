@@ -10,7 +10,7 @@ from helpers.commands import assert_refused
 from evaluation import matrix
 from evaluation.experiment.axes import axes
 from evaluation.experiment.plan import asked_of_file
-from evaluation.experiment.presets import DISSOCIATION, PRESETS, PROTECTIONS
+from evaluation.experiment.presets import DEFAULT, DISSOCIATION, PRESETS, PROTECTIONS
 from evaluation.experiment.settings import Settings
 from evaluation.runs.files import to_csv
 from isac_track import plugins
@@ -135,7 +135,7 @@ def test_a_file_gives_the_same_keys_and_the_command_line_wins(tmp_path):
         ("seed = 'one'", "run.toml: argument --seed: invalid int value: 'one'"),
         ("seed = true", "argument --seed: invalid int value: 'True'"),
         ("mechanism = 3", "unknown mechanism '3'"),
-        ("preset = 3", "unknown preset '3'; known: smoke, paper"),
+        ("preset = 3", "unknown preset '3'; known: quick, smoke, paper"),
         ("dataset = 'x.csv'\nfps = 'fast'", "argument --fps: invalid float value: 'fast'"),
         ("[privacy]\nepsilon = 1", "unknown setting 'privacy.epsilon'"),
         ("seed = = 1", "Invalid value"),
@@ -149,11 +149,35 @@ def test_a_wrong_file_names_itself_and_the_key(tmp_path, ran, text, message):
     assert len(ended.err.splitlines()) == 1
 
 
+def test_the_default_is_a_preset_of_few_levels_with_at_least_one_of_each_kind():
+    crossed = axes(Settings())
+    assert Settings().preset == DEFAULT == "quick"
+    assert (Settings().n_scenes, Settings().n_utility_scenes) == (250, 2000)
+    assert crossed.worlds == dict.fromkeys(crossed.worlds, ())
+    families = {plugin.spec.partition(":")[0] for plugin in crossed.mechanisms}
+    assert families == {"raw", "fid", "fixed", "ou"}
+    assert {plugin.adding for plugin in crossed.mechanisms} == {"", "linear", "independent"}
+    assert crossed.utility == {plugin.spec for plugin in crossed.predictors}
+    assert [task.name for task in crossed.tasks] == ["rerelease", "handover-1s", "handover-5s"]
+    assert all(len(crossed.readers(task)) > 2 for task in crossed.tasks)
+
+
+def test_a_folder_of_another_preset_is_refused_in_one_line(tmp_path, ran):
+    out = tmp_path / "run"
+    few = ["--scenes", "8", "--mechanism", "raw", "--task", "none", "--dataset", "plaza"]
+    assert ran(matrix, "--preset", "smoke", *few, "--out", out).code == 0
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    ended = ran(matrix, *few, "--out", out)
+    assert_refused(ended, f"{out} holds a run of --preset smoke, not of quick; use --fresh")
+    assert len(ended.err.splitlines()[-1:]) == 1
+    assert {path: path.read_bytes() for path in before} == before
+
+
 def test_the_presets_are_those_of_the_design():
     assert PRESETS["smoke"].scenes == 40
     assert len(axes(Settings(preset="smoke")).mechanisms) == 5
     assert PRESETS["paper"].scenes == 500
-    paper = axes(Settings()).mechanisms
+    paper = axes(Settings(preset="paper")).mechanisms
     assert len(paper) == 1 + 2 * (13 + 10) + len(DISSOCIATION) + len(PROTECTIONS)
     etas = [plugin.level for plugin in paper if plugin.name == "fid"]
     assert etas[0] == 1.0

@@ -10,7 +10,7 @@ from evaluation.analysis.bounds import Gap, gaps
 from evaluation.analysis.keys import Source
 from evaluation.analysis.weak_attacks import far_from_optimum, lines
 from evaluation.experiment.constants import MODEL
-from evaluation.experiment.presets import PRESETS
+from evaluation.experiment.presets import DEFAULT, PRESETS
 from evaluation.reporting.bounds import bound_table, gap_text, linked_bound_table
 from isac_track.config import StageSettings
 from isac_track.intervals import Estimate
@@ -25,7 +25,7 @@ def test_in_worlds_of_the_fitted_motion_attacks_stand_beside_the_optimum(
     axes |= {"attacks": ("identity", "kalman_rts", "averaging")}
     axes |= {"predictors": (), "protections": ()}
     model = replace(PRESETS["paper"], utility_scenes=4, model=("fixed:0.5",), **axes)
-    monkeypatch.setitem(PRESETS, "paper", model)
+    monkeypatch.setitem(PRESETS, DEFAULT, model)
     found = run(Settings(dataset=str(csv_recording), jobs=1, out=tmp_path / "model"))
     alone = run(
         Settings(
@@ -60,7 +60,7 @@ def test_linkers_stand_beside_the_optimal_ratio_where_errors_are_gaussian(tmp_pa
     axes = {"mechanisms": ("raw", "fixed:0.5"), "tasks": ("rerelease",), "predictors": ()}
     axes |= {"attacks": ("shape",), "protections": (), "other_law": ()}
     both = {"model": ("fixed:0.5",), "model_linked": ("fixed:0.5",), "model_people": 40}
-    monkeypatch.setitem(PRESETS, "paper", replace(PRESETS["paper"], scenes=4, **axes, **both))
+    monkeypatch.setitem(PRESETS, DEFAULT, replace(PRESETS["paper"], scenes=4, **axes, **both))
     stages = StageSettings().changed({"linkage.most_people": 60})
     found = run(Settings(dataset="plaza", jobs=1, out=tmp_path / "model", stages=stages))
     rows = found.summary.fillna({"knowledge": ""})

@@ -15,7 +15,7 @@ import evaluation
 from evaluation.analysis import summary
 from evaluation.experiment.axes import Consumer
 from evaluation.experiment.plan import plan
-from evaluation.experiment.presets import PRESETS
+from evaluation.experiment.presets import DEFAULT, PRESETS
 from evaluation.experiment.settings import Settings
 from evaluation.runs.execute import FailedCellsWarning
 from evaluation.runs.manifest import read_manifest
@@ -195,7 +195,7 @@ def test_further_scenes_are_for_utility_and_change_none_of_the_attacked(
     axes = {"mechanisms": specs, "predictors": predictors, "attacks": ("identity",), "tasks": ()}
     axes |= {"other_law": (), "model": (), "protections": (), "breakers": ()}
     few = replace(PRESETS["paper"], scenes=4, utility_scenes=10, **axes)
-    monkeypatch.setitem(PRESETS, "paper", few)
+    monkeypatch.setitem(PRESETS, DEFAULT, few)
     for name in ("experiment.plan", "runs.pieces"):
         monkeypatch.setattr(f"evaluation.{name}.BLOCK_SCENES", 4)
     one_horizon = {"conflict.horizons_s": ()}
@@ -369,7 +369,7 @@ def test_some_levels_are_computed_under_the_other_law_too(csv_recording, tmp_pat
     axes |= {"attacks": ("kalman_rts", "averaging"), "predictors": ("least_squares",)}
     axes |= {"protections": (), "model": (), "breakers": ()}
     few = replace(PRESETS["paper"], utility_scenes=4, other_law=("fid:1", "fixed:0.5"), **axes)
-    monkeypatch.setitem(PRESETS, "paper", few)
+    monkeypatch.setitem(PRESETS, DEFAULT, few)
     stages = StageSettings().changed({"conflict.horizons_s": ()})
     settings = Settings(dataset=str(csv_recording), jobs=1, out=tmp_path / "both", stages=stages)
     both = run(settings)

@@ -8,6 +8,7 @@ import pytest
 from helpers import linkability_oracles as oracles
 from helpers.searches import search
 from scipy.optimize import linear_sum_assignment
+from scipy.special import logsumexp
 
 from isac_track.linkability import (
     Search,
@@ -20,7 +21,7 @@ from isac_track.linkability import (
     reciprocal_rank,
     residual_risk,
 )
-from isac_track.linkability.ranks import assign_in, soft_matches
+from isac_track.linkability.ranks import assign_in, log_sum_exp, soft_matches
 from isac_track.rng import stream
 
 
@@ -171,3 +172,11 @@ class TestSoftMatches:
     def test_what_has_no_such_matching_is_refused(self, scores):
         with pytest.raises(ValueError, match=r"candidates|finite"):
             soft_matches(scores)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e5])
+def test_the_logarithm_of_a_sum_is_scipys(axis, scale):
+    values = scale * np.random.default_rng(5).normal(size=(40, 30))
+    expected = logsumexp(values, axis=axis, keepdims=True)
+    np.testing.assert_allclose(log_sum_exp(values, axis=axis), expected, rtol=1e-14, atol=1e-14)
