@@ -41,6 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--seed", action="append", metavar="N", type=int, help="repeatable (default: 0)")
     about = "repeatable: law of the sensing error (default: radial)"
     add("--law", action="append", choices=LAWS, help=about)
+    about = "change a stage setting of every run, as in evaluation.matrix; repeatable"
+    add("--set", action="append", metavar="STAGE.KEY=VALUE", default=[], help=about)
     for option, about in {
         "--columns": "as in evaluation.matrix, of every file",
         "--on-duplicate": "error, first or mean, as in evaluation.matrix",

@@ -71,6 +71,7 @@ def run():
         "attacks": attacks,
         "horizons": {"horizon=3s": horizon},
         "linked": linked,
+        "best": {},
         "known": known,
     }
     return levels(found, **about, dataset="walks")
