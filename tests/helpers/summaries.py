@@ -66,8 +66,7 @@ class Level:
             for dataset, missed, alarms in (
                 (f"{WALKS}:horizon=3s", self.missed, 0.1), (WALKS, self.missed / 2, 0.05)
             ):  # fmt: skip
-                missed += self.extra
-                yield self._row(dataset, "", best, "", metric, missed) | chosen
+                yield self._row(dataset, "", best, "", metric, missed + self.extra) | chosen
                 yield self._row(dataset, "", best, "", "false_alarm_rate", alarms) | chosen
         for metric, value in (("plr", 0.2), ("plr_wide", 0.25), ("median_error", 0.8)):
             yield self._row(WALKS, "", "shared", "", metric, value)
