@@ -12,7 +12,7 @@ for treatment and structural parameters", Econometrics Journal 21(1), 2018.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -28,14 +28,7 @@ from isac_track.intervals import (
 )
 from isac_track.types import Bools, Floats, Ints
 
-
-class CrossFit(NamedTuple):
-    """J numbers of the best rival, and which rival either half chose."""
-
-    estimates: list[Estimate]
-    choices: tuple[int, int]  # The first half is scored by the second choice.
-    without: list[Floats]
-    """Each number without each cluster in turn, (C,); empty where no interval needs it."""
+_NONE: Final = np.zeros(0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -77,7 +70,7 @@ def cross_fit(
     weights: Floats,
     is_share: Sequence[bool],
     least: bool = False,
-) -> CrossFit:
+) -> tuple[list[Estimate], tuple[int, int]]:
     """Return what the best of K rivals achieves, and which one each half of the clusters chose.
 
     On either half the rival is chosen whose ratio of sums has the highest mean over the levels of
@@ -113,19 +106,18 @@ def cross_fit(
     fixed = ratio_of_sums(joined.transpose(1, 0, 2) @ weights.T)
     few = [is_few(effective_clusters(trials)) for trials in joined[:, 1]]
     deleted = contest.joined(1.0 - np.eye(is_first.size))[0] if any(few) else sums[..., :0]
-    without = [ratio_of_sums(number) for number in deleted]
     estimates = [
         interval_of_choice(
             estimate,
             drawn=values[place],
             fixed=fixed[place],
-            without=without[place][joined[place, 1] > 0.0] if few[place] else without[place][:0],
+            without=ratio_of_sums(deleted[place])[joined[place, 1] > 0.0] if few[place] else _NONE,
             is_share=is_share[place],
             may_be_negative=bool(joined[place, 0].min() < 0.0),
         )
         for place, estimate in enumerate(plain)
     ]
-    return CrossFit(estimates, (int(best[0, 0]), int(best[1, 0])), without)
+    return estimates, (int(best[0, 0]), int(best[1, 0]))
 
 
 def best_rival(over: Floats, under: Floats, *, least: bool, otherwise: int) -> Ints:

@@ -126,14 +126,6 @@ class CrossFitted:
     choices: dict[str, list[Measure]] = field(default_factory=dict)
     """By the metric that ranks (PLR, rank 1, rank 1 of 100) whom either half of the people chose,
     with the metric that counts for it: the first half is scored by the second choice."""
-    without: dict[Key, Floats] = field(default_factory=dict)
-    """Of an estimate the number without each cluster in turn, (C,); empty of many clusters."""
-
-    def update(self, other: CrossFitted) -> None:
-        """Take in the numbers of another choice."""
-        self.estimates.update(other.estimates)
-        self.choices.update(other.choices)
-        self.without.update(other.without)
 
 
 def cross_fitted(
@@ -166,7 +158,9 @@ def cross_fitted(
     crossed = CrossFitted()
     for ranked, metrics in _CHOICES[by]:
         if rivals := _rivals(able, wheres, ranked):
-            crossed.update(_scored(able, rivals, headline, ranked=ranked[0], metrics=metrics))
+            estimates, winners = _scored(able, rivals, headline, metrics=metrics)
+            crossed.estimates.update(estimates)
+            crossed.choices[ranked[0]] = winners
     return crossed
 
 
@@ -187,10 +181,9 @@ def _scored(
     rivals: Mapping[Measure, Sequence[Summed]],
     headline: Source,
     *,
-    ranked: str,
     metrics: Collection[str],
-) -> CrossFitted:
-    """Return the numbers of a choice among rivals, ranked by a metric, under the headline's."""
+) -> tuple[dict[Key, Estimate], list[Measure]]:
+    """Return the numbers of a choice among rivals under the headline's name, and both choices."""
     from evaluation.analysis.cross_fit import cross_fit  # noqa: PLC0415 - who reads needs none
 
     first = next(iter(rivals.values()))[0]
@@ -205,8 +198,8 @@ def _scored(
             keys.append(headline.measure(metric).at(*where))
             scored.append(known)
     if not keys:
-        return CrossFitted(choices={ranked: []})
-    fit = cross_fit(
+        return {}, []
+    estimates, best = cross_fit(
         choosing=np.array([[summed.whole() for summed in some] for some in rivals.values()]),
         scored=np.array(scored).transpose(1, 0, 2, 3),
         is_first=first_half(first.clusters),
@@ -214,11 +207,7 @@ def _scored(
         is_share=[METRICS[key.metric].is_share for key in keys],
     )
     names = list(rivals)
-    return CrossFitted(
-        estimates=dict(zip(keys, fit.estimates, strict=True)),
-        choices={ranked: [names[place] for place in fit.choices]},
-        without=dict(zip(keys, fit.without, strict=True)),
-    )
+    return dict(zip(keys, estimates, strict=True)), [names[place] for place in best]
 
 
 @lru_cache(maxsize=64)  # the clusters of a run, and of each of its tasks
