@@ -140,7 +140,11 @@ def test_the_same_settings_give_the_same_numbers_and_the_text_says_so(run, comma
 class TestFurtherHorizon:
     def test_every_number_is_compared_with_itself_at_the_same_horizon(self, run, both):
         a, b = (
-            pd.read_csv(run(name) / "summary.csv").fillna({"knowledge": ""})
+            pd.read_csv(
+                run(name) / "summary.csv",
+                keep_default_na=False,
+                na_values={"level": "", "value": ""},
+            )
             for name in ("ahead", "ahead_reseeded")
         )
         world = a["dataset"].iloc[0] + ":horizon=3s"
