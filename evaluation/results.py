@@ -14,6 +14,7 @@ import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from evaluation.analysis import horizons, linkability, paper, summary, weak_attacks
+from evaluation.analysis.best_robot import BestRobots, best_robots
 from evaluation.analysis.bounds import gaps, linked_gaps
 from evaluation.analysis.by_speed import by_speed
 from evaluation.analysis.decisions import decisions
@@ -273,6 +274,7 @@ class _Judged:
 
     estimates: Mapping[Key, Estimate]
     at_raw_alarms: Mapping[Key, Estimate]
+    best: BestRobots  # Over the levels that a site may choose, and raw.
     curves: pd.DataFrame
     decided: pd.DataFrame
 
@@ -330,7 +332,13 @@ def _judged(
     dataset: str,
 ) -> _Judged:
     curves, decided, at_raw_alarms = decisions(scored, manifest, estimates, dataset=dataset)
-    return _Judged(estimates, at_raw_alarms, curves, decided)
+    among = {
+        name
+        for name, family in families_in(manifest["cells"]).items()
+        if family.protects or family.family == RAW
+    }
+    best = best_robots(scored, manifest, {**estimates, **at_raw_alarms}, among=among)
+    return _Judged(estimates, at_raw_alarms, best, curves, decided)
 
 
 def _try_candidates(ready: Plan, update: Callable[[int, int, str], None]) -> None:
@@ -380,6 +388,8 @@ def _levels_of(
         {**scenes.estimates, **scenes.own.at_raw_alarms, **links.estimates},
         attacks=attacks,
         horizons={horizon_world(at): robots.every for at, robots in scenes.later.items()},
+        best={"": scenes.own.best}
+        | {horizon_world(at): robots.best for at, robots in scenes.later.items()},
         linked=links.table,
         known=families_in(manifest["cells"]),
         dataset=manifest["dataset"]["name"],

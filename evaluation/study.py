@@ -14,8 +14,10 @@ from evaluation.experiment.presets import DEFAULT, PRESETS
 from evaluation.experiment.settings import Settings
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
 from isac_track.config import StageSettings
+from isac_track.errors import SettingsError
 
 LAWS = ("radial", "isotropic")
+_LAW = "sensing.law"
 _EXIT = """\
 exit codes: 0 done, 2 wrong usage or data, 3 some cells failed (the others are done),
 130 interrupted (finished runs are kept; the same command continues)
@@ -24,6 +26,8 @@ examples:
   python -m evaluation.study --dataset students03 --dataset zara01 --out runs/study
   python -m evaluation.study --dataset students03 --dataset gc --seed 0 --seed 1 \\
       --law radial --law isotropic --out runs/study
+  python -m evaluation.study --dataset students03 --dataset gc --set sensing.bs_y_m=60 \\
+      --out runs/study-far
 """
 
 
@@ -42,6 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--seed", action="append", metavar="N", type=int, help="repeatable (default: 0)")
     about = "repeatable: law of the sensing error (default: radial)"
     add("--law", action="append", choices=LAWS, help=about)
+    about = "change a stage setting of every run, as in evaluation.matrix; repeatable"
+    add("--set", action="append", metavar="STAGE.KEY=VALUE", default=[], help=about)
     for option, about in {
         "--columns": "as in evaluation.matrix, of every file",
         "--on-duplicate": "error, first or mean, as in evaluation.matrix",
@@ -57,17 +63,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return exit_code(lambda: _study(command.parse_args(arguments)), interrupted=kept)
 
 
+def settings_typed(texts: Sequence[str]) -> dict[str, str]:
+    """Return the values of settings that were typed as STAGE.KEY=VALUE, by STAGE.KEY.
+
+    Raises SettingsError for another form.
+    """
+    values = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise SettingsError(f"--set takes STAGE.KEY=VALUE, got {text!r}")
+        values[name.strip()] = value.strip()
+    return values
+
+
 def _study(options: argparse.Namespace) -> int:
     axes = options.dataset, options.seed or [0], options.law or LAWS[:1]
     same = {name: getattr(options, name) for name in ("preset", "jobs", "executor", "scheduler")}
     how = ("columns", "on_duplicate", "crs", "drop_frozen")
     asked_of_files = {name: getattr(options, name) for name in how}
     same |= {name: value for name, value in asked_of_files.items() if value is not None}
+    changed = settings_typed(options.set)
+    if _LAW in changed:
+        raise SettingsError(f"--set {_LAW}: the laws of a study are named by --law")
     asked = []
     # Each once, and all is checked before the first run begins.
     for dataset, seed, law in product(*map(dict.fromkeys, axes)):
         out = options.out / f"{Path(dataset).stem}-{options.preset}-{seed}-{law}"
-        stages = StageSettings().changed({"sensing.law": law})
+        stages = StageSettings().changed(changed | {_LAW: law})
         asked.append((law, Settings(dataset=dataset, seed=seed, stages=stages, out=out, **same)))
     from evaluation.results import study  # noqa: PLC0415 - --help answers at once
     from evaluation.runs.execute import FailedCellsWarning  # noqa: PLC0415 - as said

@@ -15,11 +15,19 @@ import pandas as pd
 from scipy.special import ndtri, stdtr
 
 from evaluation.analysis.families import families_in
-from evaluation.analysis.keys import Found, Key, keys_of
+from evaluation.analysis.keys import Found, Key, horizons_in, keys_of
 from evaluation.analysis.linkability import cards
-from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS, SUCCESS_OF_100
+from evaluation.analysis.metrics import (
+    EXPOSURE,
+    METRICS,
+    MISSED_FUTURE,
+    MISSED_RATE,
+    SUCCESS,
+    SUCCESS_OF_100,
+)
 from evaluation.analysis.strongest import strongest
 from evaluation.analysis.summary import estimates, linkage_estimates
+from evaluation.experiment.constants import horizon_world
 from evaluation.experiment.presets import PRESETS
 from evaluation.runs.files import made_of
 from evaluation.runs.manifest import read_manifest
@@ -44,8 +52,16 @@ _CHANGE_DRAWS = ("sensing.n_paths", "sensing.law")
 COLUMNS = [
     *("mechanism", "level", "consumer", "knowledge", "metric"),
     *("headline", "a", "b", "difference", "ci_low", "ci_high", "unit", "n", "pairing"),
-    *("t", "p_value", "p_holm", "finding"),
+    *("t", "p_value", "p_holm", "finding", "world"),
 ]
+"""`world` is as in `dataset` behind the name: a further horizon; empty for the run's own."""
+
+
+class _Number(NamedTuple):
+    """A number of a run: at which horizon (empty: the run's own), and what it is about."""
+
+    world: str
+    key: Key
 
 
 class Difference(NamedTuple):
@@ -71,7 +87,8 @@ class Comparison:
     rows: pd.DataFrame
     """A row for each number that both have, the surest difference first; columns `COLUMNS`."""
     lead: pd.DataFrame
-    """Its rows of missed conflicts, PLR after A's strongest attack and rank 1, at a few levels."""
+    """Its rows of missed conflicts, at further horizons of those to come, of PLR after A's
+    strongest attack and of rank 1, at a few levels."""
     verdicts: dict[str, Any] | None  # Decisions that changed; None unless both runs have a verdict.
 
     @property
@@ -106,26 +123,38 @@ def compare(out_a: Path, out_b: Path) -> Comparison:
         same = {"groups": sorted({*first["groups"], *second["groups"]})}
         seed = {"seed": first["identity"]["seed"]}
         runs = [(out, one | same | {"identity": one["identity"] | seed}) for out, one in runs]
-    found = [{**estimates(out, one)[0], **linkage_estimates(cards(out, one))} for out, one in runs]
-    found_a, found_b = found[0], found[-1]
-    both = [key for key in found_a if key in found_b]
+    numbers = [_numbers(out, manifest) for out, manifest in runs]
+    in_a, in_b = numbers[0], numbers[-1]
+    both = [number for number in in_a if number in in_b]
     if not both:
         has_a, has_b = (short_list([*families_in(one["cells"])]) for one in (first, second))
         raise DataError(
             f"{out_a} and {out_b} share no number: A has {has_a}, B has {has_b}; compare runs with "
             "a common mechanism, level and consumer"
         )
-    rows = _rows([(key, found_a[key], found_b[key]) for key in both], first, second)
+    rows = _rows({number: (in_a[number], in_b[number]) for number in both}, first, second)
+    own = {number.key: in_a[number] for number in both if not number.world}
     return Comparison(
         a=about(out_a, first),
         b=about(out_b, second),
         changed=changed(first, second),
         only=only_in(first, second),
-        only_numbers=(len(found_a) - len(both), len(found_b) - len(both)),
+        only_numbers=(len(in_a) - len(both), len(in_b) - len(both)),
         rows=rows,
-        lead=_lead(rows, {key: found_a[key] for key in both}, first["cells"]),
+        lead=_lead(rows, own, first["cells"]),
         verdicts=verdicts(out_a, out_b),
     )
+
+
+def _numbers(out: Path, manifest: Manifest) -> dict[_Number, Estimate]:
+    """Return every number of a run, those of robots at further horizons among them."""
+    own = {**estimates(out, manifest)[0], **linkage_estimates(cards(out, manifest))}
+    numbers = {_Number("", key): estimate for key, estimate in own.items()}
+    for horizon_s in horizons_in(manifest["cells"]):
+        world = horizon_world(horizon_s)
+        ahead = estimates(out, manifest, world=world)[0]
+        numbers |= {_Number(world, key): estimate for key, estimate in ahead.items()}
+    return numbers
 
 
 def difference(a: Estimate, b: Estimate, *, paired: bool, metric: str) -> Difference:
@@ -171,23 +200,26 @@ def counts(rows: pd.DataFrame) -> dict[str, int]:
 
 
 def _rows(
-    pairs: Sequence[tuple[Key, Estimate, Estimate]], first: Manifest, second: Manifest
+    pairs: Mapping[_Number, tuple[Estimate, Estimate]], first: Manifest, second: Manifest
 ) -> pd.DataFrame:
     """Return a row for each pair with what Holm says of either family, the surest first."""
-    consumers = {key.consumer for key, *_ in pairs}
+    consumers = {number.key.consumer for number in pairs}
     paired_by = {name: pairing(first, second, consumer=name) for name in consumers}
     # Plain rank 1 depends on how many candidates there are.
-    alike = (key for key, a, b in pairs if key.metric == "chance" and a.value == b.value)
-    of_one_size = {key._replace(metric=SUCCESS) for key in alike}
+    same_size = {
+        number.key._replace(metric=SUCCESS)
+        for number, (a, b) in pairs.items()
+        if number.key.metric == "chance" and a.value == b.value
+    }
     rows = []
-    for key, a, b in pairs:
+    for (world, key), (a, b) in pairs.items():
         if math.isnan(a.value) and math.isnan(b.value):
             continue
         metric, paired = METRICS[key.metric], paired_by[key.consumer] != NONE
         same = a.value == b.value and (
             not paired or np.array_equal(a.replicates, b.replicates, equal_nan=True)
         )
-        if metric.name == SUCCESS and key not in of_one_size:
+        if metric.name == SUCCESS and key not in same_size:
             found = Difference(math.nan)  # galleries of two sizes do not compare
         elif same and paired:
             found = Difference(0.0, 0.0, 0.0, 0.0, 1.0)
@@ -198,8 +230,7 @@ def _rows(
                 "mechanism": key.mechanism,
                 "level": math.nan if key.level is None else key.level,
                 **key.measure._asdict(),
-                # A control says nothing of an adversary.
-                "headline": metric.is_headline and "/control-" not in key.consumer,
+                "headline": _is_headline(world, key),
                 "a": a.value,
                 "b": b.value,
                 **found._asdict(),
@@ -207,6 +238,7 @@ def _rows(
                 "n": min(a.n, b.n),
                 "pairing": paired_by[key.consumer],
                 "finding": IDENTICAL if same else UNTESTED,
+                "world": world,
             }
         )
     table = pd.DataFrame(rows, columns=COLUMNS)
@@ -220,6 +252,14 @@ def _rows(
     # Of p-values too small to tell apart, the larger t is the surer.
     order = pd.DataFrame({"p": table["p_value"], "t": -table["t"].abs()})
     return table.loc[order.sort_values(["p", "t"], kind="stable").index].reset_index(drop=True)
+
+
+def _is_headline(world: str, key: Key) -> bool:
+    """Whether a number is of the headline: at further horizons conflicts still to come alone."""
+    if world:
+        return key.metric == MISSED_FUTURE
+    # A control says nothing of an adversary.
+    return METRICS[key.metric].is_headline and "/control-" not in key.consumer
 
 
 def _lead(rows: pd.DataFrame, found: Found, cells: Sequence[Manifest]) -> pd.DataFrame:
@@ -236,9 +276,16 @@ def _lead(rows: pd.DataFrame, found: Found, cells: Sequence[Manifest]) -> pd.Dat
     at = {spec: where for spec, where in every if where in there}
     levels = [at[spec] for spec in PRESETS["smoke"].mechanisms if spec in at]
     levels = levels or list(dict.fromkeys(at.values()))[:_MOST_LEVELS]
-    place = dict(zip(keys_of(rows), rows.index, strict=True))
-    asked = (measure.at(*where) for measure in wanted for where in levels)
-    lead = rows.loc[[place[key] for key in asked if key in place]]
+    place = dict(zip(zip(rows["world"], keys_of(rows), strict=True), rows.index, strict=True))
+    asked = [("", measure.at(*where)) for measure in wanted for where in levels]
+    # Behind the misses of the run's own horizon those of conflicts that are still to come.
+    worlds = [world for world in dict.fromkeys(rows["world"]) if world]
+    missed = [measure for measure in wanted if measure.metric == MISSED_RATE]
+    robots = [measure._replace(metric=MISSED_FUTURE) for measure in missed]
+    ahead = [(world, robot.at(*at)) for world in worlds for robot in robots for at in levels]
+    behind = len(missed) * len(levels)
+    asked[behind:behind] = ahead
+    lead = rows.loc[[place[number] for number in asked if number in place]]
     return lead[(lead["metric"] != SUCCESS) | lead["difference"].notna()]
 
 

@@ -1,9 +1,10 @@
 """What a site would get and pay at each level that it could choose: `levels.csv`.
 
 A row is a number of a level: what robots miss and how often they raise a false alarm, at every
-horizon of the run; the descriptors as shared and after the strongest attack of each group of
-adversaries; and how often the strongest linker of a task finds a person again, also as a share of
-what it finds under raw. Raw is there, too, and mechanisms that do not protect are not.
+horizon of the run, and the same of the cross-fitted best robot, under names of its own
+(`evaluation.analysis.best_robot`); the descriptors as shared and after the strongest attack of each
+group of adversaries; and how often the strongest linker of a task finds a person again, also as a
+share of what it finds under raw. Raw is there, too; mechanisms that do not protect are not.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
+from evaluation.analysis.best_robot import BestRobots
 from evaluation.analysis.families import RAW, Family
 from evaluation.analysis.keys import AS_SHARED, Found, Key, Source, Where
 from evaluation.analysis.linkability import dataset_of
@@ -19,9 +21,11 @@ from evaluation.analysis.metrics import (
     COSTS,
     DESCRIPTORS,
     DISTANCE,
+    EXPOSURE,
     FALSE_ALARMS,
     LINKAGE_SHARE,
     MEDIAN,
+    SUCCESS,
     SUCCESS_OF_100,
     WIDE,
 )
@@ -33,9 +37,11 @@ from isac_track.linkability import GALLERY
 COLUMNS: Final = [
     *("dataset", "mechanism", "level", "family", "adding", "protects"),
     *("adversary", "consumer", "knowledge", "metric", "value", "ci_low", "ci_high", "n"),
-    *("outcome", "invalid"),
+    *("outcome", "invalid", "first_choice", "second_choice"),
 ]
+"""The last two: the robot, or the attack, that either half of the people chose."""
 _OF_ROBOTS: Final = (*COSTS, FALSE_ALARMS)
+_OF_LINKERS: Final = (SUCCESS, SUCCESS_OF_100)
 _UNKNOWN: Final = Estimate(np.nan)
 
 
@@ -64,6 +70,7 @@ def levels(
     *,
     attacks: Sequence[Strongest],
     horizons: Mapping[str, Found],
+    best: Mapping[str, BestRobots],
     linked: pd.DataFrame,
     known: Mapping[str, Family],
     dataset: str,
@@ -72,7 +79,8 @@ def levels(
 
     `found` is every estimate of the run, misses at raw's false alarms among them, `attacks` are the
     strongest on each mechanism, `horizons` the estimates of robots by further horizon (as in
-    `dataset`, behind the name), `linked` is `linkability.csv`.
+    `dataset`, behind the name), `best` the best robots by horizon (empty: the run's own), `linked`
+    is `linkability.csv`.
     """
     chosen = {name for name, family in known.items() if family.protects or family.family == RAW}
     own = {key: number for key, number in found.items() if key.mechanism in chosen}
@@ -80,6 +88,8 @@ def levels(
     for world, of_world in horizons.items():
         some = {key: number for key, number in of_world.items() if key.mechanism in chosen}
         rows += _of_robots(some, world, known, dataset)
+    for world, robots in best.items():
+        rows += _of_best_robots(robots, world, known, dataset)
     rows += [
         _row(key, number, known, dataset)
         for key, number in own.items()
@@ -110,7 +120,8 @@ def _of_reconstructions(
                     estimate = found.get(source.measure(WIDE).at(*where))
                 if estimate is not None:
                     own = source.measure(metric).at(*where)
-                    yield _row(own, estimate, known, dataset, adversary=group_name(attack.among))
+                    about = {"adversary": group_name(attack.among), **_choices(attack, metric)}
+                    yield _row(own, estimate, known, dataset) | about
 
 
 def _of_robots(
@@ -120,6 +131,16 @@ def _of_robots(
     for key, number in found.items():
         if key.metric in _OF_ROBOTS:
             yield _row(key, number, known, name)
+
+
+def _of_best_robots(
+    robots: BestRobots, world: str, known: Mapping[str, Family], dataset: str
+) -> Iterator[dict[str, Any]]:
+    name = f"{dataset}:{world}" if world else dataset
+    for key, number in robots.estimates.items():
+        first, second = robots.choices[key.consumer]
+        chosen = {"first_choice": first, "second_choice": second}
+        yield _row(key, number, known, name) | chosen
 
 
 def _of_linkers(
@@ -143,7 +164,7 @@ def _of_linkers(
             key = linker.source.measure(metric).at(*where)
             card = cards.get((*where, *linker.source), {})
             about = {name: str(card.get(name) or "") for name in ("outcome", "invalid")}
-            about["adversary"] = group_name(linker.among)
+            about |= {"adversary": group_name(linker.among), **_choices(linker, metric)}
             rank = linker.at(where, metric, found) or _UNKNOWN
             chance = _chance(linker.source, metric, where, found)
             yield _row(key, rank, known, data) | about
@@ -164,15 +185,21 @@ def _cards(linked: pd.DataFrame) -> dict[tuple[Any, ...], dict[Any, Any]]:
     return cards
 
 
+def _choices(attack: Strongest, metric: str) -> dict[str, str]:
+    """Return which attack either half of the people chose, where the number is cross-fitted."""
+    ranked = metric if metric in (WIDE, *_OF_LINKERS) else EXPOSURE
+    labels = [measure.label for measure in attack.crossed.choices.get(ranked, ())]
+    first, second = labels or ("", "")
+    return {"first_choice": first, "second_choice": second}
+
+
 def _chance(source: Source, metric: str, where: Where, found: Found) -> float:
     if metric == SUCCESS_OF_100:
         return 1.0 / GALLERY
     return found.get(source.measure("chance").at(*where), _UNKNOWN).value
 
 
-def _row(
-    key: Key, number: Estimate, known: Mapping[str, Family], dataset: str, *, adversary: str = ""
-) -> dict[str, Any]:
+def _row(key: Key, number: Estimate, known: Mapping[str, Family], dataset: str) -> dict[str, Any]:
     family = known[key.mechanism]
     return {
         "dataset": dataset,
@@ -181,11 +208,13 @@ def _row(
         "family": family.family,
         "adding": family.adding,
         "protects": family.protects,
-        "adversary": adversary,
+        "adversary": "",
         "consumer": key.consumer,
         "knowledge": key.knowledge,
         "metric": key.metric,
         **{name: getattr(number, name) for name in ("value", "ci_low", "ci_high", "n")},
         "outcome": "",
         "invalid": "",
+        "first_choice": "",
+        "second_choice": "",
     }

@@ -1,8 +1,8 @@
 """One answer of several runs: the five questions, each a number with its interval, and pooled.
 
 Runs of one recording and law under several seeds attack the same people: their numbers are averaged
-first, and so are the ends of their intervals, which do not shrink as if the people were others.
-Recordings are pooled only if `FEWEST` or more of them are real.
+first. The interval of the mean does not shrink as if the people were others, and widens by how much
+the seeds differ. Recordings are pooled only if `FEWEST` or more of them are real.
 """
 
 import math
@@ -18,12 +18,21 @@ import pandas as pd
 from scipy.special import ndtri, stdtrit
 
 from evaluation.analysis.families import ADDING_RULES, FID, RAW, families_in
-from evaluation.analysis.keys import AS_SHARED, Found, Source, Where
+from evaluation.analysis.keys import AS_SHARED, Found, Source, Where, horizons_in
 from evaluation.analysis.linkability import cards
-from evaluation.analysis.matching import Sweeps
-from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE, SUCCESS, SUCCESS_OF_100
+from evaluation.analysis.matching import FUTURE, Sweeps
+from evaluation.analysis.metrics import (
+    EXPOSURE,
+    MISSED_FUTURE,
+    MISSED_RATE,
+    SUCCESS,
+    SUCCESS_OF_100,
+)
+from evaluation.analysis.seeds import by_intervals
 from evaluation.analysis.strongest import strongest
 from evaluation.analysis.summary import estimates, linkage_estimates
+from evaluation.experiment.constants import horizon_world
+from isac_track.config import StageSettings
 from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, Estimate, difference
 
 FEWEST: Final = 5  # Real recordings: of fewer, nobody knows how much they differ.
@@ -31,25 +40,44 @@ POOLED, FURTHER = "pooled", "further"
 """In the column of recordings: all real ones, and where a further one is expected."""
 LINKED_IN: Final = "rerelease"
 _ENDS: Final = ("value", "ci_low", "ci_high")
-COLUMNS = ["question", "recording", "adding", "law", "seed", *_ENDS, "n", "tau2"]
+COLUMNS = [
+    *("question", "recording", "adding", "law", "seed", *_ENDS, "n", "tau2"),
+    *("settings", "distance_m"),
+]
+"""The last two: settings that are not the usual ones, and the people's median distance to the
+station, m, by which recordings and geometries compare."""
+_LAW: Final = "sensing.law"  # It has a column of its own.
+HORIZON_S: Final = 3.0  # At which robots are asked about conflicts that are still to come.
 OWN_GALLERY: Final = "_own_gallery"
 """Ends a question about people too few for a gallery of 100: the measure of no other recording."""
 QUESTIONS: Final = {  # In the order of the first screen; all in fractions.
     "robot_loses": "What the robot loses: missed conflicts at fid:1 less those at raw",
+    "robot_loses_future": (
+        f"What the robot loses {HORIZON_S:g} s ahead: missed future conflicts at fid:1 less raw"
+    ),
     "left_after_attack": "What an attack wins back: PLR at fid:1 after it, less PLR as shared",
     "people_linked": "Can people be linked: rank 1 of 100 at fid:1 in a re-release, less chance",
     f"people_linked{OWN_GALLERY}": "Of fewer: rank 1 at fid:1 among themselves, less chance",
     "descriptors_tell": "Do the descriptors tell: how far rank 1 of 100 differs at equal PLR",
     f"descriptors_tell{OWN_GALLERY}": "Of fewer: how far rank 1 among themselves differs so",
     "fid_against_fixed": "FID against fixed noise at equal missed conflicts: PLR after attack",
+    "fid_against_fixed_future": (
+        f"The same at equal missed future conflicts, {HORIZON_S:g} s ahead: PLR after attack"
+    ),
 }
 _TAIL: Final = 0.5 + CONFIDENCE / 2.0
 _NORMAL: Final = float(ndtri(_TAIL))
 _STRICT: Final = 1.0  # Threshold of FID at which is asked.
 _CLAIM: Final = {"section": "claim", "criterion": "missed", "of": "after-attack"}
-_OF_VERDICT: Final = {
+_OF_VERDICT: Final[dict[str, dict[str, Any]]] = {
     "descriptors_tell": {"section": "validity", "descriptor": EXPOSURE, "task": LINKED_IN},
     "fid_against_fixed": {**_CLAIM, "descriptor": EXPOSURE},
+    "fid_against_fixed_future": {
+        **_CLAIM,
+        "descriptor": EXPOSURE,
+        "criterion": FUTURE,
+        "horizon_s": HORIZON_S,
+    },
 }
 
 
@@ -66,9 +94,13 @@ def answers_of(
     sweeps = Sweeps({**estimates(out, manifest)[0], **linkage_estimates(read)}, known)
     best = strongest(sweeps.found, known)
     recording, seed = manifest["dataset"]["name"], str(manifest["identity"]["seed"])
+    ahead = _ahead(out, manifest)
+    settings = settings_text(manifest["settings"]["stages"])
+    distance_m = manifest.get("geometry", {}).get("distance_m", math.nan)
     rows = []
     for adding in ADDING_RULES:
-        told = _at(sweeps.found, (sweeps.named(FID, adding=adding), _STRICT), best)
+        strict = sweeps.named(FID, adding=adding), _STRICT
+        told = _at(sweeps.found, strict, best) | _lost_ahead(ahead, strict)
         for question, wanted in _OF_VERDICT.items():
             for item in verdict.get("items", []):
                 # What else is held against fixed noise says which mechanism; FID's items do not.
@@ -85,7 +117,7 @@ def answers_of(
                 has_ends = one.n >= LEAST_CLUSTERS
                 low, high = (one.ci_low, one.ci_high) if has_ends else (math.nan, math.nan)
                 about = question, recording, adding, law, seed
-                row = *about, one.value, low, high, one.n, math.nan
+                row = *about, one.value, low, high, one.n, math.nan, settings, distance_m
                 rows.append(dict(zip(COLUMNS, row, strict=True)))
     return rows
 
@@ -108,6 +140,29 @@ def _at(found: Found, where: Where, best: Mapping[str, Source]) -> dict[str, Est
         elif own and chance and math.isfinite(own.value):
             told[f"people_linked{OWN_GALLERY}"] = _less(own, chance.value)
     return told
+
+
+def _ahead(out: Path, manifest: Mapping[str, Any]) -> Found:
+    """Return the estimates of robots judged at `HORIZON_S`; empty if the run does not judge so."""
+    if HORIZON_S not in horizons_in(manifest["cells"]):
+        return {}
+    return estimates(out, manifest, world=horizon_world(HORIZON_S))[0]
+
+
+def _lost_ahead(ahead: Found, where: Where) -> dict[str, Estimate]:
+    """Return what the first robot loses of the conflicts that are still to come."""
+    missed = next((key.measure for key in ahead if key.metric == MISSED_FUTURE), None)
+    if missed is None or not {missed.at(*where), missed.at(RAW, None)} <= ahead.keys():
+        return {}
+    lost = difference(ahead[missed.at(*where)], ahead[missed.at(RAW, None)])
+    return {"robot_loses_future": lost}
+
+
+def settings_text(stages: Mapping[str, Any]) -> str:
+    """Return the settings that are not the usual ones, as they are typed; the error law aside."""
+    usual = StageSettings().flat()
+    changed = {name: value for name, value in stages.items() if usual.get(name) != value}
+    return " ".join(f"{name}={value}" for name, value in changed.items() if name != _LAW)
 
 
 def _less(one: Estimate, known: float) -> Estimate:
@@ -190,20 +245,19 @@ class Answered:
 def answered(rows: Sequence[Mapping[str, Any]], *, simulated: frozenset[str]) -> list[Answered]:
     """Return each question, adding rule and law: seeds averaged, real recordings pooled.
 
+    The interval of a mean over seeds is `seeds.by_intervals`, with the variance between them.
+
     `rows` are those of `answers_of`, of all runs; `simulated` recordings are never pooled.
     """
     found, order = [], [*QUESTIONS]
     by = itemgetter("question", "law", "adding")
-    in_order = sorted(rows, key=lambda row: (order.index(row["question"]), *by(row)))
-    for (question, law, adding), of in groupby(in_order, key=by):
+    every = sorted(rows, key=lambda row: (order.index(row["question"]), *by(row)))
+    for (question, law, adding), of in groupby(every, key=by):
         seeds: dict[str, list[Mapping[str, Any]]] = {}
         for row in of:
             seeds.setdefault(row["recording"], []).append(row)
-        averages = [
-            {**one[0], "seed": "mean", "n": min(row["n"] for row in one)}
-            | {name: float(np.mean([row[name] for row in one])) for name in _ENDS}
-            for one in (seeds[name] for name in sorted(seeds, key=simulated.__contains__))
-        ]
+        in_order = sorted(seeds, key=simulated.__contains__)
+        averages = [_mean_of_seeds(seeds[name]) for name in in_order]
         real = [row for row in averages if row["recording"] not in simulated]
         errors = [(row["ci_high"] - row["ci_low"]) / (2.0 * _NORMAL) for row in real]
         is_alike = len(real) >= FEWEST and not question.endswith(OWN_GALLERY)
@@ -211,6 +265,14 @@ def answered(rows: Sequence[Mapping[str, Any]], *, simulated: frozenset[str]) ->
         pooled = pool([row["value"] for row in real], errors) if able else None
         found.append(Answered(question, adding, law, averages, len(real), pooled))
     return found
+
+
+def _mean_of_seeds(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the row of a recording: the mean over its seeds, with the interval of that."""
+    runs = [Estimate(row["value"], row["ci_low"], row["ci_high"], row["n"]) for row in rows]
+    mean = by_intervals(runs)
+    numbers = {name: getattr(mean, name) for name in (*_ENDS, "n")}
+    return {**rows[0], "seed": "mean", **numbers}
 
 
 def to_frame(rows: Sequence[Mapping[str, Any]], of: Sequence[Answered]) -> pd.DataFrame:
@@ -222,5 +284,6 @@ def to_frame(rows: Sequence[Mapping[str, Any]], of: Sequence[Answered]) -> pd.Da
             value, *ends, tau2 = one.pooled
             for name, (low, high) in ((POOLED, ends[:2]), (FURTHER, ends[2:])):
                 numbers = {"value": value, "ci_low": low, "ci_high": high, "tau2": tau2}
-                every.append({**one.rows[0], "recording": name, "n": one.real, **numbers})
+                about = {"recording": name, "n": one.real, "distance_m": math.nan}
+                every.append({**one.rows[0], **about, **numbers})
     return pd.DataFrame(every, columns=COLUMNS)

@@ -70,18 +70,25 @@ def by_intervals(estimates: Sequence[Estimate]) -> Estimate:
 
     Either end is as far off as those of the runs (root mean square), for the people are the same,
     and as the variance between the runs over their number makes it: too far by what a person's own
-    draws differ, which is in both. NaN where a run has no interval.
+    draws differ, which is in both. So few runs know that variance badly: Student's t has the
+    degrees of freedom of both parts (Satterthwaite). NaN where a run has no interval.
     """
     values = np.array([run.value for run in estimates])
     below = np.array([run.value - run.ci_low for run in estimates])
     above = np.array([run.ci_high - run.value for run in estimates])
     between = float(values.var(ddof=1)) / values.size if values.size > 1 else 0.0
-    low, high = (
-        math.sqrt(float((distances**2).mean()) + float(ndtri(_TAIL)) ** 2 * between)
-        for distances in (below, above)
-    )
-    value = float(values.mean())
+    n_runs, value = values.size, float(values.mean())
+    low, high = (_distance(distances, between, n_runs=n_runs) for distances in (below, above))
     return Estimate(value, value - low, value + high, min(run.n for run in estimates))
+
+
+def _distance(distances: Floats, between: float, *, n_runs: int) -> float:
+    """Return how far an end is off by those of the runs, (S,), and the variance between them."""
+    people = float((distances**2).mean()) / float(ndtri(_TAIL)) ** 2
+    if not between > 0.0:
+        return math.sqrt(people) * float(ndtri(_TAIL))
+    freedom = (n_runs - 1.0) * ((people + between) / between) ** 2
+    return float(stdtrit(freedom, _TAIL)) * math.sqrt(people + between)
 
 
 def _jackknife_variance(values: Floats) -> float:

@@ -52,7 +52,7 @@ _COLUMNS_OF = {
         *("separation_m", "predicted_separation_m", "probability", OF_ROBOT),
     ],
 }
-_DECIDED = ("conflict", "inside_now", "predicted_separation_m", "probability")
+_DECIDED = ("conflict", "inside_now", "predicted", "predicted_separation_m", "probability")
 Scored: TypeAlias = "tuple[Mapping[str, Any], Ints, Mapping[str, Any]]"
 """What a predictor said of every scene of one mechanism level: the cell's entry in the manifest,
 the scenes' clusters, (S,), and its columns `_DECIDED`."""

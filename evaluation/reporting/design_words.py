@@ -82,6 +82,7 @@ def to_json(answer: Answer) -> dict[str, Any]:
         "scenes": identity["scenes"],
         "seed": identity["seed"],
         "predictor": advice.robot or None,
+        "predictor_by_half": [*advice.robots] if not question.robot else None,
         "criterion": question.criterion.conflicts,
         "horizon_s": question.criterion.horizon_s,
         "adding": list(question.adding),
@@ -197,7 +198,7 @@ def show(answer: Answer, *, console: Console | None = None) -> None:
     identity, epsilon = answer.manifest["identity"], words.epsilon_m(answer.manifest)
     about = (
         f"{answer.manifest['dataset']['name']}: {scenes_text(identity)}, seed {identity['seed']}; "
-        f"robot {advice.robot or 'none'}; 95 % intervals, whose upper ends must meet the limits"
+        f"robot {robot_text(advice)}; 95 % intervals, whose upper ends must meet the limits"
     )
     units = ", ".join(f"{family} {unit}" for family, unit in LEVEL_UNITS.items())
     parts: list[str | tuple[str, str] | Table] = [
@@ -232,6 +233,16 @@ def _print(parts: Iterable[str | tuple[str, str] | Table], console: Console) -> 
         width = console.width
         lines = textwrap.wrap(text, width, break_on_hyphens=False, subsequent_indent=below)
         terminal.show([(line, style) for line in lines or [""]], console=console)
+
+
+def robot_text(advice: Recommendation) -> str:
+    """Return whose misses count, and how the robot was chosen."""
+    if not advice.robots or advice.question.robot:
+        return advice.robot or "none"
+    first, second = advice.robots
+    if first == second:
+        return f"{first} (chosen by either half of the people, scored on the other)"
+    return f"{first} and {second} (each chosen by a half of the people, scored on the other)"
 
 
 def answer_table(advice: Recommendation) -> Table:

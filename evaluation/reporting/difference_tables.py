@@ -15,6 +15,7 @@ from evaluation.analysis.families import with_unit
 from evaluation.analysis.keys import Source, where_text
 from evaluation.analysis.metrics import METRICS
 from evaluation.analysis.paper import PUBLISHED
+from evaluation.experiment.constants import horizon_of
 from evaluation.experiment.variants import BASE
 from evaluation.reporting import table as make
 from evaluation.reporting import terminal
@@ -100,7 +101,7 @@ def show(
     )
     title = "What tells most, B - A with 95 % intervals, p after Holm"
     keys = [
-        make.said("", lambda row: f"{METRICS[row['metric']].title}, {_source(row)}"),
+        make.said("", lambda row: f"{METRICS[row['metric']].title}, {_source(row)}{_ahead(row)}"),
         make.said("", lambda row: where_text(row["mechanism"], row["level"])),
     ]
     parts = terminal.laid_out(
@@ -144,9 +145,16 @@ def _table(name: str, title: str, shown: pd.DataFrame, keys: Sequence[Column]) -
 
 
 def _heading(row: Mapping[Any, Any], *, room: int) -> str:
-    if len(full := f"{_source(row)}: {with_unit(row['mechanism'])}") <= room:
+    whose = f"{_source(row)}{_ahead(row)}"
+    if len(full := f"{whose}: {with_unit(row['mechanism'])}") <= room:
         return full
-    return make.shortened(f"{_source(row)}: {row['mechanism']}", room=room)
+    return make.shortened(f"{whose}: {row['mechanism']}", room=room)
+
+
+def _ahead(row: Mapping[Any, Any]) -> str:
+    """Return at which further horizon a robot is judged; empty at the run's own."""
+    horizon_s = horizon_of(row["world"])
+    return "" if horizon_s is None else f", {horizon_s:g} s ahead"
 
 
 def _source(row: Mapping[Any, Any]) -> str:

@@ -118,6 +118,11 @@ def _costs(criterion: Criterion) -> str:
     return f"{conflicts} within {at:g} s" if at is not None else conflicts
 
 
+def _robots(answer: Recommendation) -> str:
+    """Return the robot whose misses count, or both that the halves of the people chose."""
+    return " or ".join(dict.fromkeys(map(robot_name, answer.robots)))
+
+
 def _subject(check: Check, task: str) -> str:
     """Return what a check is about."""
     label = check.source.label if check.source else ""
@@ -263,7 +268,7 @@ _WORDS: dict[str, Any] = {  # What the template calls.
     "stands": _stands,
     "brief_stands": partial(_stands, is_brief=True),
     "brief_failures": _brief_failures,
-    "robot_name": robot_name,
+    "robots": _robots,
     "limits": _limits,
     "limit_text": lambda check: _amount(check.name.partition("/")[0], check.limit),
     "missing": _missing,

@@ -30,8 +30,14 @@ def render(of: Sequence[Answered], *, simulated: frozenset[str], runs: Iterable[
         for name, text in QUESTIONS.items()
         if not name.endswith(OWN_GALLERY) or name in {one.question for one in of}
     }
+    rows = [row for answer in of for row in answer.rows]
     return HTML.get_template("study.html.j2").render(
-        questions=questions, runs=list(runs), fewest=FEWEST, set_constants=SET_CONSTANTS
+        questions=questions,
+        runs=list(runs),
+        fewest=FEWEST,
+        set_constants=SET_CONSTANTS,
+        settings="; ".join(dict.fromkeys(row["settings"] for row in rows if row["settings"])),
+        distances={row["recording"]: row["distance_m"] for row in rows},
     )
 
 

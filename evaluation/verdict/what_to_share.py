@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 
 from attacks.tasks.task_list import TASKS
+from evaluation.analysis.best_robot import BEST
 from evaluation.analysis.families import ADDING_RULES, RAW, Family
 from evaluation.analysis.keys import AS_SHARED, Source, Where
 from evaluation.analysis.metrics import (
@@ -96,7 +97,7 @@ class Question:
     """By name of `LIMITS`: fractions or s. A linkage share of 1 asks nothing."""
     against: tuple[str, ...] = ()  # Adversaries beyond one release that count as well.
     criterion: Criterion = Criterion()
-    robot: str = ""  # Predictor; empty: the best robot of the run.
+    robot: str = ""  # Predictor; empty: the best robot of the run, cross-fitted.
     adding: tuple[str, ...] = ADDING_RULES  # All of them must hold.
     only: tuple[str, ...] = ()  # Families; empty: every one.
     as_shared: bool = False  # Descriptors are limited as shared, not as reconstructed.
@@ -221,7 +222,7 @@ class Offer:
     where: Where
     family: Family
     cost: Estimate  # Missed conflicts of the robot, by the criterion.
-    robots: Mapping[str, Estimate]  # The same of every robot of the run.
+    robots: Mapping[str, Estimate]  # The same of every robot of the run by its name.
     shared: Attacked
     attacked: Attacked  # After one release.
     beyond: tuple[Attacked, ...]  # After each adversary who knows more, tried or not.
@@ -255,12 +256,19 @@ class Recommendation:
     """The answer: which levels hold, or which is nearest, and by how much it does not."""
 
     question: Question
-    robot: str  # Empty: the run has none by the criterion.
+    robots: tuple[str, ...]
+    """The robot named, or the best of the run: that which the first half of the people chose, and
+    that of the second. Either is scored on the other half. Empty: none has the criterion."""
     raw: Offer | None
     proposals: tuple[Offer, ...]  # Non-dominated, cheapest first.
     refused: tuple[Offer, ...]  # All that do not hold, nearest first.
     missing: tuple[Unknown, ...]  # What the run cannot say of any level.
     task: str  # The leading handover; empty without one.
+
+    @property
+    def robot(self) -> str:
+        """The robot that costs are of; two names where the halves of the people chose two."""
+        return " or ".join(dict.fromkeys(self.robots))
 
     @property
     def met(self) -> bool:
@@ -300,19 +308,15 @@ def recommend(
     raw_rows = next((level for level in known if level.family.family == RAW), None)
     rivals = [level for level in known if level.family.protects and level.family.is_added]
     _check_names(rivals, question)
-    robots = dict.fromkeys(
-        row.source.consumer for level in known for row in level.rows if row.metric == EQUAL_ALARMS
-    ) | dict.fromkeys(
-        row.source.consumer for level in known for row in level.rows if row.metric == FALSE_ALARMS
-    )
+    robots = _robots_of(known)
     if question.robot and question.robot not in robots:
         raise SettingsError(
             f"--predictor {question.robot}: the run has {', '.join(robots) or 'none'}; name one of "
             "these or add it with the command of the run"
         )
-    robot = question.robot or _best_robot(known, question.criterion)
+    robot = question.robot or BEST[question.criterion.metric]
     task = leading_handover({row.source.task for level in known for row in level.rows})
-    frame = _Frame(question, robot, task, scenes, robots=tuple(robots))
+    frame = _Frame(question, robot, task, scenes, robots=robots)
     asked = [
         level
         for level in rivals
@@ -327,7 +331,7 @@ def recommend(
     )
     return Recommendation(
         question=question,
-        robot=robot,
+        robots=(robot,) if question.robot else _chosen_robots(known, question.criterion),
         raw=frame.offer(raw_rows) if raw_rows else None,
         proposals=tuple(proposals),
         refused=tuple(refused),
@@ -405,6 +409,7 @@ class _Row:
     measured: Estimate
     outcome: str
     invalid: str
+    chosen: tuple[str, str]  # By either half of the people.
 
 
 @dataclass(frozen=True, slots=True)
@@ -420,7 +425,8 @@ def _levels(table: pd.DataFrame, dataset: str) -> list[_Level]:
     """Return the levels of a table, each with its numbers."""
     rows: dict[Where, list[_Row]] = {}
     families: dict[Where, Family] = {}
-    texts = ("outcome", "invalid", "adversary", "knowledge", "adding")
+    chosen = ("first_choice", "second_choice")
+    texts = (*chosen, "outcome", "invalid", "adversary", "knowledge", "adding")
     tidy = table.assign(**{name: table[name].astype(object).fillna("") for name in texts})
     for row in tidy.to_dict("records"):
         name = str(row["dataset"])
@@ -434,7 +440,8 @@ def _levels(table: pd.DataFrame, dataset: str) -> list[_Level]:
         number = Estimate(row["value"], row["ci_low"], row["ci_high"], int(row["n"]))
         source = Source(row["consumer"], row["knowledge"])
         about = row["adversary"], source, row["metric"], number, row["outcome"], row["invalid"]
-        rows.setdefault(where, []).append(_Row(world, *about))
+        by_halves = row["first_choice"], row["second_choice"]
+        rows.setdefault(where, []).append(_Row(world, *about, chosen=by_halves))
     return [_Level(where, families[where], tuple(some)) for where, some in rows.items()]
 
 
@@ -447,17 +454,28 @@ def _check_names(levels: Iterable[_Level], question: Question) -> None:
             raise SettingsError(f"--family {name}: the run has no such family that protects{hint}")
 
 
-def _best_robot(levels: Iterable[_Level], criterion: Criterion) -> str:
-    """Return the predictor that misses least over the levels where it ran; empty without any."""
-    misses: dict[str, list[float]] = {}
-    for level in levels:
-        for row in level.rows:
-            if row.world == criterion.world and row.metric == criterion.metric:
-                misses.setdefault(row.source.consumer, []).append(row.measured.value)
-    most = max(map(len, misses.values()), default=0)
-    means = {name: np.mean(some) for name, some in misses.items() if len(some) == most}
-    known = {name: mean for name, mean in means.items() if np.isfinite(mean)}
-    return min(known, key=known.__getitem__, default="")
+def _robots_of(levels: Sequence[_Level]) -> tuple[str, ...]:
+    """Return the predictors of a run by name."""
+    every = (
+        row.source.consumer
+        for metric in (EQUAL_ALARMS, FALSE_ALARMS)
+        for level in levels
+        for row in level.rows
+        if row.metric == metric
+    )
+    return tuple(name for name in dict.fromkeys(every) if name not in BEST.values())
+
+
+def _chosen_robots(levels: Iterable[_Level], criterion: Criterion) -> tuple[str, ...]:
+    """Return the predictor that either half of the people chose; empty without any."""
+    best = BEST[criterion.metric]
+    chosen = (
+        row.chosen
+        for level in levels
+        for row in level.rows
+        if row.source.consumer == best and row.world == criterion.world
+    )
+    return next(chosen, ())
 
 
 def leading_handover(names: Collection[str]) -> str:
@@ -471,7 +489,7 @@ class _Frame:
     """What every level of a run is held against."""
 
     question: Question
-    robot: str
+    robot: str  # Whose costs count: a name, or one of `BEST`.
     task: str
     scenes: tuple[int, int]
     robots: tuple[str, ...]
@@ -484,12 +502,13 @@ class _Frame:
             for row in level.rows
             if row.world == criterion.world and row.metric == criterion.metric
         }
+        cost = robots.get(self.robot, UNKNOWN)
         tasks = tuple(_linked(level, task) for task in _tasks(level))
         offer = Offer(
             where=level.where,
             family=level.family,
-            cost=robots.get(self.robot, UNKNOWN),
-            robots=robots,
+            cost=cost,
+            robots={name: rate for name, rate in robots.items() if name in self.robots},
             shared=_attacked(level, "", source=AS_SHARED),
             attacked=_attacked(level, ONE_RELEASE),
             beyond=tuple(_attacked(level, name) for name in BEYOND),

@@ -54,7 +54,11 @@ def run(tmp_path_factory):
     usual = StageSettings().changed({"conflict.horizons_s": ()})
     wide = {"stages": usual.changed({"privacy.epsilon_m": 0.5})}
     longer = {"stages": usual.changed({"resample.min_duration_s": 28.0})}
+    ahead = {"mechanisms": ("raw", "fixed:0.7"), "attacks": (), "tasks": ()}
+    ahead["stages"] = usual.changed({"conflict.horizons_s": 3})
     changes = {
+        "ahead": ahead,
+        "ahead_reseeded": ahead | {"seed": 1},
         "base": {},
         "wide": wide,
         "reseeded": {"seed": 1},
@@ -131,6 +135,45 @@ def test_the_same_settings_give_the_same_numbers_and_the_text_says_so(run, comma
     assert (code, errors) == (0, "")
     assert "Nothing changed in data, settings, code and libraries." in text
     assert f"{len(found.rows)} of {len(found.rows)} numbers are identical" in text
+
+
+class TestFurtherHorizon:
+    def test_every_number_is_compared_with_itself_at_the_same_horizon(self, run, both):
+        a, b = (
+            pd.read_csv(
+                run(name) / "summary.csv",
+                keep_default_na=False,
+                na_values={"level": "", "value": ""},
+            )
+            for name in ("ahead", "ahead_reseeded")
+        )
+        world = a["dataset"].iloc[0] + ":horizon=3s"
+        a, b = (
+            rows[rows["dataset"] == world].dropna(subset=["value"]).set_index(KEY)["value"]
+            for rows in (a, b)
+        )
+        rows = both("ahead", "ahead_reseeded").rows
+        ahead = rows[rows["world"] == "horizon=3s"].set_index(KEY)
+        assert len(a) > 0
+        assert ahead["a"].sort_index().to_numpy() == pytest.approx(a.sort_index().to_numpy())
+        assert ahead["b"].sort_index().to_numpy() == pytest.approx(b.sort_index().to_numpy())
+        own = rows[rows["world"] == ""].set_index(KEY)
+        assert (own.loc[ahead.index, "a"] != ahead["a"]).any()
+
+    def test_conflicts_to_come_are_of_the_headline_and_lead(self, both):
+        comparison = both("ahead", "ahead_reseeded")
+        rows = comparison.rows
+        headline = set(rows.loc[rows["headline"] & (rows["world"] != ""), "metric"])
+        assert headline == {"missed_future_rate"}
+        lead = comparison.lead
+        assert [*lead.loc[lead["world"] != "", "metric"].unique()] == ["missed_future_rate"]
+        assert [*lead["metric"]].index("missed_future_rate") > 0
+        assert "3 s ahead" in shown(comparison)
+
+    def test_a_run_without_it_is_compared_at_its_own(self, both):
+        comparison = both("base", "ahead")
+        assert set(comparison.rows["world"]) == {""}
+        assert comparison.only_numbers[1] > 0
 
 
 class TestAnotherRadius:

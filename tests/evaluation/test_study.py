@@ -27,7 +27,7 @@ LITTLE = {
     "stages": StageSettings().changed({"linkage.most_people": 60}),
     "jobs": 1,
 }
-COLUMNS = "question,recording,adding,law,seed,value,ci_low,ci_high,n,tau2"
+COLUMNS = "question,recording,adding,law,seed,value,ci_low,ci_high,n,tau2,settings,distance_m"
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +50,25 @@ def test_the_table_has_a_row_a_seed_and_their_mean_and_pools_nothing_simulated(a
     values = told.set_index("seed")["value"]
     assert values["mean"] == pytest.approx((values["0"] + values["1"]) / 2)
     assert {"robot_loses", "left_after_attack"} <= set(table["question"])
+    assert set(table["settings"]) == {"linkage.most_people=60"}
+    page = (out / "study.html").read_text()
+    (distance_m,) = set(table["distance_m"])
+    assert "Settings: linkage.most_people=60." in page
+    assert f"Median distance to the base station: plaza {distance_m:.0f} m." in page
+
+
+def test_future_conflicts_are_those_of_the_robot_3_s_ahead(answered):
+    _, _, out, _ = answered
+    table = pd.read_csv(out / "study.csv", dtype={"seed": str})
+    asked = table["question"] == "robot_loses_future"
+    (row,) = table[asked & (table["adding"] == "linear") & (table["seed"] == "0")].itertuples()
+    summary = pd.read_csv(out / "plaza-0" / "summary.csv")
+    ahead = summary[
+        (summary["dataset"] == "plaza:horizon=3s")
+        & (summary["metric"] == "missed_future_rate")
+        & (summary["consumer"] == "least_squares")
+    ].set_index("mechanism")["value"]
+    assert row.value == pytest.approx(ahead["fid"] - ahead["raw"])
 
 
 def test_who_has_fewer_than_100_candidates_is_compared_with_nobody(answered):
@@ -97,6 +116,9 @@ def test_what_fid_is_held_against_fixed_noise_by_is_no_other_mechanism(answered)
         (["--dataset", "plaza", "--law", "round"], "round"),
         (["--dataset", "plaza", "--seed", "-1"], "must not be negative"),
         (["--dataset", "plaza", "--jobs", "0"], "at least 1"),
+        (["--dataset", "plaza", "--set", "sensing.bs_x_m"], "STAGE.KEY=VALUE"),
+        (["--dataset", "plaza", "--set", "sensing.bs_z_m=3"], "unknown setting"),
+        (["--dataset", "plaza", "--set", "sensing.law=radial"], "--law"),
         ([], "--dataset"),
     ],
 )

@@ -20,8 +20,16 @@ from evaluation.analysis import (
 )
 from evaluation.analysis import levels as levels_table
 from evaluation.analysis import weak_attacks as flags
+from evaluation.analysis.best_robot import BEST
 from evaluation.analysis.keys import Source
-from evaluation.analysis.metrics import DESCRIPTORS, METRICS, MISSED_FUTURE, OF_ROBOT, UTILITY
+from evaluation.analysis.metrics import (
+    DESCRIPTORS,
+    FUTURE_EQUAL_ALARMS,
+    METRICS,
+    MISSED_FUTURE,
+    OF_ROBOT,
+    UTILITY,
+)
 from evaluation.analysis.strongest_table import ONE_RELEASE
 from evaluation.reporting.rows import Results
 from evaluation.runs.files import FRAMES
@@ -238,6 +246,10 @@ def make_levels(summary, linkability, *, dataset="students03"):
     ahead = missed.assign(
         metric="missed_future_at_equal_false_alarms", dataset=f"{dataset}:horizon=3s"
     )
+    robot = ahead.groupby("consumer")["value"].mean().idxmin() if len(ahead) else ""
+    best_robot = ahead[ahead["consumer"] == robot].assign(
+        consumer=BEST[FUTURE_EQUAL_ALARMS], first_choice=robot, second_choice=robot
+    )
     shared = rows[(rows["consumer"] == "shared") & rows["metric"].isin(DESCRIPTORS)]
     attacked = rows[rows["knowledge"].isin(["informed", "repeats", "anchor"])]
     best = {one.knowledge: one.consumer for one in attacked.itertuples()}
@@ -250,7 +262,7 @@ def make_levels(summary, linkability, *, dataset="students03"):
     linked = linked[linked["knowledge"] == "informed"]
     linked = linked.assign(metric="rank1", value=linked["rank1"], adversary=ONE_RELEASE, n=55)
     linked = linked.merge(rows[["mechanism", "family", "adding"]].drop_duplicates())
-    parts = [missed, ahead, shared, attacked, plr.assign(metric="plr_wide"), linked]
+    parts = [missed, ahead, best_robot, shared, attacked, plr.assign(metric="plr_wide"), linked]
     whole = pd.concat([one for one in parts if len(one)] or [missed])
     protects = ~whole["family"].isin(["raw", "offset", "correlated", "thin"])
     return whole.assign(protects=protects).reindex(columns=levels_table.COLUMNS)

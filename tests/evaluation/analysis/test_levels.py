@@ -4,13 +4,17 @@ import numpy as np
 import pytest
 from helpers.finished_runs import make_linkability
 from helpers.mechanisms import families_of
+from scipy.special import expit
 
+from evaluation.analysis.best_robot import BEST, BestRobots
+from evaluation.analysis.cross_fit import cross_fit
 from evaluation.analysis.families import Family
 from evaluation.analysis.keys import Key
 from evaluation.analysis.levels import COLUMNS, levels, linked_share
 from evaluation.analysis.metrics import EQUAL_ALARMS, FUTURE_EQUAL_ALARMS
 from evaluation.analysis.strongest_table import ONE_RELEASE, strongest_on_each
-from isac_track.intervals import LEAST_CLUSTERS, Estimate, percentile_interval
+from isac_track.intervals import LEAST_CLUSTERS, Estimate, cluster_weights, percentile_interval
+from isac_track.rng import stream
 
 LINKER = "handover-1s/kinematic"
 
@@ -45,6 +49,35 @@ def test_where_raw_does_not_link_or_people_are_few_there_is_no_interval(raw, eff
     assert np.isnan(share.ci_high)
 
 
+@pytest.mark.parametrize("n_people", [20, 50])
+def test_the_share_s_interval_covers_where_linkers_are_chosen(n_people):
+    """Planted people, three linkers of whom two are nearly equal; rank 1 of two walks each."""
+    chance, skills = 0.025, (0.0, -0.1, -0.8)
+    spread = 0.8 * stream(0, "people").standard_normal(200_000)
+    of_raw, of_mechanism = (expit(shift + spread).mean() for shift in (1.2, -1.0))
+    truth = (of_mechanism - chance) / (of_raw - chance)
+    weights = cluster_weights(n_clusters=n_people, n_replicates=200, seed=0)
+    covered, above = [], []
+    for number in range(120):
+        rng = stream(number, "share", n_people)
+        person, is_first = 0.8 * rng.standard_normal(n_people), rng.random(n_people) < 0.5
+        estimates = []
+        for shift in (1.2, -1.0):
+            hits = [rng.binomial(2, expit(shift + skill + person)) for skill in skills]
+            sums = np.array([[[hit, np.full(n_people, 2)]] for hit in hits], dtype=float)
+            (estimate,), _ = cross_fit(
+                choosing=sums, scored=sums, is_first=is_first, weights=weights, is_share=[True]
+            )
+            estimates.append(estimate)
+        raw, linked = estimates
+        share = linked_share(linked, chance, raw, chance)
+        covered.append(share.ci_low <= truth <= share.ci_high)
+        above.append(truth > share.ci_high)
+    assert np.mean(covered) > 0.92
+    # A limit is met if the upper end is: that end counts.
+    assert np.mean(above) < 0.06
+
+
 def run():
     """Estimates of three mechanisms, and what is linked."""
     found, horizon = {}, {}
@@ -66,11 +99,16 @@ def run():
     at = [("clean", np.nan), ("raw", np.nan), ("ou", 0.4), ("offset", 0.3)]
     linked = make_linkability(at, tasks={"handover-1s": {"kinematic": 0.4}}, dataset="walks")
     linked.loc[linked["mechanism"] == "ou", "invalid"] = "noise_level"
+    best = BestRobots(
+        {Key("ou", 0.4, BEST[FUTURE_EQUAL_ALARMS], FUTURE_EQUAL_ALARMS): Estimate(0.21, 0.1, 0.3)},
+        {BEST[FUTURE_EQUAL_ALARMS]: ("kalman_cv", "least_squares")},
+    )
     attacks = strongest_on_each(found, {}, known)
     about = {
         "attacks": attacks,
         "horizons": {"horizon=3s": horizon},
         "linked": linked,
+        "best": {"horizon=3s": best},
         "known": known,
     }
     return levels(found, **about, dataset="walks")
@@ -99,5 +137,9 @@ def test_linkage_is_told_with_what_may_spoil_it_and_horizons_by_their_name():
     share = table.loc["linkage_share"]
     assert share["value"] == pytest.approx((0.3 - 0.02) / (0.9 - 0.02))
     assert (share["consumer"], share["invalid"]) == (LINKER, "noise_level")
-    assert table.loc[FUTURE_EQUAL_ALARMS]["dataset"] == "walks:horizon=3s"
+    own, best = table.loc[FUTURE_EQUAL_ALARMS].to_dict("records")
+    assert (own["dataset"], own["consumer"]) == ("walks:horizon=3s", "kalman_cv")
+    assert (best["dataset"], best["consumer"]) == ("walks:horizon=3s", "best(missed_future)")
+    assert (best["value"], best["first_choice"]) == (0.21, "kalman_cv")
+    assert (best["second_choice"], own["first_choice"]) == ("least_squares", "")
     assert table.loc[EQUAL_ALARMS]["dataset"] == "walks"

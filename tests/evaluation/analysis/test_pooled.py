@@ -5,7 +5,16 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import norm, t
 
-from evaluation.analysis.pooled import COLUMNS, FURTHER, POOLED, answered, pool, to_frame
+from evaluation.analysis.pooled import (
+    COLUMNS,
+    FURTHER,
+    POOLED,
+    answered,
+    pool,
+    settings_text,
+    to_frame,
+)
+from isac_track.config import StageSettings
 
 VALUES, ERRORS = [0.10, 0.30, 0.35, 0.65, 0.45], [0.05, 0.06, 0.04, 0.07, 0.05]
 
@@ -13,6 +22,7 @@ VALUES, ERRORS = [0.10, 0.30, 0.35, 0.65, 0.45], [0.05, 0.06, 0.04, 0.07, 0.05]
 def row(recording, value, *, seed="0", half=0.02):
     ends = {"value": value, "ci_low": value - half, "ci_high": value + half}
     about = {"question": "robot_loses", "adding": "linear", "law": "radial", "tau2": np.nan}
+    about |= {"settings": "", "distance_m": 29.8}
     return {**about, "recording": recording, "seed": seed, **ends, "n": 100}
 
 
@@ -53,9 +63,37 @@ def test_seeds_are_averaged_and_their_intervals_do_not_shrink():
     assert [r["recording"] for r in one.rows] == ["a", "plaza"]
     mean = one.rows[0]
     assert (mean["value"], mean["seed"]) == (pytest.approx(0.15), "mean")
-    assert mean["ci_high"] - mean["ci_low"] == pytest.approx(0.04)
-    assert one.sentence.startswith("same sign in 1 of 1; in all 1")
+    # People 0.02 / 1.96 and, of two seeds, a variance of 0.005 over 2: Student's t of few degrees.
+    people, between = (0.02 / norm.ppf(0.975)) ** 2, 0.005 / 2
+    freedom = ((people + between) / between) ** 2
+    half = t.ppf(0.975, freedom) * np.sqrt(people + between)
+    assert mean["ci_high"] - mean["value"] == pytest.approx(half)
+    assert mean["value"] - mean["ci_low"] == pytest.approx(half)
+    assert one.sentence.startswith("same sign in 1 of 1; least +15.0 points (a)")
     assert one.pooled is None
+
+
+def test_seeds_that_agree_have_the_interval_of_any_of_them():
+    rows = [row("a", 0.1, seed=seed) for seed in "012"]
+    (one,) = answered(rows, simulated=frozenset())
+    ends = one.rows[0]["ci_low"], one.rows[0]["ci_high"]
+    assert ends == pytest.approx((0.08, 0.12))
+    assert one.sentence.startswith("same sign in 1 of 1; in all 1")
+
+
+def test_seeds_that_differ_weigh_less_in_the_pool():
+    """A recording whose seeds disagree has a larger error; the pool leans to the others."""
+    steady = [row(name, value) for name, value in zip("abcd", (0.1, 0.1, 0.11, 0.09), strict=True)]
+    alike = [*steady, *(row("e", 0.5, seed=seed, half=0.3) for seed in "01")]
+    apart = [*steady, row("e", 0.2, seed="0", half=0.3), row("e", 0.8, seed="1", half=0.3)]
+    (first,), (second,) = (answered(rows, simulated=frozenset()) for rows in (alike, apart))
+    assert first.pooled.value > second.pooled.value > 0.09
+
+
+def test_settings_are_told_as_they_are_typed_without_the_law():
+    stages = StageSettings().changed({"sensing.bs_y_m": 53.0, "sensing.law": "isotropic"}).flat()
+    assert settings_text(stages) == "sensing.bs_y_m=53.0"
+    assert settings_text(StageSettings().flat()) == ""
 
 
 def test_five_real_recordings_are_pooled_and_a_crowd_is_none():

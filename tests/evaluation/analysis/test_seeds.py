@@ -100,6 +100,21 @@ def test_without_sums_the_ends_of_intervals_are_taken():
     assert (lopsided.ci_low, lopsided.ci_high) == pytest.approx((0.0, 0.4))
 
 
+@pytest.mark.parametrize("n_seeds", [2, 3])
+def test_few_seeds_that_differ_cover_the_mean_over_people_and_seeds(n_seeds):
+    """Of numbers that are no ratio: people 1, their draws 0.5, seeds 1; the ends' mean is short."""
+    rng = stream(n_seeds, "seeds")
+    half = 1.96 * np.hypot(1.0, 0.5)
+    covered, by_ends = [], []
+    for _ in range(1500):
+        values = rng.standard_normal() + np.hypot(0.5, 1.0) * rng.standard_normal(n_seeds)
+        mean = by_intervals([Estimate(value, value - half, value + half, 50) for value in values])
+        covered.append(mean.ci_low <= 0.0 <= mean.ci_high)
+        by_ends.append(abs(mean.value) <= half)
+    assert np.mean(covered) > 0.94
+    assert np.mean(by_ends) < np.mean(covered) - 0.01
+
+
 def test_who_is_not_in_a_run_has_nothing_there():
     sums = stacked_sums([{"a": (1.0, 2.0)}, {"b": (3.0, 4.0), "a": (5.0, 6.0)}])
     assert sums.tolist() == [[[1.0, 0.0], [2.0, 0.0]], [[5.0, 3.0], [6.0, 4.0]]]

@@ -220,6 +220,21 @@ class TestRobot:
         other = asked((RAW, GOOD), robot=OTHER_ROBOT)
         assert (other.robot, other.proposals[0].cost.value) == (OTHER_ROBOT, pytest.approx(0.40))
 
+    def test_has_its_cross_fitted_number_and_says_which_robot_either_half_chose(self):
+        levels = tuple(
+            changed(level, chosen=(ROBOT, OTHER_ROBOT), extra=0.03) for level in (RAW, GOOD)
+        )
+        answer = asked(levels, limits={**LIMITS, "missed": 0.24})
+        assert (answer.robots, answer.robot) == ((ROBOT, OTHER_ROBOT), f"{ROBOT} or {OTHER_ROBOT}")
+        (check,) = answer.nearest.failing  # 0.23 + 0.02, though the better robot has 0.20 + 0.02
+        assert (check.name, check.measured.value) == ("missed", pytest.approx(0.23))
+        assert answer.nearest.robots.keys() == {ROBOT, OTHER_ROBOT}
+        # The robot that is named keeps its own number.
+        named = asked(levels, robot=ROBOT, limits={**LIMITS, "missed": 0.24})
+        assert (named.robots, named.met) == ((ROBOT,), True)
+        limits = {**LIMITS, "false_alarm": 0.11}
+        assert ("false_alarm", "not met") in failing(levels, limits=limits)
+
     def test_is_judged_by_the_conflicts_asked_for(self):
         answer = asked((RAW, GOOD), criterion=Criterion("missed", None))
         assert answer.proposals[0].cost.value == pytest.approx(0.10)
