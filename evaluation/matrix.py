@@ -25,6 +25,7 @@ examples:
   python -m evaluation.matrix
   python -m evaluation.matrix --preset smoke
   python -m evaluation.matrix --dataset walks.csv --mechanism fid:1..1000/10 --mechanism raw
+  python -m evaluation.matrix --preset smoke --attack +my_attack
   python -m evaluation.matrix --set privacy.epsilon_m=0.5 --out runs/wide
 """
 _PRESETS = "; ".join(f"{name}: {preset.summary}" for name, preset in PRESETS.items())
@@ -32,8 +33,11 @@ _DATA = (
     "a known data set (downloaded if need be), your own file, or a folder of sessions (default: "
     "students03 if it is here, else the simulated plaza)"
 )
-_REPLACES = "repeatable; replaces the preset's"
-_ATTACK = f"a reconstruction, a linker, or LINKER@RECONSTRUCTION; `none` for none; {_REPLACES}"
+_REPLACES = "repeatable; replaces the preset's, with a + before each adds to them: +{}"
+_OF_ATTACKS = _REPLACES.format("my_attack")
+_ATTACK = f"a reconstruction, a linker, or LINKER@RECONSTRUCTION; `none` for none; {_OF_ATTACKS}"
+_PREDICTOR = f"the robot's predictor; `none` for none; {_REPLACES.format('my_tracker')}"
+_TASK = f"what is to be linked; `none` for none; {_REPLACES.format('handover-2s')}"
 _ADVERSARY = (
     f"beside {', '.join(USUAL)}: {', '.join(one for one in ADVERSARIES if one not in USUAL)}; "
     "repeatable; see docs/threat-model.md"
@@ -64,10 +68,10 @@ _OPTIONS: Final[dict[str, tuple[type, str, str]]] = {
     "scenes": (int, "N", "Monte Carlo scenes (default: the preset's)"),
     "precision": (float, "H", _PRECISION),
     "seed": (int, "N", "base seed of every random stream (default: 0)"),
-    "mechanism": (list, "SPEC", f"{_MECHANISM}; {_REPLACES}"),
-    "predictor": (list, "SPEC", "the robot's predictor; repeatable; `none` for none"),
+    "mechanism": (list, "SPEC", f"{_MECHANISM}; {_REPLACES.format('my_noise')}"),
+    "predictor": (list, "SPEC", _PREDICTOR),
     "attack": (list, "SPEC", _ATTACK),
-    "task": (list, "NAME", f"what is to be linked; `none` for none; {_REPLACES}"),
+    "task": (list, "NAME", _TASK),
     "adversary": (list, "NAME", _ADVERSARY),
     "jobs": (int, "N", "worker processes (default: the cores, at most 8; 1 for little work)"),
     "cell_timeout": (float, "S", _TIMEOUT),
