@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from evaluation.experiment.presets import PRESETS
 from evaluation.experiment.settings import Settings
-from evaluation.reporting import announcements
+from evaluation.reporting import announcements, listing
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
 from isac_track.config import StageSettings
 from isac_track.errors import SettingsError, quoted
@@ -157,8 +157,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _command(arguments: Sequence[str] | None) -> int:
     options = parser().parse_args(arguments)
     if options.list:
-        print(*announcements.listing(), sep="\n")
-        sys.stderr.writelines(f"{line}\n" for line in announcements.broken())
+        print(*listing.listing(), sep="\n")
+        sys.stderr.writelines(f"{line}\n" for line in listing.broken())
         return DONE
     settings = settings_from(options)
     from evaluation.reporting.progress import progress_bar  # noqa: PLC0415 - as said below

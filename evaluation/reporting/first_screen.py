@@ -62,7 +62,7 @@ def first_table(run: Results) -> Table:
     """Return the table of the first screen, whatever its width; without rows if there is none."""
     of = headline_of(run)
     levels, _ = levels_of(of, most=MOST_LEVELS, named=recommended_levels(run))
-    return screen_table(of, levels, [*of.column_choices][0])
+    return screen_table(of, levels, next(of.column_choices))
 
 
 def _read_on(run: Results, n_left_out: int) -> list[str]:
