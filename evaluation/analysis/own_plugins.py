@@ -59,8 +59,8 @@ def plugin_records(own: Mapping[str, Sequence[str]], run: Estimates) -> list[dic
     robots = frozenset(own.get("predictors", ()))
     records = [_attack_record(spec, strangers=strangers, run=run) for spec in sorted(strangers)]
     records += [_predictor_record(spec, strangers=robots, run=run) for spec in sorted(robots)]
-    found = [record for record in records if record is not None]
-    return [*found, *_mechanism_records(own.get("mechanisms", ()), run=run)]
+    compared = [record for record in records if record is not None]
+    return [*compared, *_mechanism_records(own.get("mechanisms", ()), run=run)]
 
 
 def _attack_record(
@@ -74,13 +74,13 @@ def _attack_record(
         return None
     task = run.leading if run.leading in tasks else min(tasks)
     in_task = [source for source in attacks if source.task == task and source.knowledge]
-    mine = _strongest([one for one in in_task if one.attack.consumer == spec], run=run)
+    mine = _strongest([source for source in in_task if source.attack.consumer == spec], run=run)
     built_in = [
-        one
-        for one in in_task
-        if one.attack.consumer not in strangers and one.attack.consumer != IDENTITY
+        source
+        for source in in_task
+        if source.attack.consumer not in {*strangers, IDENTITY} and source.knowledge in HEADLINE
     ]
-    rival = _strongest([one for one in built_in if one.knowledge in HEADLINE], run=run)
+    rival = _strongest(built_in, run=run)
     if mine is None:
         return None
     metric = SUCCESS if task else EXPOSURE
@@ -109,12 +109,14 @@ def _strongest(sources: Collection[Source], *, run: Estimates) -> Strongest | No
         return None
     task = next(iter(sources)).task
     metric = SUCCESS if task else EXPOSURE
-    few = {key: one for key, one in run.own.items() if key.measure.source in sources}
-    levels = by_task(few, metric=metric).get(task, {})
+    estimates = {key: known for key, known in run.own.items() if key.measure.source in sources}
+    levels = by_task(estimates, metric=metric).get(task, {})
     ranking = [levels[where] for where in ranking_levels([*levels], run.known)]
     for among in (*GROUPS, (ORACLE,)):
         if source := strongest_of(ranking, among=among):
-            sums = {key: one for key, one in run.sums.items() if key.measure.source in sources}
+            sums = {
+                key: summed for key, summed in run.sums.items() if key.measure.source in sources
+            }
             crossed = cross_fitted(sums, run.known, source, by=metric)
             return Strongest("", among, source, tuple(levels), crossed)
     return None
@@ -124,15 +126,15 @@ def _predictor_record(
     spec: str, *, strangers: Collection[str], run: Estimates
 ) -> dict[str, Any] | None:
     """Return how a predictor compares at the first horizon that it is read at; None without one."""
-    horizons = ((horizon_s, found) for horizon_s, found in run.later.items())
-    for horizon_s, found in (*horizons, (None, run.own)):
-        robots = {key.consumer for key in found if key.metric == MISSED_FUTURE}
+    for horizon_s, estimates in (*run.later.items(), (None, run.own)):
+        robots = {key.consumer for key in estimates if key.metric == MISSED_FUTURE}
         if spec not in robots:
             continue
-        wheres = [key.where for key in found if key.measure == Measure(spec, MISSED_FUTURE)]
+        measure = Measure(spec, MISSED_FUTURE)
+        wheres = [key.where for key in estimates if key.measure == measure]
         levels = ranking_levels(wheres, run.known)
         missed = {
-            robot: _at_levels(found, Measure(robot, MISSED_FUTURE), levels)
+            robot: _at_levels(estimates, Measure(robot, MISSED_FUTURE), levels)
             for robot in (spec, *sorted(robots - {*strangers}))
         }
         means = {robot: mean for robot, some in missed.items() if (mean := _mean(some))}
@@ -140,7 +142,7 @@ def _predictor_record(
         rival = min(rivals, key=rivals.__getitem__, default="")
         theirs = missed[rival] if rival else [None] * len(levels)
         alarms = {
-            name: _interval(_mean(_at_levels(found, Measure(robot, _ALARMS), levels)))
+            name: _interval(_mean(_at_levels(estimates, Measure(robot, _ALARMS), levels)))
             for name, robot in (("alarms", spec), ("rival_alarms", rival))
         }
         return {
@@ -158,8 +160,10 @@ def _predictor_record(
     return None
 
 
-def _at_levels(found: Found, measure: Measure, levels: Sequence[Where]) -> list[Estimate | None]:
-    return [found.get(measure.at(*where)) for where in levels]
+def _at_levels(
+    estimates: Found, measure: Measure, levels: Sequence[Where]
+) -> list[Estimate | None]:
+    return [estimates.get(measure.at(*where)) for where in levels]
 
 
 def _mechanism_records(specs: Sequence[str], *, run: Estimates) -> Iterator[dict[str, Any]]:
@@ -167,16 +171,18 @@ def _mechanism_records(specs: Sequence[str], *, run: Estimates) -> Iterator[dict
     horizon_s, robots = next(iter(run.later.items()), (None, run.own))
     mechanisms = {*specs}
     levels = dict.fromkeys(key.where for key in run.own if key.mechanism in mechanisms)
-    reconstruction = {one.mechanism: one for one in run.attacks if _leads(one, task="")}
-    linker = {one.mechanism: one for one in run.attacks if _leads(one, task=run.leading)}
+    attacks = {attack.mechanism: attack for attack in run.attacks if _leads(attack, task="")}
+    linkers = {
+        linker.mechanism: linker for linker in run.attacks if _leads(linker, task=run.leading)
+    }
     for where in levels:
         missed = {
-            key.consumer: one
-            for key, one in robots.items()
-            if key.where == where and key.metric == MISSED_FUTURE and np.isfinite(one.value)
+            key.consumer: estimate
+            for key, estimate in robots.items()
+            if key.where == where and key.metric == MISSED_FUTURE and np.isfinite(estimate.value)
         }
         robot = min(missed, key=lambda name: missed[name].value, default="")
-        attack, links = reconstruction.get(where[0]), linker.get(where[0])
+        attack, linker = attacks.get(where[0]), linkers.get(where[0])
         yield {
             "kind": MECHANISM,
             "plugin": where[0],
@@ -188,7 +194,7 @@ def _mechanism_records(specs: Sequence[str], *, run: Estimates) -> Iterator[dict
             "attacked": _interval(attack.at(where, EXPOSURE, run.own) if attack else None),
             "task": run.leading,
             "linked": _interval(
-                links.at(where, SUCCESS, run.own) if links and run.leading else None
+                linker.at(where, SUCCESS, run.own) if linker and run.leading else None
             ),
         }
 
@@ -199,8 +205,7 @@ def _leads(attack: Strongest, *, task: str) -> bool:
 
 def _compared(pairs: Sequence[tuple[Estimate | None, Estimate | None]]) -> dict[str, Any]:
     """Return the means over levels of a plug-in, of its rival, and of their paired difference."""
-    own, theirs = ([*some] for some in zip(*pairs, strict=True)) if pairs else ([], [])
-    mine, rival = _mean(own), _mean(theirs)
+    mine, rival = _mean([own for own, _ in pairs]), _mean([theirs for _, theirs in pairs])
     gap = None
     if mine is not None and rival is not None:
         n_drawn = min(mine.drawn.size, rival.drawn.size)
@@ -219,13 +224,15 @@ def _compared(pairs: Sequence[tuple[Estimate | None, Estimate | None]]) -> dict[
 
 def _mean(estimates: Sequence[Estimate | None]) -> Estimate | None:
     """Return the mean of estimates over levels, replicate by replicate; None if one is missing."""
-    known = [one for one in estimates if one is not None and np.isfinite(one.value)]
+    known = [
+        estimate for estimate in estimates if estimate is not None and np.isfinite(estimate.value)
+    ]
     if not known or len(known) < len(estimates):
         return None
-    n_drawn = min(one.drawn.size for one in known)
-    drawn = np.mean([one.drawn[:n_drawn] for one in known], axis=0)
-    effective = min(one.n_effective for one in known)
-    return estimate_of(drawn, n=min(one.n for one in known), effective=effective)
+    n_drawn = min(estimate.drawn.size for estimate in known)
+    drawn = np.mean([estimate.drawn[:n_drawn] for estimate in known], axis=0)
+    effective = min(estimate.n_effective for estimate in known)
+    return estimate_of(drawn, n=min(estimate.n for estimate in known), effective=effective)
 
 
 def _interval(estimate: Estimate | None) -> dict[str, float | None]:

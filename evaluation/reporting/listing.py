@@ -130,8 +130,8 @@ def broken() -> list[str]:
     """Return discovered plug-ins that cannot be used, and why."""
     from isac_track import plugins  # noqa: PLC0415 - names alone need none
 
-    found = chain.from_iterable(plugins.broken(kind).items() for kind in _KINDS)
-    return [f"skipped {name}: {wrong}" for name, wrong in found]
+    faults = chain.from_iterable(plugins.broken(kind).items() for kind in _KINDS)
+    return [f"skipped {name}: {fault}" for name, fault in faults]
 
 
 def source_of(origin: str) -> Source:
