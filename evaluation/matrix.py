@@ -7,7 +7,7 @@ import tomllib
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.experiment.presets import PRESETS
 from evaluation.experiment.settings import Settings
@@ -16,6 +16,9 @@ from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
 from isac_track.config import StageSettings
 from isac_track.errors import SettingsError, quoted
 from isac_track.protocols import ADVERSARIES, USUAL
+
+if TYPE_CHECKING:
+    from evaluation.experiment.plan import Plan
 
 _EXIT = """\
 exit codes: 0 done, 2 wrong usage or data, 3 some cells failed (the others are done),
@@ -111,7 +114,7 @@ def parser() -> argparse.ArgumentParser:
         "--fresh": "replace the run in the folder, do not continue it",
         "--verbose": "print all tables and notices, not the first screen alone",
         "--list": "list what can be named, and stop",
-        "--dry-run": "say what would be computed, and stop",
+        "--dry-run": "say what would be computed and how long it takes, or what is wrong; stop",
     }.items():
         add(option, action="store_true", help=about)
     return command
@@ -178,11 +181,12 @@ def _command(arguments: Sequence[str] | None) -> int:
                 raise SettingsError("--precision computes 250 scenes first: leave out --dry-run")
             settings = sized(settings, progress=update)
         ready = plan(settings)
+        rehearsed = _rehearsed(ready) if options.dry_run else []
         first, *others = announcements.plan_lines(ready)
         said += announcements.wrapped(first) + announcements.condensed(
             others, most=None if whole else 3, where="--dry-run"
         )
-        print(*said, sep="\n", file=sys.stderr)
+        print(*said, *rehearsed, sep="\n", file=sys.stderr)
         if options.dry_run:
             return DONE
         # What draws and shows is heavier still: until here, the user knows what is under way.
@@ -201,6 +205,17 @@ def _command(arguments: Sequence[str] | None) -> int:
     # One more: loops may have been compiled.
     show(results, before=len(said) + len(told) + 1, verbose=options.verbose)
     return FAILED_CELLS if len(results.failed) else DONE
+
+
+def _rehearsed(ready: "Plan") -> list[str]:
+    """Return how long a run will take, and notices; raise what would end it before it computes."""
+    from evaluation.runs.duration import expected_s, in_words  # noqa: PLC0415 - as said
+    from evaluation.runs.rehearsal import rehearse  # noqa: PLC0415 - as said
+
+    notices = rehearse(ready)
+    time = in_words(expected_s(ready), jobs=ready.jobs)
+    lines = [*(f"notice: {one}" for one in notices), f"{time}, with loops compiled and idle cores"]
+    return [line for text in lines for line in announcements.wrapped(text)]
 
 
 def _n_workers(settings: Settings) -> int:
