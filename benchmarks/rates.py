@@ -2,8 +2,8 @@
 
 Cells of two levels are computed in this process, one after the other, after the same cells of a
 smaller run have compiled all loops. Every consumer's time is divided by the samples of its scenes,
-or by the pairs that it compares. A fixed piece of work is timed between the pieces: rates are those
-of an idle machine on which that takes `REFERENCE_S`, as in `docs/results/default_run.json`.
+or by the pairs that it compares. Their scale is that of a whole run on an idle machine, the one of
+`docs/results/default_run.json`: what is measured here may share its machine with others.
 """
 
 from __future__ import annotations
@@ -12,26 +12,31 @@ import json
 import sys
 from collections import defaultdict
 from pathlib import Path
-from statistics import mean
 from time import process_time
 from typing import TYPE_CHECKING
 
 from threadpoolctl import threadpool_limits
 
-from benchmarks.default_run import calibration_s
 from evaluation.cells.work import cells
 from evaluation.experiment.plan import Plan, plan
 from evaluation.experiment.settings import Settings
-from evaluation.runs.duration import name_of, rates_path, setup_of, size_of
+from evaluation.runs.duration import (
+    cells_cpu_s,
+    measured_rates,
+    name_of,
+    rates_path,
+    setup_of,
+    size_of,
+)
 from evaluation.runs.pieces import pieces_of
 from isac_track.command_line import DONE, Parser, exit_code
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
 ROOT = Path(__file__).resolve().parent.parent
-REFERENCE_S = 0.66
-"""CPU seconds of `benchmarks.default_run.calibration_s` on the reference machine, idle."""
+WHOLE_RUN = ROOT / "docs" / "results" / "default_run.json"
+"""Measured by `python -m benchmarks.default_run`, on two idle cores."""
 ATTACKS = ("+ou_rts", "+shape@kalman_rts", "+shape@ou_rts")
 """Beside those of preset smoke."""
 
@@ -59,18 +64,32 @@ def _measure(arguments: Sequence[str] | None) -> int:
         few = {"linkage.most_people": 40, "linkage.handover_instants": 3}
         _spent(plan(settings.changed(scenes=8, stages=settings.stages.changed(few))))
         rates = _spent(plan(settings.changed(scenes=100)))
-    text = json.dumps(rates, indent=1, sort_keys=True) + "\n"
-    rates_path(ROOT).write_text(text, encoding="utf-8")
-    sys.stdout.write(text)
+    _write(rates)
+    factor = whole_run_factor()
+    _write({name: factor * rate for name, rate in rates.items()})
     return DONE
 
 
+def whole_run_factor() -> float:
+    """Return by what rates are too high or low, as a whole run of preset paper on plaza tells."""
+    runs = json.loads(WHOLE_RUN.read_text(encoding="utf-8"))
+    measured_s: float = next(run["stages"]["cells"] for run in runs if run["dataset"] == "plaza")
+    measured_rates.cache_clear()
+    settings = Settings(preset="paper", dataset="plaza", jobs=2, out=Path("not-written"))
+    return 2.0 * measured_s / cells_cpu_s(plan(settings))
+
+
+def _write(rates: Mapping[str, float]) -> None:
+    rounded = {name: float(f"{rate:.4g}") for name, rate in rates.items()}
+    text = json.dumps(rounded, indent=1, sort_keys=True) + "\n"
+    rates_path(ROOT).write_text(text, encoding="utf-8")
+
+
 def _spent(ready: Plan) -> dict[str, float]:
-    """Return CPU seconds by part, per million samples or pairs, to four digits.
+    """Return CPU seconds by part, per million samples or pairs.
 
     What all levels of a piece of work share is made before its first: that is its `setup`.
     """
-    slower = [calibration_s() / REFERENCE_S]
     spent_s, sizes = defaultdict[str, float](float), defaultdict[str, float](float)
     first_s, first_cells = defaultdict[str, float](float), list[tuple[str, str, float]]()
     whole = defaultdict[str, float](float)
@@ -87,14 +106,11 @@ def _spent(ready: Plan) -> dict[str, float]:
                 spent_s[name] += now - before
                 sizes[name] += size
             before = now
-        slower.append(calibration_s() / REFERENCE_S)
-    factor = 1.0 / mean(slower)
-    sys.stderr.write(f"this machine takes {1 / factor:.2f} times as long as the reference\n")
-    rates = {name: factor * spent_s[name] / sizes[name] for name in sizes}
+    rates = {name: spent_s[name] / sizes[name] for name in sizes}
     for setup, total_s in first_s.items():
         usual_s = sum(rates[name] * size for of, name, size in first_cells if of == setup)
-        rates[setup] = max(factor * total_s - usual_s, 0.0) / whole[setup]
-    return {name: float(f"{rate:.4g}") for name, rate in rates.items()}
+        rates[setup] = max(total_s - usual_s, 0.0) / whole[setup]
+    return rates
 
 
 if __name__ == "__main__":

@@ -30,13 +30,19 @@ def expected_s(ready: Plan) -> float:
     Finished cells take no time. A plug-in of a user's own counts as the median of the built-in
     ones of its kind. Loops that are still to be compiled are not counted.
     """
+    cells_s = cells_cpu_s(ready) / max(ready.jobs, 1)
+    return _START_S + (1.0 + _REPORT_SHARE) * cells_s + _REPORT_S
+
+
+def cells_cpu_s(ready: Plan) -> float:
+    """Return the CPU seconds of the cells that a plan misses."""
     missing = ready.units if ready.settings.fresh else unfinished(ready)
     rates, cpu_s = measured_rates(), 0.0
     for work in pieces_of(missing, ready):
-        size = size_of(work, ready)
-        cpu_s += rates[setup_of(work)] * size
-        cpu_s += sum(_rate(consumer, rates) * size for *_, consumer in cells_of(work))
-    return _START_S + cpu_s / max(ready.jobs, 1) * (1.0 + _REPORT_SHARE) + _REPORT_S
+        rate = rates[setup_of(work)]
+        rate += sum(_rate(consumer, rates) for *_, consumer in cells_of(work))
+        cpu_s += rate * size_of(work, ready)
+    return cpu_s
 
 
 def in_words(seconds: float, *, jobs: int) -> str:

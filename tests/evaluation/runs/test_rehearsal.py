@@ -57,7 +57,7 @@ def test_a_folder_of_another_run_is_refused(here, ran):
     done = ran(matrix, *words, "--scenes", "8", "--no-pictures", "--out", "run")
     assert done.code == 0
     before = everything_in(here)
-    assert_refused(ran(matrix, *DRY, "--out", "run"), "holds another run (scenes: 8 -> 40)")
+    assert_refused(ran(matrix, *DRY, "--out", "run"), "holds another run (scenes 8 -> 40)")
     assert ran(matrix, *DRY, "--out", "run", "--fresh").code == 0
     assert everything_in(here) == before
 
@@ -67,13 +67,17 @@ def test_a_place_where_nothing_can_be_written_is_refused(ran):
     assert_refused(ran(matrix, *DRY, "--out", "/proc/run"), "choose another --out")
 
 
-def test_a_plugin_that_fails_is_refused(here, ran):
-    (here / "broken.py").write_text(BROKEN, encoding="utf-8")
+def test_a_plugin_that_fails_is_refused(here, ran, monkeypatch):
+    monkeypatch.syspath_prepend(here)
+    (here / "broken_in_fit.py").write_text(BROKEN, encoding="utf-8")
     words = ["--preset", "smoke", "--dataset", "plaza", "--task", "none", "--mechanism", "raw"]
-    words += ["--attack", "broken:Broken", "--dry-run"]
+    words += ["--attack", "broken_in_fit:Broken", "--dry-run"]
     ended = ran(matrix, *words)
     assert_refused(ended, "it never worked", "found by a call on a few made-up people")
-    assert everything_in(here) == ["broken.py"]
+    names = everything_in(here)
+    assert [name for name in names if "__pycache__" not in name and not name.endswith(".pyc")] == [
+        "broken_in_fit.py"
+    ]
 
 
 @pytest.mark.usefixtures("here")
