@@ -131,11 +131,10 @@ def _new(name: str, *, kind: str, into: Path) -> int:
     noun = KINDS[kind]["noun"]
     _reject_taken(name, class_name=class_name, folder=folder, noun=noun)
     shown = f"./{name}" if into == Path() else shlex.quote(str(folder))
-    beside = "--mechanism raw " if kind == "mechanism" else ""
     commands = {
         "install": f"pip install -e {shown}",
         "pytest": f"pytest {shown.removeprefix('./')}",
-        "matrix": f"python -m evaluation.matrix --preset smoke {beside}--{noun} {name}",
+        "matrix": f"python -m evaluation.matrix --preset smoke --{noun} +{name}",
     }
     is_what = f"{kind} attack" if noun == "attack" else noun
     words = KINDS[kind] | commands | {"is": is_what, "name": name, "class_name": class_name}

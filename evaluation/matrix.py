@@ -7,15 +7,18 @@ import tomllib
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.experiment.presets import DEFAULT, PRESETS
 from evaluation.experiment.settings import Settings
-from evaluation.reporting import announcements
+from evaluation.reporting import announcements, listing
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
 from isac_track.config import StageSettings
 from isac_track.errors import SettingsError, quoted
 from isac_track.protocols import ADVERSARIES, USUAL
+
+if TYPE_CHECKING:
+    from evaluation.experiment.plan import Plan
 
 _EXIT = """\
 exit codes: 0 done, 2 wrong usage or data, 3 some cells failed (the others are done),
@@ -25,6 +28,7 @@ examples:
   python -m evaluation.matrix
   python -m evaluation.matrix --preset smoke
   python -m evaluation.matrix --dataset walks.csv --mechanism fid:1..1000/10 --mechanism raw
+  python -m evaluation.matrix --preset smoke --attack +my_attack
   python -m evaluation.matrix --set privacy.epsilon_m=0.5 --out runs/wide
 """
 _PRESETS = "; ".join(f"{name}: {preset.summary}" for name, preset in PRESETS.items())
@@ -32,8 +36,11 @@ _DATA = (
     "a known data set (downloaded if need be), your own file, or a folder of sessions (default: "
     "students03 if it is here, else the simulated plaza)"
 )
-_REPLACES = "repeatable; replaces the preset's"
-_ATTACK = f"a reconstruction, a linker, or LINKER@RECONSTRUCTION; `none` for none; {_REPLACES}"
+_REPLACES = "repeatable; replaces the preset's, with a + before each adds to them: +{}"
+_OF_ATTACKS = _REPLACES.format("my_attack")
+_ATTACK = f"a reconstruction, a linker, or LINKER@RECONSTRUCTION; `none` for none; {_OF_ATTACKS}"
+_PREDICTOR = f"the robot's predictor; `none` for none; {_REPLACES.format('my_tracker')}"
+_TASK = f"what is to be linked; `none` for none; {_REPLACES.format('handover-2s')}"
 _ADVERSARY = (
     f"beside {', '.join(USUAL)}: {', '.join(one for one in ADVERSARIES if one not in USUAL)}; "
     "repeatable; see docs/threat-model.md"
@@ -64,10 +71,10 @@ _OPTIONS: Final[dict[str, tuple[type, str, str]]] = {
     "scenes": (int, "N", "Monte Carlo scenes (default: the preset's)"),
     "precision": (float, "H", _PRECISION),
     "seed": (int, "N", "base seed of every random stream (default: 0)"),
-    "mechanism": (list, "SPEC", f"{_MECHANISM}; {_REPLACES}"),
-    "predictor": (list, "SPEC", "the robot's predictor; repeatable; `none` for none"),
+    "mechanism": (list, "SPEC", f"{_MECHANISM}; {_REPLACES.format('my_noise')}"),
+    "predictor": (list, "SPEC", _PREDICTOR),
     "attack": (list, "SPEC", _ATTACK),
-    "task": (list, "NAME", f"what is to be linked; `none` for none; {_REPLACES}"),
+    "task": (list, "NAME", _TASK),
     "adversary": (list, "NAME", _ADVERSARY),
     "jobs": (int, "N", "worker processes (default: the cores, at most 8; 1 for little work)"),
     "cell_timeout": (float, "S", _TIMEOUT),
@@ -107,7 +114,7 @@ def parser() -> argparse.ArgumentParser:
         "--fresh": "replace the run in the folder, do not continue it",
         "--verbose": "print all tables and notices, not the first screen alone",
         "--list": "list what can be named, and stop",
-        "--dry-run": "say what would be computed, and stop",
+        "--dry-run": "say what would be computed and how long it takes, or what is wrong; stop",
     }.items():
         add(option, action="store_true", help=about)
     return command
@@ -153,8 +160,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _command(arguments: Sequence[str] | None) -> int:
     options = parser().parse_args(arguments)
     if options.list:
-        print(*announcements.listing(), sep="\n")
-        sys.stderr.writelines(f"{line}\n" for line in announcements.broken())
+        print(*listing.listing(), sep="\n")
+        sys.stderr.writelines(f"{line}\n" for line in listing.broken())
         return DONE
     settings = settings_from(options)
     from evaluation.reporting.progress import progress_bar  # noqa: PLC0415 - as said below
@@ -174,11 +181,12 @@ def _command(arguments: Sequence[str] | None) -> int:
                 raise SettingsError("--precision computes 250 scenes first: leave out --dry-run")
             settings = sized(settings, progress=update)
         ready = plan(settings)
+        rehearsed = _rehearsed(ready) if options.dry_run else []
         first, *others = announcements.plan_lines(ready)
         said += announcements.wrapped(first) + announcements.condensed(
             others, most=None if whole else 3, where="--dry-run"
         )
-        print(*said, sep="\n", file=sys.stderr)
+        print(*said, *rehearsed, sep="\n", file=sys.stderr)
         if options.dry_run:
             return DONE
         # What draws and shows is heavier still: until here, the user knows what is under way.
@@ -197,6 +205,17 @@ def _command(arguments: Sequence[str] | None) -> int:
     # One more: loops may have been compiled.
     show(results, before=len(said) + len(told) + 1, verbose=options.verbose)
     return FAILED_CELLS if len(results.failed) else DONE
+
+
+def _rehearsed(ready: "Plan") -> list[str]:
+    """Return how long a run will take, and notices; raise what would end it before it computes."""
+    from evaluation.runs.duration import expected_s, in_words  # noqa: PLC0415 - as said
+    from evaluation.runs.rehearsal import rehearse  # noqa: PLC0415 - as said
+
+    notices = rehearse(ready)
+    time = in_words(expected_s(ready), jobs=ready.jobs)
+    lines = [*(f"notice: {one}" for one in notices), f"{time}, with loops compiled and idle cores"]
+    return [line for text in lines for line in announcements.wrapped(text)]
 
 
 def _n_workers(settings: Settings) -> int:

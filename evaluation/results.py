@@ -4,7 +4,8 @@ import contextlib
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -26,6 +27,7 @@ from evaluation.analysis.levels import levels
 from evaluation.analysis.linked_people import Choices, read_probes
 from evaluation.analysis.matching import FUTURE, Sweeps, matched
 from evaluation.analysis.metrics import ACHIEVED, ASSIGNED, EXPOSURE, SUCCESS, SUCCESS_OF_100
+from evaluation.analysis.own_plugins import Estimates, plugin_records
 from evaluation.analysis.pooled import Answered, answered, answers_of, to_frame
 from evaluation.analysis.strongest import HEADLINE, cross_fitted, strongest
 from evaluation.analysis.strongest_table import Strongest, strongest_on_each, strongest_table
@@ -54,6 +56,7 @@ from evaluation.runs.manifest import FAILED_COLUMNS, read_manifest
 from evaluation.runs.workers import ahead, aside, given_back
 from evaluation.verdict import sections as verdict
 from evaluation.verdict.what_to_share import default_question, leading_handover, recommend
+from isac_track.config import StageSettings
 from isac_track.datasets import Dataset
 from isac_track.errors import DataError, SettingsError
 from isac_track.intervals import Estimate
@@ -69,34 +72,129 @@ _OF_PEOPLE: Final = (EXPOSURE, SUCCESS, ASSIGNED, TPR)  # What is asked of who i
 def run(
     settings: Settings | None = None,
     *,
+    preset: str | None = None,
+    dataset: Any = None,  # noqa: ANN401 - frames of any library
+    mechanisms: Sequence[Any] | None = None,
+    predictors: Sequence[Any] | None = None,
+    attacks: Sequence[Any] | None = None,
+    tasks: Sequence[str] | None = None,
+    adversaries: Sequence[str] | None = None,
+    scenes: int | None = None,
+    utility_scenes: int | None = None,
+    precision: float | None = None,
+    pilot_half_width: float | None = None,
+    seed: int | None = None,
+    stages: StageSettings | Mapping[str, Any] | None = None,
+    out: Path | str | None = None,
+    fresh: bool | None = None,
+    jobs: int | None = None,
+    cell_timeout_s: float | None = None,
+    executor: str | None = None,
+    scheduler: str | None = None,
+    keep_scores: bool | None = None,
+    keep_ids: bool | None = None,
+    format: str | None = None,  # noqa: A002 - the name of the option
+    fps: float | None = None,
+    unit: str | None = None,
+    columns: str | Mapping[str, str] | None = None,
+    on_duplicate: str | None = None,
+    crs: str | None = None,
+    drop_frozen: float | None = None,
+    sessions: Sequence[Path | str] | None = None,
+    persistent_ids: bool | None = None,
     progress: bool | Callable[[int, int, str], None] = True,
     ready: Plan | None = None,
     pictures: bool = True,
     walks: bool = True,
-    **options: Any,  # noqa: ANN401 - as many types as options
+    **unknown: Any,  # noqa: ANN401 - refused, with the option that may have been meant
 ) -> Results:
     """Run the matrix and return its results as data frames.
 
-    `settings` are by default those of preset `quick`; `options` are put over them, as in
-    `evaluation.run(preset="smoke", mechanisms=["raw"])`; `ready` is a plan of `plan` instead of
-    both. `progress` is whether to show the data and how far the run is, on standard error, or what
-    is called with cells finished, cells to do, and what is under way. Without `pictures` there are
-    neither figures nor `report.html`; `evaluation.report` draws them. Without `walks` it
-    keeps no true walks to be drawn.
+    Every option but the last four is one of `Settings`; None leaves it as `settings` has it, which
+    by default are those of preset `quick`.
 
-    Raises IsacTrackError for anything that a user can mend; finished cells are kept.
+    Parameters
+    ----------
+    settings : Settings, optional
+        Settings that the other options are put over.
+    preset : str, optional
+        Axes that a name stands for: `smoke`, `paper` and others; `--list` names all.
+    dataset : str, Path or DataFrame, optional
+        A known name, a file, a folder of sessions, or a frame with the columns t (s), id, x, y (m).
+    mechanisms, predictors, attacks : sequence of SPECs or plug-in objects, optional
+        They replace the preset's. `"+SPEC"` adds to them, and so do objects after a `"+"`:
+        `attacks=["+", MyAttack()]`. An empty list is none.
+    tasks : sequence of str, optional
+        What is to be linked, as above.
+    adversaries : sequence of str, optional
+        Adversaries beside blind, informed and oracle.
+    scenes, utility_scenes : int, optional
+        Scenes that are attacked, and all scenes.
+    precision : float, optional
+        Half-width of the missed-conflict rates' intervals: finds the number of scenes.
+    pilot_half_width : float, optional
+        Half-width in the pilot that has found it; filled in by a run with `precision`.
+    seed : int, optional
+        Base seed of every random stream.
+    stages : mapping, optional
+        Stage settings: `{"privacy.epsilon_m": 0.5}`.
+    out : Path or str, optional
+        Run folder, by default `runs/DATASET-PRESET-SEED`.
+    fresh : bool, optional
+        Whether to replace the run in the folder, not to continue it.
+    jobs : int, optional
+        Worker processes.
+    cell_timeout_s : float, optional
+        Seconds after which a cell is given up.
+    executor, scheduler : str, optional
+        `dask`, and the address of its scheduler.
+    keep_scores, keep_ids : bool, optional
+        Whether to keep the raw scores of all linkers, and the recording's own ids.
+    format, fps, unit, columns, on_duplicate, crs, drop_frozen : optional
+        How a file of one's own is read, as `isac_track.datasets.load` takes them.
+    sessions, persistent_ids : optional
+        Files that are sessions of one recording, and whether ids are the same people in all.
+    progress : bool or callable
+        Whether to show the data and how far the run is, or what is called with cells finished,
+        cells to do, and what is under way.
+    ready : Plan, optional
+        A plan of `plan`, instead of all settings.
+    pictures : bool
+        Whether to draw figures and `report.html`; `evaluation.report` draws them later.
+    walks : bool
+        Whether to keep a few true walks to be drawn.
+
+    Raises
+    ------
+    IsacTrackError
+        For anything that a user can mend; finished cells are kept.
+
+    Examples
+    --------
+    >>> evaluation.run(preset="smoke", attacks=["+my_attack"])  # doctest: +SKIP
     """
+    given = locals()  # before any other name: the options as they were given
+    options = {one.name: given[one.name] for one in fields(Settings) if given[one.name] is not None}
+    options |= unknown
     told = progress if callable(progress) else lambda *_: None
     if ready is None:
         ready = plan(sized((settings or Settings()).changed(**options), progress=told))
     elif settings is not None or options:
         raise SettingsError("a plan that is ready has its settings: leave out all others")
-    if progress is True:
-        sys.stderr.writelines(f"{line}\n" for line in plan_lines(ready))
     folder.check_folder(ready.out)
-    shown = progress_bar([]) if progress is True else contextlib.nullcontext(told)
+    shown: AbstractContextManager[Callable[[int, int, str], None]] = contextlib.nullcontext(told)
+    if progress is True:
+        shown = progress_bar([], heading=[*plan_lines(ready)])
+    with shown as update:
+        return _carried_out(ready, update, pictures=pictures, walks=walks)
+
+
+def _carried_out(
+    ready: Plan, update: Callable[[int, int, str], None], *, pictures: bool, walks: bool
+) -> Results:
+    """Compute the cells of a plan, and write and return what they tell."""
     numeric = np.errstate(all="warn", under="ignore")  # whatever a plug-in's module set
-    with given_back(), locked(ready.out), _one_thread(), numeric, shown as update:
+    with given_back(), locked(ready.out), _one_thread(), numeric:
         with ahead():
             execute(ready, update, keeps_walks=walks)
             _try_candidates(ready, update)
@@ -225,6 +323,10 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         later=later,
         manifest=manifest,
     )
+    if own := manifest.get("own_plugins"):
+        leading = leading_handover(best)
+        beside = Estimates(sweeps.found, scenes.estimates_later, sums, known, on_each, leading)
+        said["plugins"] = plugin_records(own, beside)
     said["robots"] = horizons.beaten_by_standing_still(found, scenes.estimates_later)
     every_match = pd.concat(at_equal, ignore_index=True)
     results = Results(

@@ -94,6 +94,10 @@ class Tracks:
         if len(set(self.source)) != len(self.source):
             raise ValueError("source ids must be unique")
 
+    def __repr__(self) -> str:
+        """Return how many tracks and samples there are, in a line."""
+        return f"<Tracks: {len(self):,} tracks, {self.t.size:,} samples>"
+
     __len__, __getitem__, __iter__ = _n_tracks, _one_track, _each_track
 
 

@@ -91,6 +91,13 @@ def strongest(found: Found, known: Mapping[str, Family]) -> dict[str, Source]:
     return best
 
 
+def ranking_levels(wheres: Iterable[Where], known: Mapping[str, Family]) -> list[Where]:
+    """Return the levels over which the strongest attack of a run is chosen, each once."""
+    each = dict.fromkeys(wheres)
+    families = {known[name].family for name, _ in each}
+    return [where for where in each if _chooses(where, known, families)]
+
+
 def rule_of(found: Found, linker: Source) -> str:
     """Return by which of `RULES` a linker names more mates, on average over all levels."""
     rates: dict[str, list[float]] = {rule: [] for rule in RULES}

@@ -19,7 +19,7 @@ from evaluation.experiment.constants import (
     horizon_world,
 )
 from evaluation.experiment.presets import BREAKER, PRESETS, SHARED, UTILITY_PREDICTORS, Preset
-from evaluation.experiment.settings import Settings
+from evaluation.experiment.settings import AXES, Settings
 from isac_track import plugins
 from isac_track.errors import SettingsError, quoted
 from isac_track.kalman.slow_errors import added_error
@@ -212,16 +212,21 @@ def axes(settings: Settings) -> Axes:
     fit, and PluginError if a named plug-in cannot be loaded.
     """
     preset = PRESETS[settings.preset]
-    names: dict[str, tuple[str, ...]] = {
-        axis: getattr(preset if getattr(settings, axis) is None else settings, axis)
-        for axis in ("mechanisms", "predictors", "attacks", "tasks")
-    }
-    if settings.mechanisms is None:
+    chosen = {axis: settings.choice(axis) for axis in AXES}
+    names = {axis: choice.values(getattr(preset, axis)) for axis, choice in chosen.items()}
+    own_mechanisms, own_attacks = chosen["mechanisms"].replaces, chosen["attacks"].replaces
+    if not own_mechanisms:
         names["mechanisms"] += preset.protections
-    against_slow = preset.against_slow if settings.attacks is None else ()
+    # An attack that is named runs against every mechanism.
+    named_attacks = chosen["attacks"].named
+    against_slow = (
+        ()
+        if own_attacks
+        else tuple(spec for spec in preset.against_slow if spec not in named_attacks)
+    )
     names["attacks"] += against_slow
     asked = [name for name in settings.adversaries if name not in USUAL]
-    if asked and settings.attacks is None:
+    if asked and not own_attacks:
         names["attacks"] += (BREAKER,)
         against_slow = tuple(one for one in against_slow if one != BREAKER)
     attacks, links = _attacks(names["attacks"])
@@ -233,15 +238,16 @@ def axes(settings: Settings) -> Axes:
         raise SettingsError("nothing to run: the mechanism axis is empty; name one, such as raw")
     _check_laws(mechanisms, law=settings.stages.sensing.law)
     ceiling = plugins.parse("mechanisms", "clean")[0] if pairs else None
-    named = {plugin.spec for plugin in predictors}
-    utility = named if settings.predictors is not None else named.intersection(UTILITY_PREDICTORS)
+    asked_robots = plugins.parse_all("predictors", chosen["predictors"].named)
+    utility = {plugin.spec for plugin in predictors}.intersection(UTILITY_PREDICTORS)
+    utility |= {plugin.spec for plugin in asked_robots}
     # Who names mechanisms, or a law, has asked for these alone.
     law = settings.stages.sensing.law
     other = {OTHER_LAW_WORLD: preset.other_law, **dict.fromkeys(WORLDS[1:], preset.model)}
     worlds = {
         world: tuple(one for one in mechanisms if one.spec in specs)
         for world, specs in other.items()
-        if settings.mechanisms is None
+        if not own_mechanisms
         and (attacks or pairs or world == OTHER_LAW_WORLD)
         and (law != OTHER_LAW or world == MODEL)
     }
@@ -343,6 +349,8 @@ def _linked(
     ``one_stretch`` of a walk, or a gap to bridge (``across_gap``), where there is one.
     """
     chosen: dict[str, list[Task]] = {}
+    _, named_links = _attacks(settings.choice("attacks").named)
+    must_run = {link.spec for link in named_links}
     for link in links:
         can = [task for task in tasks if _granted(link, task, settings.adversaries)]
         linker = link.plugins[0].instance
@@ -352,14 +360,15 @@ def _linked(
         if getattr(linker, "across_gap", False):
             suited = [task for task in suited if task.is_open]
         chosen[link.spec] = suited or can
-        if settings.attacks is not None and not can:
+        if link.spec in must_run and not can:
             needs = ", ".join(sorted(one.name for one in link.requires)) or "a task"
             where = ", ".join(task.name for task in tasks) or "none"
             raise SettingsError(
                 f"attack {link.spec!r} has no task to run in (tasks: {where}); it requires {needs}"
             )
+    must_link = settings.choice("tasks").named
     for task in tasks:
-        if settings.tasks is not None and not any(task in some for some in chosen.values()):
+        if task.name in must_link and not any(task in some for some in chosen.values()):
             raise SettingsError(
                 f"task {task.name} has no attack that can run in it; name one with --attack"
             )

@@ -64,6 +64,24 @@ def has_strangers(crossed: Axes) -> bool:
     return any(map(is_strange, (*crossed.mechanisms, *used)))
 
 
+def strangers_in(crossed: Axes) -> dict[str, list[str]]:
+    """Return what is not built in by axis, as the columns of the results call it; only if any.
+
+    Of mechanisms these are names without the level; a linker behind a reconstruction counts as
+    soon as one of both is not built in.
+    """
+    links = dict.fromkeys(link for _, link in crossed.links)
+    strange = {
+        "mechanisms": [one.name for one in crossed.mechanisms if is_strange(one)],
+        "predictors": [one.spec for one in crossed.predictors if is_strange(one)],
+        "attacks": [
+            *(one.spec for one in crossed.attacks if is_strange(one)),
+            *(link.spec for link in links if any(map(is_strange, link.plugins))),
+        ],
+    }
+    return {axis: [*dict.fromkeys(names)] for axis, names in strange.items() if names}
+
+
 def is_strange(plugin: Plugin) -> bool:
     """Return whether a plug-in is none of the project's own."""
     return plugin.origin.partition(":")[0].partition(".")[0] not in OURS

@@ -102,7 +102,7 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
         try:
             sessions.append(linked(task, stages=settings.stages))
         except DataError as error:
-            if settings.tasks is not None:  # it was named, so that it must be
+            if task.name in settings.choice("tasks").named:  # so that it must be
                 raise
             if task.comes_back and dataset.tracks.session is None:
                 continue  # of one session nobody expects it
@@ -176,7 +176,7 @@ def trial(ready: Plan, *, specs: Iterable[str]) -> Plan:
     units without levels, or where attacks were named.
     """
     settings, wanted = ready.settings, set(specs)
-    breakers = PRESETS[settings.preset].breakers if settings.attacks is None else ()
+    breakers = () if settings.choice("attacks").replaces else PRESETS[settings.preset].breakers
     some = tuple(level for level in ready.axes.mechanisms if level.spec in wanted and breakers)
     attacks = (plugins.parse("attacks", BREAKER)[0],)
     crossed = Axes(some, (), attacks, adversaries=breakers, trial=True)

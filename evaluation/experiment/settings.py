@@ -8,15 +8,16 @@ from importlib import import_module
 from math import inf, nextafter
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Final, Self
 
+from evaluation.experiment.choices import Choice, choice_of
 from evaluation.experiment.constants import MOST_JOBS, MOST_SCENES
 from evaluation.experiment.presets import DEFAULT, PRESETS
 from isac_track.config import StageSettings
 from isac_track.errors import SettingsError, did_you_mean, quoted
 from isac_track.protocols import ADVERSARIES
 
-_AXES = ("mechanisms", "predictors", "attacks", "tasks")
+AXES: Final = ("mechanisms", "predictors", "attacks", "tasks")
 _KINDS: dict[str, tuple[Any, type, str]] = {
     **dict.fromkeys(
         ("scenes", "utility_scenes", "seed", "jobs"), (Integral, int, "a whole number, as {}=40")
@@ -71,7 +72,8 @@ class Settings:
     precision: float | None = None  # Half-width of missed-conflict rates: finds `utility_scenes`.
     pilot_half_width: float | None = None  # The widest in the 250 scenes that found them.
     seed: int = 0
-    # These replace the preset's; empty: no predictor, no attack, nothing is linked.
+    # These replace the preset's, or add to them: `+NAME`, or all that follows a "+" of its own.
+    # Empty: no predictor, no attack, nothing is linked.
     mechanisms: tuple[str, ...] | None = None  # SPECs, or objects of plug-ins.
     predictors: tuple[str, ...] | None = None
     attacks: tuple[str, ...] | None = None  # SPECs, LINKER@RECONSTRUCTION among them.
@@ -89,6 +91,8 @@ class Settings:
 
     def __post_init__(self) -> None:
         self._check_types()
+        for axis in AXES:
+            self.choice(axis)
         _check_known("preset", (self.preset,), PRESETS)
         _check_known("adversary", self.adversaries, ADVERSARIES)
         for name, (above, most, wrong) in _LIMITS.items():
@@ -97,6 +101,10 @@ class Settings:
                 raise SettingsError(wrong.format(value, most))
         if self.precision is not None and self.scenes is not None:
             raise SettingsError("--precision finds the number of scenes: leave out --scenes")
+        self._check_executor()
+
+    def _check_executor(self) -> None:
+        """Refuse an executor that is unknown, and options that are another's."""
         if self.executor not in ("local", "dask"):
             raise SettingsError(f"the executor is local or dask, got {self.executor!r}")
         is_dask = self.executor == "dask"
@@ -125,7 +133,7 @@ class Settings:
         if isinstance(given["columns"], Mapping):
             given["columns"] = ",".join(f"{key}={name}" for key, name in given["columns"].items())
         given["sessions"] = tuple(map(str, given["sessions"]))
-        for axis in (*_AXES, "adversaries"):
+        for axis in (*AXES, "adversaries"):
             some = given[axis]
             if isinstance(some, str) or not isinstance(some, Iterable | None):
                 raise SettingsError(f"{axis} takes a list: write {axis}=[{quoted(some)}]")
@@ -146,6 +154,13 @@ class Settings:
         """Return settings with other options; SettingsError if one is unknown."""
         _check_known("option", options, [one.name for one in fields(self)])
         return replace(self, **options)
+
+    def choice(self, axis: str) -> Choice:
+        """Return the choice on an axis: mechanisms, predictors, attacks or tasks.
+
+        SettingsError if values that add to the preset's are mixed with values that replace them.
+        """
+        return choice_of(getattr(self, axis), axis=axis)
 
     @property
     def n_scenes(self) -> int:

@@ -7,7 +7,6 @@ import shlex
 import textwrap
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -50,36 +49,6 @@ def condensed(notices: Sequence[str], *, most: int | None, where: str) -> list[s
     if most is None or len(lines) <= most:
         return lines
     return [*lines[: most - 1], f"  ... {len(notices)} notices in full: {where}"]
-
-
-def listing() -> list[str]:
-    """Return all that can be named, by what it is."""
-    from attacks.tasks.task_list import TASKS  # noqa: PLC0415 - as the others, when asked for
-    from isac_track import plugins  # noqa: PLC0415 - names alone need none
-    from isac_track.datasets.registry import KNOWN  # noqa: PLC0415 - names alone need none
-
-    defaults = StageSettings().flat()
-    sections: dict[str, dict[str, str]] = {
-        "presets": {name: preset.summary for name, preset in PRESETS.items()},
-        "data sets": {name: known.about for name, known in KNOWN.items()},
-        **{kind: plugins.names(kind) for kind in _KINDS},
-        "tasks": {name: task.about for name, task in TASKS.items()},
-        "settings (--set)": {name: f"{value}" for name, value in defaults.items()},
-    }
-    width = max(len(name) for entries in sections.values() for name in entries)
-    lines = []
-    for title, entries in sections.items():
-        said = [f"  {name:<{width}}  {text}" for name, text in entries.items()]
-        lines += [f"{title}:", *said, ""]
-    return lines
-
-
-def broken() -> list[str]:
-    """Return discovered plug-ins that cannot be used, and why."""
-    from isac_track import plugins  # noqa: PLC0415 - names alone need none
-
-    found = chain.from_iterable(plugins.broken(kind).items() for kind in _KINDS)
-    return [f"skipped {name}: {wrong}" for name, wrong in found]
 
 
 def scenes_text(identity: Mapping[str, Any]) -> str:

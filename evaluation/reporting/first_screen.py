@@ -20,6 +20,7 @@ from evaluation.reporting.announcements import (
 from evaluation.reporting.answers import answers, headline_of
 from evaluation.reporting.headline import MOST_LEVELS, Headline, levels_of, screen_table
 from evaluation.reporting.markup import paragraphs
+from evaluation.reporting.my_plugin import plugin_doubts, plugin_lines
 from evaluation.reporting.recommendation import recommended_levels
 from evaluation.reporting.result_tables import control_tests
 from evaluation.reporting.rows import Results
@@ -44,7 +45,8 @@ def first_screen(run: Results, *, before: int = 5) -> list[str]:
     """Return the lines; `before` of them were printed already, which leaves levels less room."""
     of = headline_of(run)
     said = [f"{n} {one.topic}: {one.sentence}" for n, one in enumerate(answers(run, of), start=1)]
-    said.append(f"Doubts: {', '.join(_doubts(run, of)) or 'none'}.")
+    said += plugin_lines(run)
+    said.append(f"Doubts: {', '.join([*plugin_doubts(run), *_doubts(run, of)]) or 'none'}.")
     lines = [line for text in said for line in wrapped(text)]
     data = [data_line(run.manifest), *geometry(run.manifest, only_unusual=True)]
     top, last = [line for text in data for line in wrapped(text)], _next(run)
@@ -54,6 +56,13 @@ def first_screen(run: Results, *, before: int = 5) -> list[str]:
     levels, n_left_out = levels_of(of, most=most, named=recommended_levels(run))
     grid = _fitting(of, levels) if levels else []
     return [*top, *grid, *lines, *_read_on(run, n_left_out), *last]
+
+
+def first_table(run: Results) -> Table:
+    """Return the table of the first screen, whatever its width; without rows if there is none."""
+    of = headline_of(run)
+    levels, _ = levels_of(of, most=MOST_LEVELS, named=recommended_levels(run))
+    return screen_table(of, levels, next(of.column_choices))
 
 
 def _read_on(run: Results, n_left_out: int) -> list[str]:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial, reduce
+from functools import cached_property, partial
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -17,7 +16,7 @@ import pandas as pd
 
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, LEVEL_UNITS, Family, families_in
 from evaluation.analysis.keys import Key, Source, Where, keys_of, level_text
-from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS
+from evaluation.analysis.metrics import METRICS, MISSED_RATE
 from evaluation.experiment.presets import DISSOCIATION, SHARED
 from evaluation.reporting.announcements import scenes_text
 from evaluation.reporting.table import Column, level, said
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from evaluation.analysis.linkability import LinkedTask
+    from evaluation.reporting.table import Table
     from evaluation.verdict.what_to_share import Question, Recommendation
     from isac_track.intervals import Estimate
 
@@ -46,7 +46,6 @@ STRONGEST: Final = "strongest"
 AFTER: Final = "_after"  # Ends the name of a descriptor after the strongest attack.
 SHORT: Final = {"missed": MISSED_RATE, "false_alarm": "false_alarm_rate"}  # Long to type.
 _AT: Final = ["family", "level", "adding"]
-_MOST_SHOWN = 14
 _CURVE = 3  # Levels that make one.
 
 
@@ -84,6 +83,29 @@ class Results:
         return self.summary[~self.summary["dataset"].str.startswith(f"{self.dataset}:")]
 
     def __repr__(self) -> str:
+        """Return what run it is, and the table of the first screen in lines."""
+        from evaluation.reporting.terminal import aligned  # noqa: PLC0415 - see `load`
+
+        table = self._first_table()
+        rows = [[cell.full for cell in row] for row in table.rows]
+        heads = [column.head for column in table.columns]
+        return "\n".join(
+            [f"<{self._title()}>", *(aligned([heads, *rows], left={0}) if rows else [])]
+        )
+
+    def _repr_html_(self) -> str:
+        """Return the table of the first screen, and the sentences below it."""
+        table = self._first_table()
+        heads = "".join(f"<th>{escape(column.head)}</th>" for column in table.columns)
+        rows = "".join(
+            f"<tr>{''.join(f'<td>{escape(cell.full)}</td>' for cell in row)}</tr>"
+            for row in table.rows
+        )
+        grid = f"<table><thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table>"
+        said = "".join(f"<li>{escape(str(one))}</li>" for one in self.verdict.get("answer", ()))
+        return f"<p>{escape(self._title())}</p>{grid if rows else ''}<ul>{said}</ul>"
+
+    def _title(self) -> str:
         """Return what run it is, in a line."""
         identity, what = self.manifest["identity"], self.dataset
         what += " (simulated people)" * bool(self.manifest["dataset"].get("simulated"))
@@ -91,20 +113,12 @@ class Results:
         n_levels = len(shared[["mechanism", "level"]].drop_duplicates())
         failed = f", {len(self.failed)} cells failed" * bool(len(self.failed))
         told = f"{what}, {scenes_text(identity)}, seed {identity['seed']}, {n_levels} levels"
-        return f"<Results {self.out}: {told}{failed}>"
+        return f"Results {self.out}: {told}{failed}"
 
-    def _repr_html_(self) -> str:
-        """Return a table of what tells most, and the verdict's answers."""
-        shown = []
-        for name in ("missed", EXPOSURE, f"{EXPOSURE}{AFTER}", SUCCESS):
-            with suppress(SettingsError):  # the run has none
-                one = self._scaled(name)
-                shown.append(one[[*_AT, "value"]].rename(columns={"value": one.attrs["title"]}))
-        both = reduce(lambda left, right: left.merge(right, on=_AT, how="left"), shown)
-        most = both.head(_MOST_SHOWN)
-        table = most.to_html(index=False, border=0, float_format="{:.4g}".format, na_rep="")
-        said = "".join(f"<li>{escape(str(one))}</li>" for one in self.verdict.get("answer", ()))
-        return f"<p>{escape(repr(self)[1:-1])}</p>{table}<ul>{said}</ul>"
+    def _first_table(self) -> Table:
+        from evaluation.reporting.first_screen import first_table  # noqa: PLC0415 - see `load`
+
+        return first_table(self)
 
     def recommendation(self, question: Question | None = None) -> Recommendation:
         """Return which levels may be shared, by default as the first screen asks.

@@ -37,6 +37,7 @@ from evaluation.reporting.bounds import bound_table, linked_bound_table
 from evaluation.reporting.first_screen import TABLES, data_line, first_screen
 from evaluation.reporting.headline import headline, headline_table
 from evaluation.reporting.markup import latex, markdown
+from evaluation.reporting.my_plugin import plugin_lines
 from evaluation.reporting.rows import Results, by_level, telling
 from evaluation.reporting.table import Table, built, estimated, held, said
 from evaluation.reporting.terminal import Part
@@ -63,7 +64,9 @@ def show(run: Results, *, before: int = 1, verbose: bool = False) -> None:
 def write_text(run: Results) -> None:
     """Write `tables.txt`: all that is not on the first screen. DataError if it cannot be."""
     sink = io.StringIO()
-    terminal.show(_everything(run), console=Console(file=sink, width=_WIDE, highlight=False))
+    # In a notebook's kernel rich would write into the cell instead of the file.
+    console = Console(file=sink, width=_WIDE, highlight=False, force_jupyter=False)
+    terminal.show(_everything(run), console=console)
     write_whole(run.out / TABLES, sink.getvalue().encode())
 
 
@@ -77,6 +80,7 @@ def _everything(run: Results) -> Iterator[Part]:
     for notice in filter(None, [data.get("notice"), *data_notices(data), *notices(run.manifest)]):
         yield f"NOTICE: {notice}", "yellow"
     yield from who_is_linked(run.manifest)
+    yield from plugin_lines(run)
     yield from measured.sweep_tables(run.ours, n_reports=run.n_reports)
     yield from measured.horizon_tables(run.summary)
     yield measured.standing_table(run.verdict.get("robots", ()))

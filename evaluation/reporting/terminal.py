@@ -26,7 +26,7 @@ def standard_output() -> Console:
     """Return standard output, as wide as the terminal or `PIPE_WIDTH` where there is none."""
     piped = not (sys.stdout.isatty() or os.environ.get("COLUMNS", "").strip("0"))
     width = PIPE_WIDTH if piped else shutil.get_terminal_size().columns
-    return _Console(width=width, highlight=False)
+    return _Console(width=width, highlight=False, force_jupyter=False)
 
 
 def show(parts: Iterable[Part], *, console: Console | None = None) -> None:

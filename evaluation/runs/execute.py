@@ -26,6 +26,7 @@ from evaluation.runs.manifest import (
     entries_of,
     losses_of,
     merged_cells,
+    merged_plugins,
     named,
     others,
     with_ceiling,
@@ -66,7 +67,9 @@ def execute(
     earlier_s = float(manifest.get("wall_time_s", 0.0))
     places = places_of(held)
     missing = pieces.missing_of(ready, places)
+    earlier_plugins = manifest.get("own_plugins", {})
     manifest |= describe(ready) | {"damaged_cells": damaged, "untried_plugins": given_up}
+    manifest["own_plugins"] = merged_plugins(earlier_plugins, manifest["own_plugins"])
     # What failed when other axes were run, whose finished levels stay in the tables.
     failures = manifest.get("failed", []) if manifest["cells"] else []
     ours = entries_of(ready, places, missing)

@@ -79,24 +79,28 @@ def open_run(
             _remove_run(out)
         elif is_there:
             manifest |= undamaged(parsed(out), out=out)
-            earlier = manifest["identity"]
-            different = [
-                f"{key} {earlier.get(key)!r} -> {value!r}"
-                for key, value in identity.items()
-                if earlier.get(key) != value
-            ]
-            if different:
-                more = "; ..." if len(different) > _SHOWN_DIFFERENCES else ""
-                raise SettingsError(
-                    f"{out} holds another run ({'; '.join(different[:_SHOWN_DIFFERENCES])}{more}); "
-                    "use --fresh to replace it or another --out"
-                )
+            refuse_other_run(manifest["identity"], identity, out=out)
         (out / files.FOLDER).mkdir(parents=True, exist_ok=True)
         names = [name for entry in manifest["cells"] for name in entry["files"]]
         held, damaged = sound_files(out, names)
         _drop_other_code(out, manifest, held)
         files.forget_missing(out)
     return manifest, held, damaged
+
+
+def refuse_other_run(earlier: Mapping[str, Any], identity: Mapping[str, Any], *, out: Path) -> None:
+    """Raise SettingsError, and name what differs, if a folder holds a run of another identity."""
+    different = [
+        f"{key} {earlier.get(key)!r} -> {value!r}"
+        for key, value in identity.items()
+        if earlier.get(key) != value
+    ]
+    if different:
+        more = "; ..." if len(different) > _SHOWN_DIFFERENCES else ""
+        raise SettingsError(
+            f"{out} holds another run ({'; '.join(different[:_SHOWN_DIFFERENCES])}{more}); "
+            "use --fresh to replace it or another --out"
+        )
 
 
 def _drop_other_code(out: Path, manifest: dict[str, Any], held: dict[str, Index]) -> None:

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 import isac_track
-from evaluation.experiment.fingerprint import digest
+from evaluation.experiment.fingerprint import digest, strangers_in
 from evaluation.runs.files import MANIFEST, content_of, label_of, write_whole
 from evaluation.runs.people import labels_of_ids, shown_path, shown_words
 from isac_track.errors import DataError
@@ -229,6 +229,7 @@ def describe(ready: Plan) -> dict[str, Any]:
             **({"adversaries": list(axes.adversaries)} if axes.adversaries else {}),
             "stages": settings.stages.flat(),
         },
+        "own_plugins": strangers_in(axes),
         "granted": {name: sorted(one.name for one in of) for name, of in requires.items() if of},
         "without_rule": sorted(without_rule),
         "dataset": about_data(ready),
@@ -317,6 +318,16 @@ def entries_of(
         }
         for mechanism, consumer in ready.pairs
     ]
+
+
+def merged_plugins(
+    earlier: Mapping[str, Sequence[str]], ours: Mapping[str, Sequence[str]]
+) -> dict[str, list[str]]:
+    """Return a user's own plug-ins by axis: those of earlier axes, whose cells stay, and of now."""
+    return {
+        axis: [*dict.fromkeys([*earlier.get(axis, ()), *ours.get(axis, ())])]
+        for axis in dict.fromkeys([*earlier, *ours])
+    }
 
 
 def merged_cells(

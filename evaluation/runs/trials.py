@@ -21,11 +21,12 @@ MOST_S: Final = 60.0  # A call that takes longer is given up, and says nothing a
 _TRAVELLED: Final = "<dynamic-code>"  # Cloudpickle's name for the file of what it carried.
 
 
-def try_plugins(ready: Plan) -> list[str]:
+def try_plugins(ready: Plan, *, keeps_traceback: bool = True) -> list[str]:
     """Call every stranger's plug-in of which something is missing; return those given up.
 
     Each is called in a worker that computes nothing of the run. A folder that holds a run stays as
-    it is but for the file with the traceback, which goes as soon as there is none.
+    it is but for the file with the traceback, which goes as soon as there is none. Without
+    `keeps_traceback` that is not written.
 
     Raises PluginError if one fails, or takes longer than a cell may.
     """
@@ -39,16 +40,17 @@ def try_plugins(ready: Plan) -> list[str]:
     allowed_s = ready.settings.cell_timeout_s
     limit_s = MOST_S if allowed_s is None else min(allowed_s, MOST_S)
     call = partial(attempted, stages=ready.settings.stages)
+    failed = partial(_failed, ready) if keeps_traceback else _failed_without_trace
     works = deque(_trials(missing))
     for trial, found in spread(call, works, jobs=1, limit_s=limit_s, apart=True, alone=True):
         for one in found:
             if isinstance(one, tuple):
-                raise _failed(ready, *(_located(text, trial.plugin.instance) for text in one))
+                raise failed(*(_located(text, trial.plugin.instance) for text in one))
             if one.is_late and limit_s != allowed_s:
                 given_up.append(trial.plugin.spec)
             else:
                 why = f"plug-in {trial.plugin.spec!r}: {one.why}{defined_at(trial.plugin.instance)}"
-                raise _failed(ready, why, "its process left no traceback")
+                raise failed(why, "its process left no traceback")
     return given_up
 
 
@@ -66,6 +68,10 @@ def _failed(ready: Plan, why: str, trace: str) -> PluginError:
     path = ready.out / PLUGIN_ERROR
     write_whole(path, f"{why}\n\n{trace}\n".encode(errors="backslashreplace"))
     return PluginError(f"{why}; found by a call before the run, whose traceback is in {path}")
+
+
+def _failed_without_trace(why: str, _trace: str) -> PluginError:
+    return PluginError(f"{why}; found by a call on a few made-up people")
 
 
 def _trials(missing: Iterable[Unit]) -> list[Trial]:

@@ -102,6 +102,13 @@ class Dataset:
     licence: str  # Empty if unknown.
     sessions: tuple[str, ...] = ()  # Paths of the files that were named as sessions.
 
+    def __repr__(self) -> str:
+        """Return which recording it is and how large, in a line."""
+        people = " (simulated people)" if self.simulated else ""
+        size = f"{len(self.tracks):,} tracks, {self.tracks.t.size:,} samples"
+        mended = f", {len(self.repairs)} kinds of repair" if self.repairs else ""
+        return f"<Dataset {self.name}{people}: {size}, {self.format}{mended}>"
+
 
 def load(
     name: str | Path | DataFrame | None = None,

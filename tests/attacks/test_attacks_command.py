@@ -14,7 +14,6 @@ from attacks.testing import CHECKS, LINKAGE_CHECKS, MECHANISM_CHECKS, PREDICTOR_
 from isac_track import plugins
 
 GUIDE = (ROOT / "docs" / "attacks.md").read_text(encoding="utf-8")
-RAW = {"mechanism": "--mechanism raw "}
 MINE, LINKERS = "helpers.broken_attacks", "helpers.broken_linkers"
 
 
@@ -144,7 +143,7 @@ class TestNew:
         lines = (
             f"pip install -e ./{name}",
             f"pytest {name}",
-            f"python -m evaluation.matrix --preset smoke {RAW.get(noun, '')}--{noun} {name}",
+            f"python -m evaluation.matrix --preset smoke --{noun} +{name}",
         )
         shown = capsys.readouterr().out.splitlines()[-3:]
         assert shown == [f"  {line}" for line in lines]

@@ -1,0 +1,117 @@
+"""CPU seconds of each part of a run: ``python -m benchmarks.rates`` writes what `--dry-run` reads.
+
+Cells of two levels are computed in this process, one after the other, after the same cells of a
+smaller run have compiled all loops. Every consumer's time is divided by the samples of its scenes,
+or by the pairs that it compares. Their scale is that of a whole run on an idle machine, the one of
+`docs/results/default_run.json`: what is measured here may share its machine with others.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import defaultdict
+from pathlib import Path
+from time import process_time
+from typing import TYPE_CHECKING
+
+from threadpoolctl import threadpool_limits
+
+from evaluation.cells.work import cells
+from evaluation.experiment.plan import Plan, plan
+from evaluation.experiment.settings import Settings
+from evaluation.runs.duration import (
+    cells_cpu_s,
+    measured_rates,
+    name_of,
+    rates_path,
+    setup_of,
+    size_of,
+)
+from evaluation.runs.pieces import pieces_of
+from isac_track.command_line import DONE, Parser, exit_code
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+ROOT = Path(__file__).resolve().parent.parent
+WHOLE_RUN = ROOT / "docs" / "results" / "default_run.json"
+"""Measured by `python -m benchmarks.default_run`, on two idle cores."""
+ATTACKS = ("+ou_rts", "+shape@kalman_rts", "+shape@ou_rts")
+"""Beside those of preset smoke."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, write, and return the exit code."""
+    return exit_code(lambda: _measure(arguments))
+
+
+def _measure(arguments: Sequence[str] | None) -> int:
+    command = Parser(prog="python -m benchmarks.rates", description=__doc__.splitlines()[0])
+    command.add_argument("--dataset", default="plaza", metavar="NAME", help="recording")
+    options = command.parse_args(arguments)
+    settings = Settings(
+        preset="smoke",
+        dataset=options.dataset,
+        mechanisms=("raw", "fixed:1"),
+        tasks=("rerelease", "rerelease-framed", "split", "handover-1s"),
+        predictors=("+kalman_cv:aware=true",),
+        attacks=ATTACKS,
+        jobs=1,
+        out=Path("not-written"),
+    )
+    with threadpool_limits(limits=1, user_api="blas"):
+        few = {"linkage.most_people": 40, "linkage.handover_instants": 3}
+        _spent(plan(settings.changed(scenes=8, stages=settings.stages.changed(few))))
+        rates = _spent(plan(settings.changed(scenes=100)))
+    _write(rates)
+    factor = whole_run_factor()
+    _write({name: factor * rate for name, rate in rates.items()})
+    return DONE
+
+
+def whole_run_factor() -> float:
+    """Return by what rates are too high or low, as a whole run of preset paper on plaza tells."""
+    runs = json.loads(WHOLE_RUN.read_text(encoding="utf-8"))
+    measured_s: float = next(run["stages"]["cells"] for run in runs if run["dataset"] == "plaza")
+    measured_rates.cache_clear()
+    settings = Settings(preset="paper", dataset="plaza", jobs=2, out=Path("not-written"))
+    return 2.0 * measured_s / cells_cpu_s(plan(settings))
+
+
+def _write(rates: Mapping[str, float]) -> None:
+    rounded = {name: float(f"{rate:.4g}") for name, rate in rates.items()}
+    text = json.dumps(rounded, indent=1, sort_keys=True) + "\n"
+    rates_path(ROOT).write_text(text, encoding="utf-8")
+
+
+def _spent(ready: Plan) -> dict[str, float]:
+    """Return CPU seconds by part, per million samples or pairs.
+
+    What all levels of a piece of work share is made before its first: that is its `setup`.
+    """
+    spent_s, sizes = defaultdict[str, float](float), defaultdict[str, float](float)
+    first_s, first_cells = defaultdict[str, float](float), list[tuple[str, str, float]]()
+    whole = defaultdict[str, float](float)
+    for work in pieces_of(ready.units, ready):
+        size, setup, before = size_of(work, ready), setup_of(work), process_time()
+        whole[setup] += size
+        stages, seed = ready.settings.stages, ready.settings.seed
+        for _, mechanism, consumer, _ in cells(work, tracks=ready.tracks, stages=stages, seed=seed):
+            now, name = process_time(), name_of(consumer)
+            if mechanism is work.levels[0][0]:
+                first_s[setup] += now - before
+                first_cells.append((setup, name, size))
+            else:
+                spent_s[name] += now - before
+                sizes[name] += size
+            before = now
+    rates = {name: spent_s[name] / sizes[name] for name in sizes}
+    for setup, total_s in first_s.items():
+        usual_s = sum(rates[name] * size for of, name, size in first_cells if of == setup)
+        rates[setup] = max(total_s - usual_s, 0.0) / whole[setup]
+    return rates
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,61 @@
+"""Values named on an axis of a run: they replace the preset's, or with a + add to them."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Final
+
+from isac_track.errors import SettingsError, quoted
+
+PLUS: Final = "+"
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """Values that a user names on an axis: SPECs, objects of plug-ins, or names of tasks."""
+
+    named: tuple[Any, ...] = ()
+    replaces: bool = False  # Whether they stand instead of the preset's values.
+
+    def values(self, usual: tuple[str, ...]) -> tuple[Any, ...]:
+        """Return the values of the axis, where `usual` are those of the preset."""
+        return self.named if self.replaces else (*usual, *self.named)
+
+
+def choice_of(given: Iterable[Any] | None, *, axis: str) -> Choice:
+    """Return the choice that a list on an axis stands for; None leaves the preset's values.
+
+    A text `+NAME` adds NAME. An object has no text to begin with a +: after `"+"` as the first
+    entry all others are added. SettingsError if values that add stand beside values that replace,
+    or if a + has nothing to add.
+
+    >>> choice_of(["+my_attack"], axis="attacks")
+    Choice(named=('my_attack',), replaces=False)
+    """
+    if given is None:
+        return Choice()
+    values = tuple(given)
+    if values[:1] == (PLUS,):
+        named = tuple(_without_plus(value) for value in values[1:])
+    else:
+        plain = [value for value in values if not _adds(value)]
+        if len(plain) == len(values):
+            return Choice(values, replaces=True)
+        if plain:
+            added = next(value for value in values if _adds(value))
+            raise SettingsError(
+                f"{axis}: {quoted(added)} adds to the preset's and {quoted(plain[0])} replaces "
+                "them; write + before each, or before none"
+            )
+        named = tuple(_without_plus(value) for value in values)
+    nothing = [value for value in named if isinstance(value, str) and value in ("", "none")]
+    if nothing or not named:
+        raise SettingsError(f"{axis}: a + is followed by what it adds, as +NAME")
+    return Choice(named)
+
+
+def _adds(value: Any) -> bool:  # noqa: ANN401 - SPECs and objects
+    return isinstance(value, str) and value.strip().startswith(PLUS)
+
+
+def _without_plus(value: Any) -> Any:  # noqa: ANN401 - SPECs and objects
+    return value.strip().removeprefix(PLUS).strip() if _adds(value) else value

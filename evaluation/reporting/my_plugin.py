@@ -1,0 +1,99 @@
+"""Sentences about a user's own plug-ins: a line each of the first screen, and its doubts."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from evaluation.analysis.keys import level_text
+from evaluation.analysis.own_plugins import ATTACK, LINKER, MECHANISM, PREDICTOR
+from evaluation.reporting.names import attack_name, robot_name, task_phrase
+from evaluation.reporting.rows import Results
+
+_MOST_ROWS: Final = 3  # Levels of mechanisms on the screen; tables.txt has all.
+_NOUN: Final = {ATTACK: "attack", LINKER: "attack", PREDICTOR: "predictor"}
+
+
+def plugin_lines(run: Results) -> list[str]:
+    """Return a sentence for each plug-in of the user's own in a run; none without one.
+
+    An attack, linker or predictor stands beside the strongest built-in of its kind, with the paired
+    difference and its 95 % interval over people; a mechanism has its row of numbers.
+    """
+    records = run.verdict.get("plugins", ())
+    rows = [_row(record) for record in records if record["kind"] == MECHANISM]
+    compared = [_comparison(record) for record in records if record["kind"] != MECHANISM]
+    if len(rows) > _MOST_ROWS:
+        more = f"{len(rows) - _MOST_ROWS} more levels of your mechanisms: tables.txt"
+        rows = [*rows[:_MOST_ROWS], more]
+    return [*compared, *rows]
+
+
+def plugin_doubts(run: Results) -> list[str]:
+    """Return what keeps a reader from telling whether a user's own plug-in is any good."""
+    alone: dict[str, list[str]] = {}
+    for record in run.verdict.get("plugins", ()):
+        if record["kind"] != MECHANISM and not record["rival"]:
+            alone.setdefault(_NOUN[record["kind"]], []).append(f"+{record['plugin']}")
+    return [
+        f"no built-in {noun} in this run to compare with: add {' '.join(names)}"
+        for noun, names in alone.items()
+    ]
+
+
+def _comparison(record: Mapping[str, Any]) -> str:
+    """Return how a plug-in compares: `my_attack 65 %, strongest built-in ... 90 %, difference`."""
+    kind, own = record["kind"], _percent(record["own"])
+    if kind == ATTACK:
+        said = f"{record['plugin']} rebuilds {own} of positions to epsilon"
+        rival = attack_name(record["rival"])
+    elif kind == LINKER:
+        said = f"{record['plugin']} re-identifies {own} {task_phrase(record['task'])}"
+        rival = attack_name(record["rival"])
+    else:
+        said = f"{record['plugin']} misses {own} of future conflicts{_ahead(record)}"
+        rival = robot_name(record["rival"])
+    if not record["rival"]:
+        return f"Yours: {said}; no built-in {_NOUN[kind]} to compare with."
+    said += f", strongest built-in ({rival}) {_percent(record['other'])}"
+    said += f", difference {_points(record['difference'])}, mean of {record['levels']} levels"
+    if kind == PREDICTOR:
+        said += f"; false alarms {_percent(record['alarms'])}"
+        said += f" against {_percent(record['rival_alarms'])}"
+    return f"Yours: {said}."
+
+
+def _row(record: Mapping[str, Any]) -> str:
+    """Return the numbers of one level of a mechanism."""
+    name = f"{record['plugin']} {level_text(record['level'])}".rstrip()
+    said = []
+    if record["robot"]:
+        missed = f"{_percent(record['missed'])} of future conflicts{_ahead(record)}"
+        said.append(f"a robot ({robot_name(record['robot'])}) misses {missed}")
+    if record["as_sent"]["value"] is not None:
+        known = f"{_percent(record['as_sent'])} of positions are known to epsilon as sent"
+        if record["attacked"]["value"] is not None:
+            known += f", {_percent(record['attacked'])} after attack"
+        said.append(known)
+    if record["linked"]["value"] is not None:
+        linked = f"{_percent(record['linked'])} are re-identified {task_phrase(record['task'])}"
+        said.append(linked)
+    return f"Yours: {name}: {'; '.join(said) or 'nothing was measured'}."
+
+
+def _ahead(record: Mapping[str, Any]) -> str:
+    horizon_s = record["horizon_s"]
+    return "" if horizon_s is None else f" within {horizon_s:g} s"
+
+
+def _percent(interval: Mapping[str, float | None]) -> str:
+    value = interval["value"]
+    return "an unknown share" if value is None else f"{100 * value:.0f} %"
+
+
+def _points(interval: Mapping[str, float | None]) -> str:
+    """Return a difference of shares in points, with its interval."""
+    value, low, high = (interval[end] for end in ("value", "ci_low", "ci_high"))
+    if value is None:
+        return "unknown"
+    if low is None or high is None:
+        return f"{100 * value:+.0f} points (too few people for an interval)"
+    return f"{100 * value:+.0f} points [{100 * low:+.0f}, {100 * high:+.0f}]"
