@@ -6,6 +6,7 @@ from typing import Any, Final
 
 from evaluation.analysis.keys import Where
 from evaluation.analysis.metrics import EXPOSURE, MEDIAN, METRICS, SUCCESS, WIDE
+from evaluation.analysis.strongest import BEYOND
 from evaluation.reporting.amounts import (
     PERCENT,
     bare_percent,
@@ -155,10 +156,10 @@ def share_details(run: Results) -> tuple[str, ...]:
     answer, epsilon = run.recommendation(), epsilon_m(run.manifest)
     shown = answer.proposals or answer.unsettled or answer.refused[:1]
     limits = "; ".join(limit_texts(answer, epsilon_m=epsilon))
-    sentences = [f"Limits: {limits}."] if answer.refused and not answer.proposals else []
+    sentences = [f"Limits: {limits}."] if shown else []
     sentences += [offer_text(offer, answer, epsilon_m=epsilon) for offer in shown[:1]]
     if others := [level_name(offer) for offer in shown[1:]]:
-        sentences.append(f"Further levels within the limits: {listed(others)}.")
+        sentences.append(f"Further levels: {listed(others)}.")
     return tuple(sentences)
 
 
@@ -386,8 +387,7 @@ def _adversary(check: Check) -> str:
     """Return who knows what a check is about."""
     if check.source is None or not check.source.knowledge:
         return "an adversary without an attack"
-    beyond = check.adversary in ("repeats", "anchor", "companions", "insider")
-    return adversary_name(check.adversary) if beyond else "an attack"
+    return adversary_name(check.adversary) if check.adversary in BEYOND else "an attack"
 
 
 def _more_data(check: Check) -> str:
