@@ -319,8 +319,8 @@ def _decision_sentence(item: Mapping[str, Any], names: Sequence[str]) -> str:
                 f"values, linkage differs by {low} to {high} of 100 people.{more}"
             )
     # The reason in short: the details have it in full.
-    why = item["why"].partition(":")[0].partition(", not surely")[0]
-    return f"The run cannot test them: {why}."
+    why = item["why"].partition(": ")[0].partition(", not surely")[0]
+    return f"The run cannot test the descriptors: {why}."
 
 
 def people_needed(n: float) -> str:

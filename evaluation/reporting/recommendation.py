@@ -185,7 +185,10 @@ def answer_text(
     if answer.nearest is None:
         return f"No{people}: the run has no level that claims to protect."
     texts = failures(answer.nearest, answer, epsilon_m=epsilon_m)
-    failing = "; ".join(texts[:most_failures])
+    shown = texts[:most_failures]
+    if n_more := len(texts) - len(shown):
+        shown.append(counted(n_more, "further limit fails", "further limits fail"))
+    failing = "; ".join(shown)
     nearest = f"The nearest is {level_name(answer.nearest)}: {failing}."
     return f"No{people}: no level keeps within the limits. {limits} {nearest}"
 

@@ -101,7 +101,7 @@ LINKABLE = "say how linkable people are"
         ("does not track", ["attacks"], 0.0, f"does not {LINKABLE}: linkage falls where the priv"),
         ("tracks", ["attacks"], 0.0, "says how linkable people are: at equal values, linkage"),
         ("between", [], 0.02, "The run cannot say whether the privacy leakage ratio tells"),
-        ("not testable", [], 0.0, "The run cannot test them: nobody links."),
+        ("not testable", [], 0.0, "The run cannot test the descriptors: nobody links."),
     ],
 )
 def test_the_fourth_answer_says_what_was_decided_and_how_wide_it_is(decision, evidence, low, said):
