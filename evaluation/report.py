@@ -20,7 +20,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("out", type=Path, help="folder of a run, as given to the matrix by --out")
     add("--pdf", action="store_true", help="also write every figure as PDF, for print")
     add("--verbose", action="store_true", help="print all tables, as in tables.txt")
-    about = "also write its summary and tables into README and docs of the repository one stands in"
+    about = "also write the summary and the tables into README and docs of this repository"
     add("--docs", action="store_true", help=about)
     return exit_code(lambda: _redraw(command.parse_args(arguments)))
 

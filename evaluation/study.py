@@ -39,12 +39,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         epilog=_EXIT,
     )
     add = command.add_argument
-    about = "repeatable: a recording"
+    about = "a recording; repeatable"
     add("--dataset", action="append", metavar="NAME|PATH", required=True, help=about)
     about = "of every run (default: %(default)s)"
     add("--preset", default=DEFAULT, choices=list(PRESETS), help=about)
-    add("--seed", action="append", metavar="N", type=int, help="repeatable (default: 0)")
-    about = "repeatable: law of the sensing error (default: radial)"
+    add("--seed", action="append", metavar="N", type=int, help="base seed; repeatable (default: 0)")
+    about = "law of the sensing error; repeatable (default: radial)"
     add("--law", action="append", choices=LAWS, help=about)
     about = "change a stage setting of every run, as in evaluation.matrix; repeatable"
     add("--set", action="append", metavar="STAGE.KEY=VALUE", default=[], help=about)
@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--out", metavar="DIR", type=Path, required=True, help="folder of the study")
     add("--jobs", metavar="N", type=int, help="worker processes of a run")
     add("--executor", metavar="local|dask", default="local", help="as in evaluation.matrix")
-    add("--scheduler", metavar="ADDRESS", help="of the Dask cluster")
+    add("--scheduler", metavar="ADDRESS", help="address of the Dask cluster")
     kept = "interrupted; finished runs are kept, the same command continues"
     return exit_code(lambda: _study(command.parse_args(arguments)), interrupted=kept)
 

@@ -3,6 +3,7 @@
 Files, columns and options keep the SPEC (`fid:1,adding=independent`); a person reads these names.
 """
 
+from collections.abc import Sequence
 from typing import Final
 
 from evaluation.analysis.families import Family
@@ -34,6 +35,15 @@ _ROBOTS: Final = {
     "kalman_imm": "Kalman of two motions",
 }
 
+_ROBOT_SUBJECTS: Final = {
+    "least_squares": "the paper's straight line",
+    "constant_position": "a robot that expects people to stand still",
+    "kalman_cv": "a Kalman robot",
+    "kalman_cv:aware=true": "a Kalman robot that knows the noise",
+    "kalman_ca": "a Kalman robot with acceleration",
+    "kalman_imm": "a Kalman robot of two motions",
+}
+
 _ATTACKS: Final = {
     "identity": "positions as sent",
     "moving_average": "moving average",
@@ -59,6 +69,46 @@ _TASKS: Final = {
     "cross_session": "in another session",
 }
 
+_TASK_HEADS: Final = {
+    "rerelease": "two logs",
+    "rerelease-framed": "framed logs",
+    "split": "two parts",
+    "handover-1s": "after 1 s",
+    "handover-2s": "after 2 s",
+    "handover-5s": "after 5 s",
+    "new_traversal": "other day",
+    "cross_session": "session 2",
+}
+"""What stands over a column of re-identified people."""
+
+_ADVERSARIES: Final = {
+    "blind": "an adversary with the release alone",
+    "informed": "an adversary that knows the mechanism",
+    "repeats": "an adversary with several releases of each walk",
+    "anchor": "an adversary with one true position",
+    "companions": "an adversary with the companions' releases",
+    "insider": "an adversary with frame and clock",
+    "oracle": "an adversary that knows everything",
+}
+"""By the name that `--adversary` takes."""
+
+_ADDING: Final = {
+    "linear": "noise added as in the paper",
+    "independent": "noise independent of the sensing error",
+}
+
+_DESCRIPTORS: Final = {
+    "plr": "privacy leakage ratio",
+    "ael": "average exposure length",
+    "mel": "mean maximum exposure length",
+}
+
+_SHORTCUTS: Final = {"duration": "track length", "noise_level": "noise level"}
+
+_ISOTROPIC: Final = "law=isotropic"
+INDEPENDENT_MARK: Final = " *"
+"""Behind a level whose noise is independent of the sensing error, where room is short."""
+
 
 def mechanism_name(family: Family, level: float | None) -> str:
     """Return what a level of a mechanism is called.
@@ -66,20 +116,66 @@ def mechanism_name(family: Family, level: float | None) -> str:
     Parameters that are not the default follow in brackets, the adding rule last if it is not the
     paper's: `FID noise, eta 1 (independent)`.
     """
+    return _with_details(_plain_name(family, level), _details(family))
+
+
+def short_mechanism_name(family: Family, level: float | None) -> str:
+    """Return the same where room is short: a mark says that noise is independent."""
+    name = _with_details(_plain_name(family, level), _other_parameters(family))
+    return f"{name}{INDEPENDENT_MARK}" if is_independent(family) else name
+
+
+def mechanism_phrase(family: Family, level: float | None) -> str:
+    """Return the same in the middle of a sentence: `FID noise at eta 1`, `slow noise of 0.4 m`."""
+    name = _plain_name(family, level)
+    if family.family in _MECHANISMS:
+        name = name.replace(", eta", " at eta").replace(", ", " of ")
+    return _with_details(name, _details(family))
+
+
+def is_independent(family: Family) -> bool:
+    """Return whether a parameter makes the noise independent of the sensing error."""
+    return "adding=independent" in family.mechanism
+
+
+def _details(family: Family) -> list[str]:
+    """Return what stands in brackets behind a name."""
+    rule = ["independent"] if is_independent(family) else []
+    return [*_other_parameters(family), *rule]
+
+
+def _with_details(name: str, details: Sequence[str]) -> str:
+    return f"{name} ({', '.join(details)})" if details else name
+
+
+def _plain_name(family: Family, level: float | None) -> str:
+    """Return the name of a level without its parameters, but for an isotropic law."""
     pattern = _MECHANISMS.get(family.family)
     if pattern is None:
-        name = f"{spoken(family.family)}:{level_text(level)}".rstrip(":")
-    else:
-        name = pattern.format(level=level_text(level))
-    details = [family.parameters] if family.parameters else []
-    if "adding=independent" in family.mechanism:
-        details.append("independent")
-    return f"{name} ({', '.join(details)})" if details else name
+        return f"{spoken(family.family)}:{level_text(level)}".rstrip(":")
+    name = pattern.format(level=level_text(level))
+    return f"isotropic {name}" if _ISOTROPIC in family.parameters else name
+
+
+def _other_parameters(family: Family) -> list[str]:
+    """Return parameters that neither the name nor the adding rule tells."""
+    given = [text for text in family.parameters.split(",") if text]
+    return given if family.family not in _MECHANISMS else [x for x in given if x != _ISOTROPIC]
 
 
 def robot_name(consumer: str) -> str:
     """Return what a robot's predictor is called."""
     return _ROBOTS.get(consumer, spoken(consumer))
+
+
+def is_built_in_robot(consumer: str) -> bool:
+    """Return whether a predictor is the project's own, not a user's."""
+    return consumer in _ROBOTS
+
+
+def robot_subject(consumer: str) -> str:
+    """Return a robot as the subject of a sentence: `a Kalman robot`."""
+    return _ROBOT_SUBJECTS.get(consumer, f"a robot with {robot_name(consumer)}")
 
 
 def attack_name(consumer: str) -> str:
@@ -90,3 +186,33 @@ def attack_name(consumer: str) -> str:
 def task_phrase(task: str) -> str:
     """Return when or where a linkage task finds people again: `after 1 s of silence`."""
     return _TASKS.get(task, f"in {task}")
+
+
+def task_head(task: str) -> str:
+    """Return the heading of a column of re-identified people."""
+    return _TASK_HEADS.get(task, task)
+
+
+def adversary_name(adversary: str) -> str:
+    """Return an adversary as the subject of a sentence: `an adversary with one true position`."""
+    return _ADVERSARIES.get(adversary, f"the adversary {adversary}")
+
+
+def adding_phrase(adding: str) -> str:
+    """Return an adding rule after the word `with`."""
+    return _ADDING.get(adding, f"{adding} noise")
+
+
+def descriptor_name(metric: str) -> str:
+    """Return the name of a privacy descriptor of the paper, spelled out."""
+    return _DESCRIPTORS.get(metric, metric)
+
+
+def shortcut_name(shortcut: str) -> str:
+    """Return what a control of the linkage tasks tells people apart by."""
+    return _SHORTCUTS.get(shortcut, shortcut.replace("_", " "))
+
+
+def dataset_title(name: str) -> str:
+    """Return a data set as the start of a sentence; a path is left as it is."""
+    return name if "/" in name or "." in name else name[:1].upper() + name[1:]

@@ -6,17 +6,11 @@ from pathlib import Path
 
 from attacks.tasks.task_list import TASKS
 from evaluation.analysis import weak_attacks
-from evaluation.reporting.announcements import (
-    changed_settings,
-    command,
-    data_notices,
-    geometry,
-    scenes_text,
-    used_are_slower,
-)
+from evaluation.reporting.announcements import changed_settings, command, scenes_text
 from evaluation.reporting.answers import answers, headline_of
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.markup import HTML
+from evaluation.reporting.notices import data_notices, geometry, used_are_slower
 from evaluation.reporting.pictures import panels, pictures, planes
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import decision

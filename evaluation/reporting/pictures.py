@@ -9,7 +9,8 @@ import pandas as pd
 from evaluation.analysis.keys import Measure, Where
 from evaluation.analysis.metrics import MISSED_RATE
 from evaluation.reporting.charts import LOOKS, Chart, Look, Point, looks_of, plane_chart, rows_chart
-from evaluation.reporting.headline import Headline, Shown, levels_of, robot_name
+from evaluation.reporting.headline import Headline, Shown, levels_of
+from evaluation.reporting.names import robot_name
 from evaluation.verdict.what_to_share import MOST_PLR
 from isac_track.types import Bools, Floats
 
@@ -58,7 +59,7 @@ def pictures(of: Headline) -> list[Picture | None]:
 def planes(of: Headline) -> dict[str, list[Picture]]:
     """Return missed conflicts against what is left, for each robot: all mechanisms of the run."""
     found: dict[str, list[Picture]] = {}
-    for robot in dict.fromkeys(key.consumer for key in of.found if key.metric == MISSED_RATE):
+    for robot in dict.fromkeys(key.consumer for key in of.numbers if key.metric == MISSED_RATE):
         missed = Shown("", "", Measure(robot, MISSED_RATE))
         for one in filter(None, [of.attacked, *of.linked[-1:]]):
             if picture := _plane(of, missed, one, has_front=True):

@@ -32,7 +32,7 @@ def middles(chart):
 
 
 def test_marks_stand_where_their_numbers_are_and_the_numbers_are_those_of_the_run(of):
-    known = {f"{100 * one.value:.1f}" for one in of.found.values()}
+    known = {f"{100 * one.value:.1f}" for one in of.numbers.values()}
     found = [one.chart for one in pictures(of)]
     assert len(found) == 5
     found += [one.chart for both in planes(of).values() for one in both]
@@ -52,7 +52,7 @@ def test_rows_and_marks_are_those_of_the_first_table(of):
 
 def test_the_front_turns_at_the_points_that_no_other_beats(of):
     both = planes(of)
-    assert list(both) == ["the paper's line", "mine"]
+    assert list(both) == ["paper's line", "mine"]
     for chart in [one.chart for of_robot in both.values() for one in of_robot]:
         places = [place for _, (place,), _ in chart.marks]
         # Left and down are better: down is a larger number.
