@@ -120,7 +120,10 @@ def read_parquet(*, data: bytes, path: str, columns: _Names | None = None) -> re
             if name not in table.column_names:
                 raise ValueError(f"column {name} is not in it")  # noqa: TRY301 - told below
     except Exception as error:  # noqa: BLE001 - as above
-        raise DataError(f"{path}: the parquet file is damaged ({told(error)})") from None
+        why = (
+            "damaged, or too large for the memory" if isinstance(error, MemoryError) else "damaged"
+        )
+        raise DataError(f"{path}: the parquet file is {why} ({told(error)})") from None
     place = recording.Place(path, lambda: np.arange(1, n_rows + 1), unit="row")
     table = table.select(used).rename_columns([*places])
     return _rows(table, names=names, used=places, place=place)
@@ -131,6 +134,9 @@ def read_frame(frame: pd.DataFrame, *, columns: _Names | None = None) -> recordi
     import pyarrow as pa  # noqa: PLC0415 - only for such data
 
     path = "DataFrame"
+    index = [name for name in frame.index.names if name is not None and name not in frame.columns]
+    if index:
+        frame = frame.reset_index(level=index)
     names = tuple(map(str, frame.columns))
     places = _columns_in(names, columns or {}, where=path)
     try:
@@ -284,12 +290,12 @@ def _rows(
 
 
 def _times(column: pa.ChunkedArray, used: _Used, *, place: recording.Place) -> Floats:
-    """Return (M,) s of a column of numbers, time stamps or ISO 8601 dates, from some origin."""
+    """Return (M,) s of numbers, time stamps, durations or ISO 8601 dates, from some origin."""
     import pyarrow as pa  # noqa: PLC0415 - only for such a file
 
     kind, path = column.type, place.path
     value = kind.value_type if pa.types.is_dictionary(kind) else kind
-    if pa.types.is_timestamp(value):
+    if pa.types.is_timestamp(value) or pa.types.is_duration(value):
         ticks = column.cast(pa.int64()).to_numpy().astype(np.float64)
         exact = column.drop_null().cast(pa.int64()).to_numpy()
         if exact.size == ticks.size:  # the difference first: a double holds 1970 to 0.2 us
@@ -333,7 +339,9 @@ def _dates(column: pa.ChunkedArray, *, place: recording.Place) -> Floats:
         match = _ISO.fullmatch(text.strip()) if isinstance(text, str) else None
         if match is None:
             if not code:  # no row is a date: the column is something else
-                raise DataError(f"{place.path}: column t holds string, not numbers of seconds")
+                raise DataError(
+                    f"{place.path}: column t holds string, not numbers of seconds; convert it first"
+                )
             where = place.at(int((codes == code).argmax()))
             raise DataError(f"{where}: t {str(text)[:40]!r} is no date of ISO 8601 like the others")
         zones.add(match[3] is not None)
@@ -361,9 +369,13 @@ def _numbers(column: pa.ChunkedArray, *, name: str, path: str) -> Floats:
     import pyarrow as pa  # noqa: PLC0415 - only for such a file
 
     kind = column.type
-    if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
+    if not any(
+        is_so(kind) for is_so in (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal)
+    ):
         kind = kind.value_type if pa.types.is_dictionary(kind) else kind
-        raise DataError(f"{path}: column {name} holds {kind}, not numbers of {_UNITS[name]}")
+        raise DataError(
+            f"{path}: column {name} holds {kind}, not numbers of {_UNITS[name]}; convert it first"
+        )
     numbers: Floats = column.cast(pa.float64(), safe=False).to_numpy()
     return numbers
 

@@ -56,6 +56,13 @@ def reused(gap_s, away_m):
     return table(t, y=y)
 
 
+def strayed(first, last, away_m=8.0):
+    """The id is elsewhere for some samples, and then where its walk leads."""
+    y = Y.copy()
+    y[first:last] += away_m
+    return table(y=y)
+
+
 def still(first, last):
     x, y = X.copy(), Y.copy()
     for values in (x, y):  # and walks on from there
@@ -76,6 +83,11 @@ def still(first, last):
         (reused(0.5, 5.0), {"id-reuse": 1}, 2, 2),
         (reused(1.0, 0.5), {"gap": 1}, 1, 1),
         (reused(0.0, 3.0), {"jump": 1}, 2, 1),
+        (reused(0.0, 8.0), {"id-reuse": 1}, 2, 2),
+        (reused(0.0, -30.0), {"id-reuse": 1}, 2, 2),
+        (strayed(50, 51), {"jump": 2, "one-point": 1}, 2, 1),
+        (strayed(50, 65), {"jump": 2}, 3, 1),
+        (strayed(50, 90), {"id-reuse": 2}, 3, 3),
         (still(20, 60), {"frozen": 1}, 1, 1),
         (still(20, 30), {}, 1, 1),
     ],
@@ -268,10 +280,27 @@ def test_a_frame_is_a_recording_and_its_content_its_hash():
     assert load(frame.rename(columns=str.upper)).sha256 == found.sha256
     assert load(frame.assign(x=2 * X)).sha256 != found.sha256
     assert load(Polars(frame)).sha256 == found.sha256
+    assert load(frame.set_index("id")).sha256 == found.sha256
+    lasting = load(frame.assign(t=pd.to_timedelta(T, unit="s")))
+    assert np.allclose(lasting.tracks.t, T)
     with pytest.raises(DataError, match="not list"):
         load([1, 2])
+    with pytest.raises(DataError, match="t holds string, not numbers of seconds; convert"):
+        load(frame.assign(t="0.1 s"))
     with pytest.raises(DataError, match="no column y"):
         load(frame.drop(columns="y"))
+
+
+def test_a_frame_of_polars():
+    polars = pytest.importorskip("polars")
+    frame = polars.DataFrame({"t": T, "id": ["0"] * N, "x": X, "y": Y})
+    found = load(frame)
+    assert found.sha256 == load(frame.to_pandas()).sha256
+    assert (
+        load(frame.with_columns(polars.col("id").cast(polars.Categorical))).sha256 == found.sha256
+    )
+    with pytest.raises(DataError, match=r"pass frame.collect\(\)"):
+        load(frame.lazy())
 
 
 class Polars:
