@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from isac_track.datasets.recording import FOOT_M, METRES, Repair, Rows, listed, steps_within
+from isac_track.datasets.recording import FOOT_M, TIMES, Repair, Rows, listed, steps_within
 from isac_track.errors import DataError
 from isac_track.types import Bools, Floats, Ints, Tracks
 
@@ -195,10 +195,11 @@ def _without_copies(
     if other.any() and on_duplicate == "error":
         at = int(other.argmax())
         first, second = sorted((int(order[at]), int(order[at + 1])))
+        rounded = "; are the times rounded?" if other.sum() > other.size / 2 else ""
         raise DataError(
             f"{place.at(second)}: id {rows.ids[rows.person[at]]} is somewhere else at the same "
             f"time in {place.unit} {int(place.lines()[first])} ({int(other.sum())} such rows); "
-            "--on-duplicate first or mean takes the first or their mean"
+            f"--on-duplicate first or mean takes the first or their mean{rounded}"
         )
     how = "their mean stands" if on_duplicate == "mean" else "the first in the file stands"
     text = f"the same id and time at another place; {how}"
@@ -392,28 +393,38 @@ def _check_speeds(rows: Rows) -> None:
         speeds /= duration[moving]
     speed = float(np.median(speeds, overwrite_input=True))
     if not low <= speed <= high:
-        units = {} if rows.unit else {**METRES, "ft": FOOT_M}
-        hints = [
-            f" (--unit {unit} makes it {speed * metres:.2g} m/s)"
-            for unit, metres in units.items()
-            if unit != "m" and _WALKING_MPS[0] <= speed * metres <= _WALKING_MPS[1]
-        ]
         on_earth = bool((np.abs(rows.xy) <= (180.0, 180.0)).all()) and not rows.unit
         degrees_mps = speed * METRES_PER_DEGREE
-        if on_earth and _WALKING_MPS[0] / 4 <= degrees_mps <= _WALKING_MPS[1] * 2:
+        is_clocked = float(np.median(duration)) <= LONGEST_STEP_S
+        near_walk = _WALKING_MPS[0] / 4 <= degrees_mps <= _WALKING_MPS[1] * 2
+        if on_earth and is_clocked and near_walk:
             raise DataError(
                 f"{rows.place.path}: the median speed of moving people is {speed:.3g} m/s, as of "
                 "degrees of longitude and latitude; --crs degrees makes metres of x (longitude) "
                 "and y (latitude)"
             )
+        hints = _ways_out(speed, has_unit=bool(rows.unit))
         guess = (
-            f"pixels or centimetres for metres{''.join(hints)}, a wrong --fps, or frame and id "
-            "swapped"
+            f"pixels or centimetres for metres{hints}, a wrong --fps, or frame and id swapped"
             if speed > high
             else "milliseconds for seconds (of a table: --columns t=t[ms]), kilometres for metres "
-            "(--unit 1000), or a wrong --fps"
+            f"(--unit 1000), or a wrong --fps{hints}"
         )
         raise DataError(
             f"{rows.place.path}: the median speed of moving people is {speed:.3g} m/s, not within "
             f"{low:g} to {high:g}: {guess}?"
         )
+
+
+def _ways_out(speed_mps: float, *, has_unit: bool) -> str:
+    """Return each option that makes a walk of a median speed, in brackets; empty without any."""
+    lengths = {} if has_unit else {"cm": 0.01, "mm": 0.001, "ft": FOOT_M, "0.0254": 0.0254}
+    options = {f"--unit {unit}": metres for unit, metres in lengths.items()}
+    for unit in ("min", "ms", "us", "ns"):
+        options[f"--columns t=t[{unit}]"] = 1.0 / TIMES[unit]
+    low, high = _WALKING_MPS
+    return "".join(
+        f" ({option} makes it {speed_mps * factor:.2g} m/s)"
+        for option, factor in options.items()
+        if low <= speed_mps * factor <= high
+    )

@@ -22,7 +22,7 @@ LIMITS = {
 
 @pytest.fixture
 def out(tmp_path):
-    columns = dict.fromkeys(cell_files.SAMPLE_COLUMNS, [0.0])
+    columns = {name: [0.0] for name in cell_files.SAMPLE_COLUMNS}
     write_gallery([pa.table(columns)], out=tmp_path)
     assert list(read_gallery(tmp_path).columns) == list(cell_files.SAMPLE_COLUMNS)
     return tmp_path
