@@ -211,12 +211,12 @@ def _column(names: Sequence[str], wanted: Column, *, of: str, where: str) -> _Us
     """
     headers = [recording.with_unit(name, of=of) for name in names]
     small = wanted.name.casefold()
-    for is_called in (
-        lambda place: names[place] == wanted.name,
-        lambda place: names[place].casefold() == small,
-        lambda place: headers[place].name.casefold() == small,
+    for matches in (
+        [name == wanted.name for name in names],
+        [name.casefold() == small for name in names],
+        [header.name.casefold() == small for header in headers],
     ):
-        places = [place for place in range(len(names)) if is_called(place)]
+        places = [place for place, is_match in enumerate(matches) if is_match]
         if len(places) > 1:
             raise DataError(f"{where}: two columns are called {wanted.name}")
         if places:
