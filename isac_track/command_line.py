@@ -21,7 +21,7 @@ INTERRUPTED: Final = 130
 _PIPE_CLOSED: Final = 141
 _NO_ROOM: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _LIMITS: Final = {
-    errno.EAGAIN: "the system starts no further process or thread (see ulimit -u)",
+    errno.EAGAIN: "the system starts no further process or thread (see ulimit -u and -v)",
     errno.EMFILE: "too many files are open (see ulimit -n)",
     errno.ENFILE: "too many files are open in the whole system",
     errno.ENOMEM: "there is not enough memory",

@@ -1,5 +1,7 @@
 """What can go wrong for a user: one error and a handful of children, each with a way out."""
 
+import errno
+import os
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
@@ -11,6 +13,7 @@ _NOT_STRANGE = frozenset(
 )
 """Packages that a plug-in's own source is not in."""
 _MOST_REPEATED = 100  # Characters of what a user typed.
+_LIMITS = (errno.ENOMEM, errno.EAGAIN, errno.EMFILE, errno.ENFILE)
 UNNAMED = "where it is defined"  # Stands for the file of a class whose code travelled without it.
 
 
@@ -32,6 +35,19 @@ class PluginError(IsacTrackError):
 
 class KnowledgeDenied(IsacTrackError):  # noqa: N818 - the contract's name
     """An attack touched what its adversary was not granted, or what it did not declare."""
+
+
+def check_limits(error: BaseException) -> None:
+    """Raise an error again, as MemoryError or OSError, if the machine is short of something.
+
+    A reader then does not blame a file. Libraries hide such errors in their own; the words of the
+    system remain.
+    """
+    if isinstance(error, MemoryError):
+        raise MemoryError from None  # noqa: TRY004 - no argument has a wrong type
+    for code in _LIMITS:
+        if getattr(error, "errno", None) == code or os.strerror(code) in str(error):
+            raise OSError(code, os.strerror(code)) from None
 
 
 def told(error: BaseException) -> str:

@@ -39,7 +39,7 @@ from evaluation.runs.files import (
     written_down,
 )
 from evaluation.runs.people import label_of_written
-from isac_track.errors import DataError
+from isac_track.errors import DataError, check_limits
 from isac_track.intervals import Estimate, effective_clusters
 from isac_track.linkability.scoring import RANK_METRICS, ProbeRanks
 from isac_track.types import Floats, Ints
@@ -408,6 +408,7 @@ def _readable(path: Path) -> Iterator[None]:
     except FileNotFoundError:
         raise DataError(f"{path} is missing; run the matrix again to compute it") from None
     except (OSError, pa.ArrowException, KeyError, TypeError, ValueError) as error:
+        check_limits(error)
         raise DataError(
             f"{path} cannot be read ({error}); delete it and run the matrix again"
         ) from None
@@ -429,6 +430,8 @@ def read_gallery(out: Path) -> pd.DataFrame | None:
     if not path.exists():
         return None
     with _readable(path):
-        content = io.BytesIO(content_of(path))
-        found: pd.DataFrame = pq.read_table(content, columns=SAMPLE_COLUMNS).to_pandas()
+        # Not pq.read_table: a system that has no more threads to give would end the process.
+        file = pq.ParquetFile(io.BytesIO(content_of(path)))
+        table = file.read(columns=SAMPLE_COLUMNS, use_threads=False)
+        found: pd.DataFrame = table.to_pandas(use_threads=False)
         return found

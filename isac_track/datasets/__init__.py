@@ -230,6 +230,8 @@ def _of_frame(frame: object, *, unit: str | None, reading: Reading) -> Dataset:
     """Return the recording in a data frame of pandas, or of a library that converts to it."""
     import pandas as pd  # noqa: PLC0415 - `--help` stays quick
 
+    if hasattr(frame, "collect_schema") and not hasattr(frame, "to_pandas"):
+        raise DataError("a LazyFrame holds no rows yet: pass frame.collect()")
     if hasattr(frame, "to_pandas"):  # polars, pyarrow
         frame = frame.to_pandas()
     elif not isinstance(frame, pd.DataFrame) and hasattr(frame, "__dataframe__"):

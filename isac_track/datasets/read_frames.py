@@ -36,7 +36,8 @@ _CALLED = {
 _FRAME_RATE = re.compile(r"frame\s*rate|\bfps(?=\s*[:=])", re.IGNORECASE)
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
 _RATE = re.compile(
-    rf"({_NUMBER})(?:\s*/\s*({_NUMBER}))?(?![\d.,/]|\s*(,|-|\u2013|to\b|or\b)\s*\d|[^#]*/\s*\d)",
+    rf"({_NUMBER})(?:\s*/\s*({_NUMBER}))?(?![\d.,/]|\s*(,|-|\u2013|to\b|or\b)\s*\d"
+    r"|[^#]*/\s*\d|[^#]*[,;]\s*\d)",
     re.IGNORECASE,
 )
 _BEGINS = re.compile(r"[-+.]?\d[^\s;)\]]*")
@@ -112,7 +113,7 @@ def read_header(format_name: str, *, data: bytes, path: str) -> Header:
     if format_name != "pedpy":
         return Header()
     recording.check_text(data=data, path=path)
-    fps: float | None = None
+    rates: dict[float, int] = {}
     units: dict[str, int] = {}
     named: list[tuple[int, list[str]]] = []
     n_fields = 0
@@ -121,25 +122,37 @@ def read_header(format_name: str, *, data: bytes, path: str) -> Header:
         if text and not text.startswith("#"):
             n_fields = len(text.split("#", 1)[0].split())
             break
-        if fps is None:
-            fps = _declared_rate(text, where=f"{path}, line {number}")
+        fps = _declared_rate(text, where=f"{path}, line {number}")
+        if fps is not None:
+            rates.setdefault(fps, number)
         for unit in _declared_units(text.lower()):
             units.setdefault(unit[:40], number)
         bare = re.sub(r"\s*[/\[(]\s*[a-z]+[\])]?", "", text.lower()[1:])
         names = [_CALLED.get(word, "") for word in re.split(r"[\s,;]+", bare.strip())]
         if all(names.count(name) == 1 for name in _USED):
             named.append((number, names))
+    _check_single(rates, units, path=path)
+    # As many names as the first row has fields: a sentence about the columns names none.
+    of_line, names = next((one for one in named if len(one[1]) == n_fields), (0, []))
+    places = {name: names.index(name) for name in _USED if of_line}
+    marker = names.index("marker") if names.count("marker") == 1 else None
+    return Header(next(iter(rates), None), next(iter(units), ""), places, of_line, marker)
+
+
+def _check_single(rates: Mapping[float, int], units: Mapping[str, int], *, path: str) -> None:
+    """Raise DataError if a header names two frame rates or units, or a unit that is not known.
+
+    Both are by the number of the line that names them first.
+    """
+    if len(rates) > 1:
+        both = " and ".join(f"{rate:g} (line {number})" for rate, number in [*rates.items()][:2])
+        raise DataError(f"{path}: the header names two framerates: {both}; leave the right one")
     if len(units) > 1:
         raise DataError(f"{path}: the header names two units of length: {listed(list(units))}")
     for unit, number in units.items():
         if unit not in recording.METRES:
             way_out = "convert them to m (x/m), cm (x/cm) or mm (x/mm)"
             raise DataError(f"{path}, line {number}: lengths are in {unit!r}; {way_out}")
-    # As many names as the first row has fields: a sentence about the columns names none.
-    of_line, names = next((one for one in named if len(one[1]) == n_fields), (0, []))
-    places = {name: names.index(name) for name in _USED if of_line}
-    marker = names.index("marker") if names.count("marker") == 1 else None
-    return Header(fps, next(iter(units), ""), places, of_line, marker)
 
 
 def _declared_rate(text: str, *, where: str) -> float | None:
@@ -160,8 +173,9 @@ def _declared_rate(text: str, *, where: str) -> float | None:
         return None
     rate = _RATE.match(bare.rstrip(". "))
     if rate is None:
-        written = bare[:40] if re.match(r"[\d.]+ *(-|\u2013|to|or)", bare) else begins[0][:40]
-        hint = "; write a decimal point" if "," in written else ""
+        is_several = re.match(r"[\d.]+( *(-|\u2013|to|or)|[^,;]*\s[^,;]*[,;])", bare)
+        written = bare[:40] if is_several else begins[0][:40]
+        hint = "; write a decimal point" if re.match(r"\d+ *,", written) else ""
         raise DataError(f"{where}: the framerate {written!r} is not a single number{hint}")
     fps = recording.checked_fps(rate[1], where=where)
     if rate[2]:

@@ -24,13 +24,15 @@ if TYPE_CHECKING:
 _NEEDED = ("t", "id", "x", "y")
 _USED = recording.COLUMNS
 _ISO = re.compile(
-    r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d+)?)?\s*(Z|[+-]\d\d:?(\d\d)?)?", re.IGNORECASE
+    r"\d{4}(?:-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d(?:[.,]\d+)?)?|\d{4}T\d{4}(?:\d\d(?:[.,]\d+)?)?)"
+    r"\s*(Z|UTC|GMT|[+-]\d\d:?(?:\d\d)?)?",
+    re.IGNORECASE,
 )
 _SIXTY = re.compile(r"(?<=\d\d:\d\d):60")
+_ZONE_0 = re.compile(r"\s*(UTC|GMT)$", re.IGNORECASE)
 _EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))
 """Clocks since 1970, from when on a number is taken for which unit."""
-_EPOCH_S = 1e9  # Seconds since 1970 in this millennium,
-_FLOAT32_STEP_S = 64.0  # which 32 bits hold to this multiple.
+_EPOCH_S = 1e9  # Seconds since 1970 in this millennium: 32 bits hold them to 64 s.
 _Names: TypeAlias = Mapping[str, Column]
 _UNITS = {"t": "seconds", "x": "metres", "y": "metres"}
 _DECIMAL = re.compile(r"[+-]?\d+\.\d*(e[+-]?\d+)?", re.IGNORECASE)
@@ -120,7 +122,10 @@ def read_parquet(*, data: bytes, path: str, columns: _Names | None = None) -> re
             if name not in table.column_names:
                 raise ValueError(f"column {name} is not in it")  # noqa: TRY301 - told below
     except Exception as error:  # noqa: BLE001 - as above
-        raise DataError(f"{path}: the parquet file is damaged ({told(error)})") from None
+        why = (
+            "damaged, or too large for the memory" if isinstance(error, MemoryError) else "damaged"
+        )
+        raise DataError(f"{path}: the parquet file is {why} ({told(error)})") from None
     place = recording.Place(path, lambda: np.arange(1, n_rows + 1), unit="row")
     table = table.select(used).rename_columns([*places])
     return _rows(table, names=names, used=places, place=place)
@@ -131,6 +136,9 @@ def read_frame(frame: pd.DataFrame, *, columns: _Names | None = None) -> recordi
     import pyarrow as pa  # noqa: PLC0415 - only for such data
 
     path = "DataFrame"
+    index = [name for name in frame.index.names if name is not None and name not in frame.columns]
+    if index:
+        frame = frame.reset_index(level=index)
     names = tuple(map(str, frame.columns))
     places = _columns_in(names, columns or {}, where=path)
     try:
@@ -155,8 +163,11 @@ def _csv_header(*, header: str, path: str) -> tuple[str, ...]:
         raise DataError(f"{where}: a comment; the first line of csv names the columns, id,t,x,y")
     for separator, name in ((";", "semicolons"), ("\t", "tabs"), (" ", "spaces")):
         if len(names) == 1 and separator in header.strip():
-            message = f"{name} between the columns; csv has commas (and decimal points)"
-            raise DataError(f"{where}: {message}")
+            raise DataError(
+                f"{where}: {name} between the columns; csv has commas (and decimal points); in "
+                f"Python: pandas.read_csv('FILE', sep={separator!r}).to_csv('walks.csv', "
+                "index=False), with decimal=',' if numbers have commas"
+            )
     return names
 
 
@@ -170,19 +181,14 @@ class _Used(Column):
 def _columns_in(names: Sequence[str], columns: _Names, *, where: str) -> dict[str, _Used]:
     """Return the columns that are read; DataError if one is missing or there twice.
 
-    A column is called exactly so, or else in other letters, small or capital.
+    None is read twice; `_column` says how it is called.
     """
     used, missing = dict[str, _Used](), []
     for name in _USED:
         wanted = columns.get(name, Column(name))
-        exact = [place for place, called in enumerate(names) if called == wanted.name]
-        small = wanted.name.casefold()
-        near = [place for place, called in enumerate(names) if called.casefold() == small]
-        places = exact or near
-        if len(places) > 1:
-            raise DataError(f"{where}: two columns are called {wanted.name}")
-        if places:
-            used[name] = _Used(wanted.name if exact else names[places[0]], wanted.unit, places[0])
+        found = _column(names, wanted, of=name, where=where)
+        if found is not None:
+            used[name] = found
         elif name in columns or name in _NEEDED:
             missing.append(wanted.name)
     if missing:
@@ -191,7 +197,37 @@ def _columns_in(names: Sequence[str], columns: _Names, *, where: str) -> dict[st
             f"{where}: no column {', '.join(missing)} (needed: t in s, id, x and y in m); it has "
             f"{there}: --columns t=NAME,id=NAME,x=NAME,y=NAME says which is which"
         )
+    places = [column.place for column in used.values()]
+    for name, column in used.items():
+        if places.count(column.place) > 1:
+            raise DataError(f"{where}: --columns takes {column.name} for {name} and for another")
     return used
+
+
+def _column(names: Sequence[str], wanted: Column, *, of: str, where: str) -> _Used | None:
+    """Return the column that is called so, exactly or nearly; None without, DataError if several.
+
+    Nearly: in other letters, small or capital, or with a unit in brackets behind it.
+    """
+    headers = [recording.with_unit(name, of=of) for name in names]
+    small = wanted.name.casefold()
+    for matches in (
+        [name == wanted.name for name in names],
+        [name.casefold() == small for name in names],
+        [header.name.casefold() == small for header in headers],
+    ):
+        places = [place for place, is_match in enumerate(matches) if is_match]
+        if len(places) > 1:
+            raise DataError(f"{where}: two columns are called {wanted.name}")
+        if places:
+            break
+    else:
+        return None
+    (place,) = places
+    unit = headers[place].unit
+    if unit and wanted.unit and unit != wanted.unit:
+        raise DataError(f"{where}: --columns {of}: unit {wanted.unit} contradicts {names[place]}")
+    return _Used(names[place], wanted.unit or unit, place)
 
 
 def _unit_line(
@@ -247,6 +283,8 @@ def _csv_fault(
             float(field.replace("_", "?").encode("ascii", "replace") or "nan")  # as arrow has it
         except ValueError:
             hint = " (a decimal comma?)" if "," in field else ""
+            if name == "t" and re.search(r"\d[:/.]\d+[:/.]\d", field):
+                hint = ", nor a date of ISO 8601 such as 2026-03-29T12:00:00.5+01:00"
             return f"{name} {field[:40]!r} is not a number of {unit}{hint}"
     return ""
 
@@ -284,12 +322,12 @@ def _rows(
 
 
 def _times(column: pa.ChunkedArray, used: _Used, *, place: recording.Place) -> Floats:
-    """Return (M,) s of a column of numbers, time stamps or ISO 8601 dates, from some origin."""
+    """Return (M,) s of numbers, time stamps, durations or ISO 8601 dates, from some origin."""
     import pyarrow as pa  # noqa: PLC0415 - only for such a file
 
     kind, path = column.type, place.path
     value = kind.value_type if pa.types.is_dictionary(kind) else kind
-    if pa.types.is_timestamp(value):
+    if pa.types.is_timestamp(value) or pa.types.is_duration(value):
         ticks = column.cast(pa.int64()).to_numpy().astype(np.float64)
         exact = column.drop_null().cast(pa.int64()).to_numpy()
         if exact.size == ticks.size:  # the difference first: a double holds 1970 to 0.2 us
@@ -300,6 +338,13 @@ def _times(column: pa.ChunkedArray, used: _Used, *, place: recording.Place) -> F
         return _dates(column, place=place)
     t = _numbers(column, name="t", path=path)
     usual = float(np.median(t)) if np.isfinite(t).all() else 0.0
+    with np.errstate(over="ignore"):
+        is_single = t.size > 1 and bool((t == t.astype(np.float32)).all())
+    if usual > _EPOCH_S and is_single:
+        raise DataError(
+            f"{path}: times like {usual:.6g} are 32-bit numbers (float32), too coarse for a clock "
+            "since 1970; save them as 64-bit numbers, or from the first sample on"
+        )
     if used.unit:
         scaled = (t - (t.min() if np.isfinite(t).all() else 0.0)) * TIMES[used.unit]
         return np.asarray(scaled)
@@ -309,12 +354,6 @@ def _times(column: pa.ChunkedArray, used: _Used, *, place: recording.Place) -> F
                 f"{path}: times like {usual:.6g} are no seconds: {unit} since 1970? "
                 f"--columns t={used.name}[{unit}] reads them so"
             )
-    if usual > _EPOCH_S and t.size > 1 and not (t % _FLOAT32_STEP_S).any():
-        raise DataError(
-            f"{path}: times like {usual:.6g}, all multiples of {_FLOAT32_STEP_S:g} s: seconds "
-            "since 1970 as 32-bit numbers (float32), which hold no more; save them as 64-bit "
-            "numbers, or from the first sample on"
-        )
     return t
 
 
@@ -333,16 +372,18 @@ def _dates(column: pa.ChunkedArray, *, place: recording.Place) -> Floats:
         match = _ISO.fullmatch(text.strip()) if isinstance(text, str) else None
         if match is None:
             if not code:  # no row is a date: the column is something else
-                raise DataError(f"{place.path}: column t holds string, not numbers of seconds")
+                raise DataError(
+                    f"{place.path}: column t holds string, not numbers of seconds; convert it first"
+                )
             where = place.at(int((codes == code).argmax()))
             raise DataError(f"{where}: t {str(text)[:40]!r} is no date of ISO 8601 like the others")
-        zones.add(match[3] is not None)
+        zones.add(match[1] is not None)
     if len(zones) > 1:
         raise DataError(f"{place.path}: some times have a zone and others have none")
     # A second of 60 is a leap second, or rounded.
     leaps = np.array([bool(_SIXTY.search(text)) for text in texts])
     texts = [_SIXTY.sub(":59", text) for text in texts]
-    written = [text.strip().replace(",", ".") for text in texts]
+    written = [_ZONE_0.sub("Z", text.strip().replace(",", ".")) for text in texts]
     try:
         dates = pd.to_datetime(written, format="ISO8601", utc=True, errors="coerce")
         ticks = dates.as_unit("ns").asi8
@@ -361,9 +402,13 @@ def _numbers(column: pa.ChunkedArray, *, name: str, path: str) -> Floats:
     import pyarrow as pa  # noqa: PLC0415 - only for such a file
 
     kind = column.type
-    if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
+    if not any(
+        is_so(kind) for is_so in (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal)
+    ):
         kind = kind.value_type if pa.types.is_dictionary(kind) else kind
-        raise DataError(f"{path}: column {name} holds {kind}, not numbers of {_UNITS[name]}")
+        raise DataError(
+            f"{path}: column {name} holds {kind}, not numbers of {_UNITS[name]}; convert it first"
+        )
     numbers: Floats = column.cast(pa.float64(), safe=False).to_numpy()
     return numbers
 

@@ -17,7 +17,7 @@ import numpy as np
 from isac_track.datasets import recording
 from isac_track.datasets.recording import Place, Rows
 from isac_track.errors import DataError, told
-from isac_track.types import Floats
+from isac_track.types import Bools, Floats
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _MOT = ("frame", "id", "left", "top", "width", "height")  # Further columns are not used.
+_MOT_GROUND_TRUTH = 9  # Columns of MOT16 and later; before the last, visibility, the class:
+_MOT_PEOPLE = (-1, 1, 7)  # not said, a pedestrian, somebody who stands.
 _SDD = ("id", "xmin", "ymin", "xmax", "ymax", "frame", "lost", "occluded", "generated", "label")
 
 
@@ -130,7 +132,8 @@ def _number_columns(
         if bad.any():
             row = int(bad.argmax())
             text = recording.printable(str(table[theirs].iloc[row])[:40])
-            raise DataError(f"{place.at(row)}: {ours} {text!r} is not a number")
+            hint = "; write a decimal point" if "," in text else ""
+            raise DataError(f"{place.at(row)}: {ours} {text!r} is not a number{hint}")
         columns[ours] = numbers
     return columns
 
@@ -141,7 +144,8 @@ def read_vadere(*, data: bytes, path: str) -> Rows:
     A row is a step of the foot; its start is where the person is at its time.
     """
     recording.check_text(data=data, path=path)
-    is_csv = b"," in data.partition(b"\n")[0]
+    header = next((line for line in recording.lines_of(data) if line[:1] not in {"", "#"}), "")
+    is_csv = "," in header
     table = _table(data, path=path, name="vadere", sep="," if is_csv else r"\s+", comment="#")
     found = {str(name).partition("-PID")[0].lower(): str(name) for name in table.columns}
     wanted = {"id": "pedestrianid", "t": "simtime", "x": "startx", "y": "starty"}
@@ -164,12 +168,45 @@ def read_mot(*, data: bytes, path: str, fps: float | None) -> Rows:
     table = _table(data, path=path, name="mot", header=None, comment="#")
     if table.shape[1] < len(_MOT):
         raise DataError(f"{path}: {table.shape[1]} column(s) where mot has {', '.join(_MOT)}, ...")
-    table = table.iloc[:, : len(_MOT)].set_axis(_MOT, axis=1)
     place = _numbered(path, len(table))
-    columns = _number_columns(table, {name: name for name in _MOT}, place)
+    named = table.iloc[:, : len(_MOT)].set_axis(_MOT, axis=1)
+    columns = _number_columns(named, {name: name for name in _MOT}, place)
+    if (columns["id"] < 0).all():
+        raise DataError(f"{path}: every id is negative: detections of nobody; take the file gt.txt")
     columns["x"] = columns["left"] + columns["width"] / 2.0
     columns["y"] = columns["top"] + columns["height"]
-    return _framed(columns, place, fps=_rate(fps, None, path=path, name="mot"))
+    return _of_people(
+        columns, *_mot_marks(table), place, fps=_rate(fps, None, path=path, name="mot")
+    )
+
+
+def _mot_marks(table: pd.DataFrame) -> tuple[Bools, Bools]:
+    """Return (M,) which boxes of a ground truth are to be ignored, and which are no people."""
+    import pandas as pd  # noqa: PLC0415 - only for such a file
+
+    further = table.iloc[:, len(_MOT) :].apply(pd.to_numeric, errors="coerce")
+    ignored = others = np.zeros(len(table), dtype=bool)
+    if further.shape[1] and further.iloc[:, 0].isin((0, 1)).all():  # no confidence, but a flag
+        ignored = further.iloc[:, 0].to_numpy() == 0
+    if table.shape[1] == _MOT_GROUND_TRUTH:
+        others = ~further.iloc[:, 1].isin(_MOT_PEOPLE).to_numpy()
+    return ignored, others
+
+
+def _of_people(
+    columns: Mapping[str, Floats], lost: Bools, others: Bools, place: Place, *, fps: float
+) -> Rows:
+    """Return the rows of boxes that are neither lost nor anything but people; counts the rest."""
+    notes = place.noted("lost", np.flatnonzero(lost), "the box is marked as lost; dropped")
+    text = "no pedestrian; dropped"
+    notes += place.noted("other-label", np.flatnonzero(~lost & others), text)
+    there = ~(lost | others)
+    if not there.any():
+        raise DataError(f"{place.path}: all {there.size} boxes are lost, or no pedestrian's")
+    line = np.flatnonzero(there) + 1
+    left = {name: column[there] for name, column in columns.items()}
+    rows = _framed(left, Place(place.path, lambda: line, unit=place.unit), fps=fps)
+    return replace(rows, notes=tuple(notes))
 
 
 def read_sdd(*, data: bytes, path: str, fps: float | None) -> Rows:
@@ -180,30 +217,15 @@ def read_sdd(*, data: bytes, path: str, fps: float | None) -> Rows:
     recording.check_text(data=data, path=path)
     table = _table(data, path=path, name="sdd", header=None, sep=r"\s+", quotechar='"')
     if table.shape[1] != len(_SDD):
-        raise DataError(f"{path}: {table.shape[1]} column(s) where sdd has {len(_SDD)}: {_SDD}")
+        raise DataError(f"{path}: {table.shape[1]} column(s) where sdd has {', '.join(_SDD)}")
     table = table.set_axis(_SDD, axis=1)
     place = _numbered(path, len(table))
     columns = _number_columns(table, {name: name for name in _SDD[:7]}, place)
-    there, notes = (
-        columns["lost"] == 0,
-        place.noted(
-            "lost", np.flatnonzero(columns["lost"] != 0), "the box is marked as lost; dropped"
-        ),
-    )
+    columns["x"] = (columns["xmin"] + columns["xmax"]) / 2.0
+    columns["y"] = (columns["ymin"] + columns["ymax"]) / 2.0
     others = table["label"].to_numpy() != "Pedestrian"
-    text = "no pedestrian; dropped"
-    notes += place.noted("other-label", np.flatnonzero(there & others), text)
-    there &= ~others
-    line = np.flatnonzero(there) + 1
-    columns = {
-        "frame": columns["frame"][there],
-        "id": columns["id"][there],
-        "x": (columns["xmin"] + columns["xmax"])[there] / 2.0,
-        "y": (columns["ymin"] + columns["ymax"])[there] / 2.0,
-    }
-    place = Place(path, lambda: line, unit="row")
-    rows = _framed(columns, place, fps=_rate(fps, None, path=path, name="sdd"))
-    return replace(rows, notes=tuple(notes))
+    rate = _rate(fps, None, path=path, name="sdd")
+    return _of_people(columns, columns["lost"] != 0, others, place, fps=rate)
 
 
 def read_viswalk(*, data: bytes, path: str) -> Rows:

@@ -138,16 +138,31 @@ def columns_named(text: str | Mapping[str, str] | None) -> dict[str, Column]:
         if name in columns:
             raise DataError(f"--columns names {name} twice")
         units = TIMES if name == "t" else LENGTHS if name in {"x", "y"} else {}
-        named = re.fullmatch(r"(.+?)\s*\[\s*([^\[\]]*?)\s*\]", str(called).strip())
-        if named and units and named[2].lower() not in units:
+        bare, unit = _apart(str(called).strip())
+        if unit and units and unit not in units:
             known = ", ".join(units)
-            raise DataError(f"--columns {name}: unknown unit {named[2][:40]!r} (known: {known})")
-        is_unit = named is not None and bool(units)
-        columns[name] = Column(
-            named[1] if named and is_unit else str(called).strip(),
-            named[2].lower() if named and is_unit else "",
-        )
+            raise DataError(f"--columns {name}: unknown unit {unit[:40]!r} (known: {known})")
+        has_unit = bool(unit) and bool(units)
+        columns[name] = Column(bare if has_unit else str(called).strip(), unit if has_unit else "")
     return columns
+
+
+def with_unit(header: str, *, of: str) -> Column:
+    """Return a column of a header such as ``x [cm]`` or ``t(s)``; no unit if it names none.
+
+    `of` is t, id, x, y or group: only t has units of time, only x and y have units of length.
+    """
+    bare, unit = _apart(header.strip())
+    units = TIMES if of == "t" else LENGTHS if of in {"x", "y"} else {}
+    return Column(bare, unit) if unit in units else Column(header)
+
+
+def _apart(text: str) -> tuple[str, str]:
+    """Return a name and the unit in brackets behind it, in small letters; empty without."""
+    match = re.fullmatch(r"(.+?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))", text)
+    if match is None:
+        return text, ""
+    return match[1], (match[2] or match[3] or "").strip().lower()
 
 
 def _pairs(text: str) -> list[tuple[str, str]]:
@@ -311,6 +326,8 @@ def check_text(*, data: bytes, path: str) -> None:
         (not data, "the file is empty"),
         (data.startswith(b"\x1f\x8b"), "the file is compressed (gzip); unpack it first"),
         (data.startswith(b"PK\x03\x04"), _EXCEL),
+        (data.startswith(b"SQLite format 3"), "an SQLite database; JuPedSim's: --format jupedsim"),
+        (data.startswith(b"\x89HDF"), "an HDF5 file; the Pedestrian Data Archive's: --format hdf5"),
         (data.startswith(b"PAR1"), "this is a parquet file; read it with --format parquet"),
         (data.startswith((b"\xff\xfe", b"\xfe\xff")), "the file is UTF-16 text; save it as UTF-8"),
         (b"\0" in data, f"the file is binary, not text (zero byte at {data.find(0)})"),

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from isac_track.datasets.recording import FOOT_M, METRES, Repair, Rows, listed, steps_within
+from isac_track.datasets.recording import FOOT_M, TIMES, Repair, Rows, listed, steps_within
 from isac_track.errors import DataError
 from isac_track.types import Bools, Floats, Ints, Tracks
 
@@ -21,6 +21,8 @@ FAST_STEP_MPS = 12.0  # Faster than a sprinter: a jump of the tracker.
 JUMP_M = 1.0  # A shorter jump is the noise of quick samples: counted and kept.
 WALK_MPS = 4.0  # Nobody walks faster.
 REUSE_M = 2.0  # Who is further away behind a gap than a walk leads is somebody else.
+SWITCH_M = 4.0  # A longer jump without a gap leads to somebody else; a shorter one is an error.
+DETOUR_CUTS = 3  # An id is back from somebody else behind at most so many further cuts.
 METRES_PER_DEGREE = 111_320.0  # Of latitude.
 NEAR_STEPS = 0.5  # A step of fewer usual steps of its id is the same sample twice,
 NEAR_M = 0.5  # unless it leads further than this.
@@ -193,10 +195,11 @@ def _without_copies(
     if other.any() and on_duplicate == "error":
         at = int(other.argmax())
         first, second = sorted((int(order[at]), int(order[at + 1])))
+        rounded = "; are the times rounded?" if other.sum() > other.size / 2 else ""
         raise DataError(
             f"{place.at(second)}: id {rows.ids[rows.person[at]]} is somewhere else at the same "
             f"time in {place.unit} {int(place.lines()[first])} ({int(other.sum())} such rows); "
-            "--on-duplicate first or mean takes the first or their mean"
+            f"--on-duplicate first or mean takes the first or their mean{rounded}"
         )
     how = "their mean stands" if on_duplicate == "mean" else "the first in the file stands"
     text = f"the same id and time at another place; {how}"
@@ -278,8 +281,12 @@ def _cuts(rows: Rows, order: Ints, run: Ints) -> tuple[Rows, Bools, list[Repair]
     long = within & (steps > longest_s + SAME_TIME_S)
     gap = within & (steps > GAP_STEPS * nominal) | long
     distance = np.hypot(*np.diff(rows.xy, axis=0).T)
-    reused = gap & (distance > np.maximum(WALK_MPS * steps, REUSE_M))
-    fast = within & ~reused & ~long & (distance > np.maximum(FAST_STEP_MPS * steps, JUMP_M))
+    jumped = within & (distance > np.maximum(FAST_STEP_MPS * steps, JUMP_M))
+    elsewhere = gap & (distance > np.maximum(WALK_MPS * steps, REUSE_M))
+    elsewhere |= jumped & (distance > SWITCH_M)
+    detour = _detours(rows, run, new | fell | long | jumped | elsewhere, longest_s=longest_s)
+    reused = elsewhere & ~detour
+    fast = (jumped | elsewhere) & ~reused & ~long
     notes = []
     for where, kind, done in (
         (gap & ~long & ~reused & ~fast, "gap", "kept, to be interpolated"),
@@ -288,13 +295,31 @@ def _cuts(rows: Rows, order: Ints, run: Ints) -> tuple[Rows, Bools, list[Repair]
         longest = steps[where].max(initial=0)
         text = f"behind a gap (longest {longest:.3g} s, usual step {nominal:.3g} s); {done}"
         notes += rows.place.noted(kind, order[1:][where], text)
-    text = f"over {FAST_STEP_MPS:g} m/s and {JUMP_M:g} m from the sample before; cut"
+    text = "from the sample before, further than anybody walks; cut"
     notes += rows.place.noted("jump", order[1:][fast], text)
-    text = (
-        f"behind a gap further away than {WALK_MPS:g} m/s lead; the id is taken for another person"
-    )
+    text = "at another place, where no walk leads; the id is taken for another person"
     notes += rows.place.noted("id-reuse", order[1:][reused], text)
     return _with_new_ids(rows, reused, new), new | fell | long | fast | reused, notes
+
+
+def _detours(rows: Rows, run: Ints, cut: Bools, *, longest_s: float) -> Bools:
+    """Return (M - 1,) the cuts of an id that is soon back where its own walk leads.
+
+    A tracker that strays for a moment, by one sample or several, is no other person. `cut` (M - 1,)
+    are the cuts between sorted rows; back is who is there within `longest_s` s and `DETOUR_CUTS`.
+    """
+    at = np.flatnonzero(cut)
+    detour = np.zeros(cut.size, dtype=bool)
+    for lag in range(1, DETOUR_CUTS + 1):
+        leaves, returns = at[:-lag], at[lag:] + 1  # the last row before, the first row behind
+        lasting_s = rows.t[returns] - rows.t[leaves]
+        away_m = np.hypot(*(rows.xy[returns] - rows.xy[leaves]).T)
+        is_back = (rows.person[returns] == rows.person[leaves]) & (run[returns] == run[leaves])
+        is_back &= lasting_s <= longest_s + SAME_TIME_S
+        is_back &= away_m <= np.maximum(WALK_MPS * lasting_s, REUSE_M)
+        for shift in range(lag + 1):
+            detour[at[shift : at.size - lag + shift][is_back]] = True
+    return detour
 
 
 def _with_new_ids(rows: Rows, reused: Bools, new: Bools) -> Rows:
@@ -368,28 +393,38 @@ def _check_speeds(rows: Rows) -> None:
         speeds /= duration[moving]
     speed = float(np.median(speeds, overwrite_input=True))
     if not low <= speed <= high:
-        units = {} if rows.unit else {**METRES, "ft": FOOT_M}
-        hints = [
-            f" (--unit {unit} makes it {speed * metres:.2g} m/s)"
-            for unit, metres in units.items()
-            if unit != "m" and _WALKING_MPS[0] <= speed * metres <= _WALKING_MPS[1]
-        ]
         on_earth = bool((np.abs(rows.xy) <= (180.0, 180.0)).all()) and not rows.unit
         degrees_mps = speed * METRES_PER_DEGREE
-        if on_earth and _WALKING_MPS[0] / 4 <= degrees_mps <= _WALKING_MPS[1] * 2:
+        is_clocked = float(np.median(duration)) <= LONGEST_STEP_S
+        near_walk = _WALKING_MPS[0] / 4 <= degrees_mps <= _WALKING_MPS[1] * 2
+        if on_earth and is_clocked and near_walk:
             raise DataError(
                 f"{rows.place.path}: the median speed of moving people is {speed:.3g} m/s, as of "
                 "degrees of longitude and latitude; --crs degrees makes metres of x (longitude) "
                 "and y (latitude)"
             )
+        hints = _ways_out(speed, has_unit=bool(rows.unit))
         guess = (
-            f"pixels or centimetres for metres{''.join(hints)}, a wrong --fps, or frame and id "
-            "swapped"
+            f"pixels or centimetres for metres{hints}, a wrong --fps, or frame and id swapped"
             if speed > high
             else "milliseconds for seconds (of a table: --columns t=t[ms]), kilometres for metres "
-            "(--unit 1000), or a wrong --fps"
+            f"(--unit 1000), or a wrong --fps{hints}"
         )
         raise DataError(
             f"{rows.place.path}: the median speed of moving people is {speed:.3g} m/s, not within "
             f"{low:g} to {high:g}: {guess}?"
         )
+
+
+def _ways_out(speed_mps: float, *, has_unit: bool) -> str:
+    """Return each option that makes a walk of a median speed, in brackets; empty without any."""
+    lengths = {} if has_unit else {"cm": 0.01, "mm": 0.001, "ft": FOOT_M, "0.0254": 0.0254}
+    options = {f"--unit {unit}": metres for unit, metres in lengths.items()}
+    for unit in ("min", "ms", "us", "ns"):
+        options[f"--columns t=t[{unit}]"] = 1.0 / TIMES[unit]
+    low, high = _WALKING_MPS
+    return "".join(
+        f" ({option} makes it {speed_mps * factor:.2g} m/s)"
+        for option, factor in options.items()
+        if low <= speed_mps * factor <= high
+    )

@@ -56,6 +56,13 @@ def reused(gap_s, away_m):
     return table(t, y=y)
 
 
+def strayed(first, last, away_m=8.0):
+    """The id is elsewhere for some samples, and then where its walk leads."""
+    y = Y.copy()
+    y[first:last] += away_m
+    return table(y=y)
+
+
 def still(first, last):
     x, y = X.copy(), Y.copy()
     for values in (x, y):  # and walks on from there
@@ -76,6 +83,11 @@ def still(first, last):
         (reused(0.5, 5.0), {"id-reuse": 1}, 2, 2),
         (reused(1.0, 0.5), {"gap": 1}, 1, 1),
         (reused(0.0, 3.0), {"jump": 1}, 2, 1),
+        (reused(0.0, 8.0), {"id-reuse": 1}, 2, 2),
+        (reused(0.0, -30.0), {"id-reuse": 1}, 2, 2),
+        (strayed(50, 51), {"jump": 2, "one-point": 1}, 2, 1),
+        (strayed(50, 65), {"jump": 2}, 3, 1),
+        (strayed(50, 90), {"id-reuse": 2}, 3, 3),
         (still(20, 60), {"frozen": 1}, 1, 1),
         (still(20, 30), {}, 1, 1),
     ],
@@ -143,6 +155,11 @@ ISO = [(START + timedelta(seconds=float(t))).isoformat(timespec="milliseconds") 
          {"columns": "t=time,id=ped_id,x=pos_x,y=pos_y"}),
         (table(1000 * T, 100 * X, 100 * Y, names="time,who,px,py"),
          {"columns": {"t": "TIME[ms]", "id": "who", "x": "px[cm]", "y": "py[cm]"}}),
+        (table(1000 * T, 100 * X, 100 * Y, names="T (ms),ID,X [cm],Y(cm)"), {}),
+        (table(1000 * T, names="Time [ms],id,x,y"), {"columns": "t=time [ms]"}),
+        (table(T / 60), {"columns": "t=t[min]"}),
+        (table([text[:-6].replace("-", "").replace(":", "") + "Z" for text in ISO]), {}),
+        (table([text.replace("+00:00", " UTC") for text in ISO]), {}),
         (table(x=X / 0.3048, y=Y / 0.3048), {"unit": "ft"}),
         (table(x=X / 0.025, y=Y / 0.025), {"unit": "0.025"}),
     ],
@@ -170,6 +187,15 @@ def test_time_stamps_of_parquet(tmp_path, unit, zone):
         (table([1_700_000_000_000 + round(1000 * t) for t in T]), r"ms since 1970\? --columns"),
         (table([1_700_000_000 * 10**9 + round(1e9 * t) for t in T]), "ns since 1970"),
         (table([float(np.float32(1.7e9 + 128 * t)) for t in T]), "float32"),
+        (table([float(np.float32(1.7e12 + 131_072e3 * t)) for t in T]), "float32"),
+        (table([f"12:00:{second:07.4f}" for second in T]), "line 2: t .* nor a date of ISO 8601"),
+        (table([text.partition(".")[0] + "Z" for text in ISO]), r"are the times rounded\?"),
+        (table(T / 60), r"--columns t=t\[min\] makes it 1.3 m/s"),
+        (table(T * 1e6), r"--columns t=t\[us\] makes it 1.3 m/s"),
+        (table(x=X / 0.0254, y=Y / 0.0254), "--unit 0.0254 makes it 1.3 m/s"),
+        (table().replace(b",", b";"), r"read_csv\('FILE', sep=';'\)"),
+        (b"SQLite format 3\0", "--format jupedsim"),
+        (b"\x89HDF\r\n\x1a\n", "--format hdf5"),
         (table(x=7 + X / 111e3, y=51 + Y / 111e3), "--crs degrees"),
         (table([*ISO[:-1], "2026-13-01T00:00:00+00:00"]), "line 101: t '2026-13-01T00:00:00"),
         (table([*ISO[:-1], "2026-02-30T00:00:00+00:00"]), "line 101: t '2026-02-30T00:00:00"),
@@ -249,6 +275,7 @@ def test_swapped_degrees_say_so_and_how_to_swap_them(tmp_path, longitude, is_rea
         ({"columns": "when=t"}, "--columns names t, id"),
         ({"columns": "t=t[days]"}, "unknown unit 'days'"),
         ({"columns": "t=t,t=u"}, "names t twice"),
+        ({"columns": "x=x,y=X"}, "takes x for x and for another"),
         ({"on_duplicate": "last"}, "--on-duplicate must be one of"),
         ({"crs": "utm"}, "--crs must be degrees"),
         ({"drop_frozen": 0.0}, "--drop-frozen takes seconds above 0"),
@@ -268,10 +295,27 @@ def test_a_frame_is_a_recording_and_its_content_its_hash():
     assert load(frame.rename(columns=str.upper)).sha256 == found.sha256
     assert load(frame.assign(x=2 * X)).sha256 != found.sha256
     assert load(Polars(frame)).sha256 == found.sha256
+    assert load(frame.set_index("id")).sha256 == found.sha256
+    lasting = load(frame.assign(t=pd.to_timedelta(T, unit="s")))
+    assert np.allclose(lasting.tracks.t, T)
     with pytest.raises(DataError, match="not list"):
         load([1, 2])
+    with pytest.raises(DataError, match="t holds string, not numbers of seconds; convert"):
+        load(frame.assign(t="0.1 s"))
     with pytest.raises(DataError, match="no column y"):
         load(frame.drop(columns="y"))
+
+
+def test_a_frame_of_polars():
+    polars = pytest.importorskip("polars")
+    frame = polars.DataFrame({"t": T, "id": ["0"] * N, "x": X, "y": Y})
+    found = load(frame)
+    assert found.sha256 == load(frame.to_pandas()).sha256
+    assert (
+        load(frame.with_columns(polars.col("id").cast(polars.Categorical))).sha256 == found.sha256
+    )
+    with pytest.raises(DataError, match=r"pass frame.collect\(\)"):
+        load(frame.lazy())
 
 
 class Polars:
@@ -294,6 +338,10 @@ HEAD = "# id frame x y z\n0 0 0 0 170\n0 1 0.1 0 170\n0 2 0.2 0 170\n"
         ("framerate: 12.5\n# z: body height in cm", 0.16), ("framerate: 25-30", "'25-30' is not a"),
         ("fps: 25\u201330", "is not a single"),
         ("fps: 25 to 30", "'25 to 30' is not a"), ("framerate: 25 - 30 fps", "is not a single"),
+        ("framerate: 25 (video), 12.5 (tracks)", r"'25 \(video\), 12.5 \(tracks\)' is not a"),
+        ("framerate: 25; 12.5", "is not a single"),
+        ("framerate: 25\n# framerate: 12.5", r"two framerates: 25 \(line 1\) and 12.5 \(line 2\)"),
+        ("framerate: 25\n# fps: 25.0", 0.08),
         ("framerate: 25 1/s of 2 cameras", 0.08), ("framerate: 25/0", "not a frame rate above 0"),
     ],
 )  # fmt: skip
@@ -333,6 +381,7 @@ def boxes(n):
 VISWALK = ["$VISION", "* about", "$PEDESTRIAN:SIMSEC;NO;COORDCENTX;COORDCENTY"]
 VADERE = ["pedestrianId simTime endTime startX-PID1 startY-PID1 endX-PID1 endY-PID1"]
 SDD = '1 {left} {up} {right} {low} {n} 0 0 0 "Pedestrian"'
+IGNORED = b"5,2,0,0,9,9,0,1,1\n5,3,0,0,9,9,1,3,1\n6,3,0,0,9,9,1,8,1\n"
 LOST = '1 0 0 10 10 500 1 0 0 "Pedestrian"\n2 0 0 9 9 5 0 0 0 "Biker"\n'
 
 
@@ -345,6 +394,9 @@ LOST = '1 0 0 10 10 500 1 0 0 "Pedestrian"\n2 0 0 9 9 5 0 0 0 "Biker"\n'
         ("vadere", lines(VADERE, "1 {t} 0 {x} {y} 0 0"), {}, {}),
         ("mot", lines([], "{n},1,{left},{up},10,20,1,-1,-1,-1"), {"fps": 10, "unit": "0.025"},
          {"unit": N}),
+        ("vadere", lines(["#IDXCOL=1,DATACOL=6,SEP=' '", *VADERE], "1 {t} 0 {x} {y} 0 0"), {}, {}),
+        ("mot", lines([], "{n},1,{left},{up},10,20,1,1,0.9") + IGNORED,
+         {"fps": 10, "unit": "0.025"}, {"unit": N, "lost": 1, "other-label": 2}),
         ("sdd", lines([], SDD) + LOST.encode(), {"fps": 10, "unit": "0.025"},
          {"unit": N, "lost": 1, "other-label": 1}),
     ],

@@ -175,6 +175,6 @@ def test_by_name_it_must_be_the_recording_and_may_be_a_link(data_folder, monkeyp
 @pytest.mark.usefixtures("gc")
 def test_grand_central_itself():
     found = load("gc")
-    assert (len(found.tracks), len(set(found.tracks.group))) == (17_865, 12_677)
+    assert (len(found.tracks), len(set(found.tracks.group))) == (17_865, 12_682)
     assert kinds(found.repairs)["fast-piece"] == 2175
     np.testing.assert_allclose(np.ptp(found.tracks.xy, axis=0), [28.1, 73.0], atol=0.05)
