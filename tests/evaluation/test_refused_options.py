@@ -105,7 +105,7 @@ def test_no_threads_for_numba_is_one_line(threads, tmp_path):
 @pytest.mark.parametrize("limit", ["1e-100", "1e-300", "5e-324"])
 def test_a_limit_that_no_noise_meets_is_one_line(limit, tmp_path):
     words = ("-m", "evaluation.design", "--plan", "--max-plr", limit)
-    assert_refused(run(tmp_path, *words), "closed forms end here")
+    assert_refused(run(tmp_path, *words), "closed forms do not reach that far")
 
 
 def test_there_are_no_more_workers_than_works():

@@ -132,7 +132,7 @@ def test_killed_at_work_it_continues_to_the_same_result(place, many_scenes, caps
     wait_for(lambda: not in_session(process.pid), most_s=END_S)
     capsys.readouterr()
     here(place, out, jobs=1)
-    assert "not as they had been written" not in capsys.readouterr().err
+    assert "damaged cell" not in capsys.readouterr().err
     assert_same(out, many_scenes)
     # Nothing with a name is put there, so that a kill leaves nothing there.
     assert list((place / "temporary").iterdir()) == []
@@ -199,7 +199,7 @@ def test_every_kind_of_damage_is_found_and_computed_again(place, many_scenes, ra
     assert_refused(ran(report, out), "and 5 more: not as the run wrote it", str(out / "cells"))
     here(place, out, jobs=1)
     errors = capsys.readouterr().err
-    assert "6 cells were not as they had been written and are computed anew" in errors
+    assert "6 damaged cells computed again" in errors
     named = by_damage | {line.partition("/")[2] for line in others[:2]}
     assert any(name in errors for name in named)
     assert_same(out, many_scenes)

@@ -307,8 +307,8 @@ DRAWN = {"stages": STAGES.changed({"linkage.most_people": 3})}
             (name, FEW, f"task {name}: .*takes 24.*--task")
             for name in ("split", "handover-2s", "new_traversal")
         ),
-        ("rerelease", GROUPED, "too many belong to one walking group"),
-        ("handover-1s", ALWAYS, "are there all the time"),
+        ("rerelease", GROUPED, "too many share a walking group"),
+        ("handover-1s", ALWAYS, "are present all the time"),
         ("rerelease", DRAWN, "most_people must be at least 24"),
     ],
 )

@@ -66,8 +66,8 @@ def test_a_run_with_a_mechanism_of_ones_own_treats_it_like_fid(csv_recording, tm
     )
     assert code == 0
     said = capsys.readouterr().err
-    assert said.count("does not say by `adding`") == 1
-    assert "helpers.mechanisms:Twice does not say" in said
+    assert said.count("has no `adding` attribute") == 1
+    assert "helpers.mechanisms:Twice has no" in said
     summary = pd.read_csv(out / "summary.csv", keep_default_na=False)
     assert list(summary.columns[-2:]) == ["family", "adding"]
     told = summary[["mechanism", "family", "adding"]].drop_duplicates().to_numpy().tolist()
