@@ -36,10 +36,10 @@ CONTROLS: Final = frozenset(spec.partition(":")[0] for spec in DISSOCIATION)
 HEADLINE: Final = (("raw", None), ("fid", 1.0), ("fid", 1000.0), ("fixed", 0.7), ("fixed", 1.0))
 """The few levels that tell the story: mechanism without its adding rule, and level."""
 _LOG_SPAN = 30.0  # The axis of a mechanism that we do not know is logarithmic from there on.
-_LEVELS: Final = {FID: "η = {}", FIXED: "{} m"}
+_LEVELS: Final = {FID: "eta {}", FIXED: "{} m"}
 _KNOWN: Final = {
-    FID: ("FID-controlled sharing", "FID threshold η (1/(m² s))", True),
-    FIXED: ("fixed added error", "Added error Δσ (m)", False),
+    FID: ("FID noise", "eta (1/(m² s))", True),
+    FIXED: ("fixed noise", "added noise (m)", False),
 }
 ENDS: Final = ["value", "ci_low", "ci_high"]  # Columns of an estimate.
 STRONGEST: Final = "strongest"

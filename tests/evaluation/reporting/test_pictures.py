@@ -9,6 +9,7 @@ from helpers.finished_runs import levels, make_gallery, make_run, make_summary, 
 
 from evaluation.reporting.answers import headline_of
 from evaluation.reporting.headline import levels_of
+from evaluation.reporting.names import short_mechanism_name
 from evaluation.reporting.pictures import SIZE, panels, pictures, planes
 
 SHARES = re.compile(r" (\d+\.\d) %")
@@ -46,13 +47,15 @@ def test_marks_stand_where_their_numbers_are_and_the_numbers_are_those_of_the_ru
 def test_rows_and_marks_are_those_of_the_first_table(of):
     lost = pictures(of)[0].chart
     levels, _ = levels_of(of)
-    assert [text for _, text in lost.y_ticks] == [of.name(where) for where in levels]
+    names = [short_mechanism_name(of.known[where[0]], where[1]) for where in levels]
+    assert [text for _, text in lost.y_ticks] == names
+    assert set(lost.hints) == set(names)
     assert len(lost.marks) == len(levels) * len(of.robots)
 
 
 def test_the_front_turns_at_the_points_that_no_other_beats(of):
     both = planes(of)
-    assert list(both) == ["the paper's line", "mine"]
+    assert list(both) == ["paper's line", "mine"]
     for chart in [one.chart for of_robot in both.values() for one in of_robot]:
         places = [place for _, (place,), _ in chart.marks]
         # Left and down are better: down is a larger number.
