@@ -157,7 +157,7 @@ def _sweep_caption(scheme: picked.Scheme, rows: pd.DataFrame) -> str:
     if not parts:
         return ""
     low, high = (scheme.at(shown["level"].iloc[place]) for place in (0, -1))
-    return f"From {low} to {high}, {' and '.join(parts)}."
+    return f"From {low} to {high}, {'. '.join(parts)}."
 
 
 def _ends(values: "pd.Series[float]") -> str:
