@@ -12,11 +12,16 @@ from evaluation.reporting.rows import Results
 from evaluation.runs.files import write_whole
 
 GLOSSARY_PAGE: Final = Path("docs", "glossary.md")
-PICTURE: Final = Path("docs", "figures", "one_walk.svg")
+FIGURES: Final = Path("docs", "figures")
+PICTURE: Final = FIGURES / "one_walk.svg"
+_SHOWN: Final = ("after_attack", "frontier", "linkability", "operating_points")
+_SOURCE: Final = ("students03", "paper")  # Data set and preset of the figures in the docs.
 
 
 def write_pages(run: Results, *, root: Path) -> list[Path]:
-    """Write `docs/glossary.md` and, of a simulated crowd, the picture of a walk.
+    """Write `docs/glossary.md`, and the pictures of the docs that are drawn from such a run.
+
+    The figures are those of the preset `paper` on Students03, the walk is of a simulated crowd.
 
     Walks of recorded people are not drawn: their licence may forbid it. Return the paths of what
     was written. DataError if a file cannot be written.
@@ -28,6 +33,10 @@ def write_pages(run: Results, *, root: Path) -> list[Path]:
             names = level_names(headline_of(run))
             name = names.get(walk.mechanism, walk.mechanism)
             texts[root / PICTURE] = one_walk(walk, level_name=name)
+    if (run.dataset, run.manifest["settings"]["preset"]) == _SOURCE:
+        drawn = [run.out / "figures" / f"{name}.svg" for name in _SHOWN]
+        known = [path for path in drawn if path.is_file()]
+        texts |= {root / FIGURES / path.name: path.read_text("utf-8") for path in known}
     for path, text in texts.items():
         with contextlib.suppress(OSError):  # write_whole says what is wrong
             path.parent.mkdir(parents=True, exist_ok=True)

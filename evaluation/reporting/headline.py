@@ -28,8 +28,8 @@ from evaluation.analysis.worst_off import LEAST_PEOPLE, LEAST_RELEASES
 from evaluation.experiment.constants import OTHER_LAW_WORLD, horizon_of, horizon_world
 from evaluation.experiment.presets import BASELINE
 from evaluation.reporting import table as make
-from evaluation.reporting.rows import HEADLINE, estimates, short_name, spoken
-from evaluation.reporting.table import Cell, Column, Table
+from evaluation.reporting.rows import HEADLINE, estimates, short_name
+from evaluation.reporting.table import Cell, Column, Table, spoken
 from isac_track.config import PrivacySettings
 from isac_track.intervals import Estimate
 from isac_track.linkability import GALLERY

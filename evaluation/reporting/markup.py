@@ -28,10 +28,10 @@ HTML.filters["path"] = lambda strokes: "".join(
 
 
 def _hinted(text: str) -> Markup:
-    """Return a text as HTML, its known names with hover text."""
+    """Return a text as HTML, its known names with hover text; a number stays with its %."""
     from evaluation.reporting.glossary import hinted  # noqa: PLC0415 - words alone need none
 
-    return hinted(text)
+    return hinted(text.replace(" %", "\u00a0%"))
 
 
 def _defined(text: str) -> str:

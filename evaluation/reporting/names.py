@@ -9,7 +9,7 @@ from typing import Final
 
 from evaluation.analysis.families import Family
 from evaluation.analysis.keys import level_text
-from evaluation.reporting.rows import spoken
+from evaluation.reporting.table import spoken
 
 _MECHANISMS: Final = {
     "raw": "raw positions",

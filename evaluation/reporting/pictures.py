@@ -111,13 +111,13 @@ def _chosen(table: Headline) -> Picture | None:
         return None
     robot = table.robots[0]
     curves = _curves(table, robot, table.attacked, among=levels_of(table)[0])
-    drawn = _points(curves)
+    noisy = [point for point in _points(curves) if point.look != looks_of([])[RAW]]
     name = robot_name(robot.measure.consumer)
     return _plane(
         table,
         curves,
         title=f"PLR after attack, over what {name} misses; dashed: {100 * MOST_PLR:g} %",
-        caption=takeaways.within_limit(drawn, MOST_PLR) if drawn else "",
+        caption=takeaways.within_limit(noisy, MOST_PLR) if noisy else "",
         x_label=_MISSED,
         y_label=_ATTACKED,
         limit=MOST_PLR,

@@ -76,7 +76,7 @@ def _processed(run: Results, table: Headline) -> tuple[str, ...]:
     names = list(dict.fromkeys(family_name(one) for one in table.known.values() if one.is_added))
     rest = len(names) - _MOST_NAMED
     shown = [*names[:_MOST_NAMED], f"{rest} more"] if rest > 0 else names
-    mechanisms = f"Before release the network adds {listed(shown, 'or')}." if names else ""
+    mechanisms = f"Mechanisms compared: {listed(shown)}." if names else ""
     sentences = (
         f"Positions and times on {data['tracks_used']:,} of {data['tracks']:,} tracks of {people}.",
         "A release holds positions, times and a fresh pseudonym for each track.",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -20,7 +19,7 @@ from evaluation.analysis.keys import Key, Source, Where, keys_of, level_text
 from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS
 from evaluation.experiment.presets import DISSOCIATION, SHARED
 from evaluation.reporting.announcements import scenes_text
-from evaluation.reporting.table import Column, level, said
+from evaluation.reporting.table import Column, level, said, spoken
 from isac_track.errors import SettingsError, did_you_mean
 from isac_track.types import Floats
 
@@ -283,11 +282,6 @@ def short_name(known: Mapping[str, Family], where: Where) -> str:
     values = ",".join(filter(None, [level_text(where[1]), one.parameters]))
     name = f"{spoken(one.family)}:{values}".rstrip(":")
     return name + " ind." * (one.adding == "independent")
-
-
-def spoken(name: str) -> str:
-    """Return the name of a plug-in, a class in a module by the class alone."""
-    return re.sub(r"^[\w.]*\.\w+:(?=[A-Za-z])", "", name)
 
 
 def mechanism_columns(known: Mapping[str, Family]) -> list[Column]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers.finished_runs import make_gallery, make_run
 
-from evaluation.reporting.docs_pages import GLOSSARY_PAGE, PICTURE, write_pages
+from evaluation.reporting.docs_pages import FIGURES, GLOSSARY_PAGE, PICTURE, write_pages
 from evaluation.reporting.one_walk import PANEL, caption, longest_walk, one_walk
 
 
@@ -52,9 +52,19 @@ def test_raw_positions_alone_make_no_picture(gallery):
 
 @pytest.mark.parametrize("simulated", [True, False])
 def test_walks_of_recorded_people_are_not_drawn(tmp_path, simulated):
-    run = make_run(gallery=make_gallery())
+    run = make_run(tmp_path / "run", gallery=make_gallery())
     run.manifest["dataset"]["simulated"] = simulated
     written = write_pages(run, root=tmp_path)
     run.manifest["dataset"]["simulated"] = False
     assert written == [tmp_path / GLOSSARY_PAGE, *([tmp_path / PICTURE] if simulated else [])]
     assert all(path.stat().st_size for path in written)
+
+
+def test_figures_of_the_paper_preset_go_into_the_docs(tmp_path):
+    figures = tmp_path / "run" / "figures"
+    figures.mkdir(parents=True)
+    for name in ("frontier", "by_speed"):
+        (figures / f"{name}.svg").write_text(f"<svg>{name}</svg>")
+    written = write_pages(make_run(tmp_path / "run"), root=tmp_path)
+    assert written == [tmp_path / GLOSSARY_PAGE, tmp_path / FIGURES / "frontier.svg"]
+    assert written[1].read_text() == "<svg>frontier</svg>"

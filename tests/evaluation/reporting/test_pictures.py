@@ -110,3 +110,10 @@ def test_walks_are_drawn_to_scale_and_leaks_are_counted():
         assert step == pytest.approx(length_px / float(text.split()[0]), abs=1e-6)  # of 1 m each
         assert len(paths["shared leak"]) == 4
         assert ((walk >= 0) & (walk <= SIZE)).all()
+
+
+def test_the_limit_is_asked_of_noise_and_not_of_raw_positions(of):
+    chosen = pictures(of)[4]
+    noisy = [name for _, _, name in chosen.chart.marks if not name.startswith("raw positions")]
+    assert len(noisy) < len(chosen.chart.marks)
+    assert f"of {len(noisy)} levels" in chosen.caption
