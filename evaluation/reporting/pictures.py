@@ -261,36 +261,46 @@ def walks_takeaway(walks: Sequence[Panel]) -> str:
 
 def panels(rows: pd.DataFrame) -> list[Panel]:
     """Return a panel for each person and mechanism of `gallery.parquet`, person by person."""
-    found = []
-    for person, of in rows.groupby("track", sort=False):
-        low, unit = _window(of)
-        length = max((one for one in _BAR_M if one * unit < 0.3 * SIZE[0]), default=_BAR_M[0])
-        bar = length * unit, f"{length:g} m"
-        for mechanism, part in of.groupby("mechanism", sort=False):
-            places = {
-                what: (part[[f"x_{what}", f"y_{what}"]].to_numpy() - low) * unit * [1.0, -1.0]
-                + [0.0, SIZE[1]]
-                for what in ("true", "shared", "rec")
-            }
-            leaked, kept = (part[f"leaked_{what}"].to_numpy() for what in ("shared", "rec"))
-            paths = [
-                ("shared", [*places["shared"][~leaked, None]]),
-                ("rebuilt leak", _runs(places["rec"], kept)),
-                ("rebuilt", [places["rec"]]),
-                ("shared leak", [*places["shared"][leaked, None]]),
-                ("true", [places["true"]]),
-            ]
-            about = int(str(person)) + 1, str(mechanism), float(leaked.mean()), float(kept.mean())
-            found.append(Panel(*about, paths, bar))
-    return found
+    drawn = []
+    for person, walks in rows.groupby("track", sort=False):
+        low, unit = _window(walks)
+        length = max((bar for bar in _BAR_M if bar * unit < 0.3 * SIZE[0]), default=_BAR_M[0])
+        for mechanism, walk in walks.groupby("mechanism", sort=False):
+            drawn.append(
+                Panel(
+                    person=int(str(person)) + 1,
+                    mechanism=str(mechanism),
+                    shared=float(walk["leaked_shared"].mean()),
+                    rebuilt=float(walk["leaked_rec"].mean()),
+                    paths=_paths(walk, low, unit),
+                    bar=(length * unit, f"{length:g} m"),
+                )
+            )
+    return drawn
 
 
-def _window(of: pd.DataFrame) -> tuple[Floats, float]:
+def _paths(walk: pd.DataFrame, low: Floats, unit: float) -> list[tuple[str, Sequence[Floats]]]:
+    """Return the layers of a panel from below: the class of each, and its lines in its units."""
+    true, shared, rebuilt = (
+        (walk[[f"x_{name}", f"y_{name}"]].to_numpy() - low) * unit * [1.0, -1.0] + [0.0, SIZE[1]]
+        for name in ("true", "shared", "rec")
+    )
+    leaks_shared, leaks_rebuilt = (walk[f"leaked_{name}"].to_numpy() for name in ("shared", "rec"))
+    return [
+        ("shared", [*shared[~leaks_shared, None]]),
+        ("rebuilt leak", _runs(rebuilt, leaks_rebuilt)),
+        ("rebuilt", [rebuilt]),
+        ("shared leak", [*shared[leaks_shared, None]]),
+        ("true", [true]),
+    ]
+
+
+def _window(walks: pd.DataFrame) -> tuple[Floats, float]:
     """Return the lower left corner in m, and units of a panel in a metre."""
-    # Not all that was shared: a few far samples would make the walk tiny.
-    ends = [np.percentile(of[["x_shared", "y_shared"]].to_numpy(), [5.0, 95.0], axis=0)]
-    for what in ("true", "rec"):
-        walk = of[[f"x_{what}", f"y_{what}"]].to_numpy()
+    # Not all shared samples: a few far ones would make the walk tiny.
+    ends = [np.percentile(walks[["x_shared", "y_shared"]].to_numpy(), [5.0, 95.0], axis=0)]
+    for name in ("true", "rec"):
+        walk = walks[[f"x_{name}", f"y_{name}"]].to_numpy()
         ends.append(np.stack([walk.min(axis=0), walk.max(axis=0)]))
     low, high = np.min(ends, axis=0)[0] - 0.2, np.max(ends, axis=0)[1] + 0.2
     unit = float(np.min(np.array(SIZE) / np.maximum(high - low, 1.0)))
@@ -299,7 +309,7 @@ def _window(of: pd.DataFrame) -> tuple[Floats, float]:
 
 
 def _runs(places: Floats, drawn: Bools) -> list[Floats]:
-    """Return the lines through some of the points, with gaps where others are."""
+    """Return the lines through the drawn points, with gaps at the others."""
     edges = np.flatnonzero(np.diff(drawn)) + 1
     runs = zip(np.split(places, edges), np.split(drawn, edges), strict=True)
     return [run for run, on in runs if on[0]]
