@@ -15,11 +15,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description="Refit the free constants of the sensing model to the paper's numbers.",
     )
     add = command.add_argument
-    add("--dataset", metavar="NAME|PATH", default="students03", help="default: the paper's")
-    about = "the more, the surer the missed rates (default: 5000, half a minute)"
+    add("--dataset", metavar="NAME|PATH", default="students03", help="default: that of the paper")
+    about = "scenes for the missed rates (default: 5000, half a minute)"
     add("--scenes", metavar="N", type=int, default=5000, help=about)
-    add("--seed", metavar="N", type=int, default=0, help="of scenes and errors (default: 0)")
-    about = "also fit with other caps and beam fluctuations, and predict with each (minutes)"
+    add("--seed", metavar="N", type=int, default=0, help="base seed of all draws (default: 0)")
+    about = "also fit with other caps and beam fluctuations (takes minutes)"
     add("--ridge", action="store_true", help=about)
     return exit_code(lambda: _run(command.parse_args(arguments)))
 

@@ -1,4 +1,4 @@
-"""Two runs side by side: `python -m evaluation.compare OUT_A OUT_B`; see docs/compare.md."""
+"""Compare two runs: `python -m evaluation.compare OUT_A OUT_B`; see docs/compare.md."""
 
 import argparse
 import json
@@ -25,16 +25,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
     command = Parser(
         prog="python -m evaluation.compare",
-        description="Put two runs side by side: what changed, and which numbers differ.",
+        description="Compare two runs: what changed, and which numbers differ.",
         epilog=_EXIT,
     )
     add = command.add_argument
-    add("out_a", type=Path, metavar="OUT_A", help="folder of a run")
-    add("out_b", type=Path, metavar="OUT_B", help="folder of another")
-    add("--all", action="store_true", help="every metric, and every number that is not identical")
+    add("out_a", type=Path, metavar="OUT_A", help="folder of the first run")
+    add("out_b", type=Path, metavar="OUT_B", help="folder of the second run")
+    add("--all", action="store_true", help="show every number that is not identical")
     add("--json", action="store_true", help="print one JSON object instead")
     add("--csv", type=Path, metavar="FILE", help="write all numbers as a tidy table")
-    about = "exit code 1 if a headline number differs after Holm"
+    about = "end with exit code 1 if a headline number differs after Holm's correction"
     add("--fail-on-change", action="store_true", help=about)
     return exit_code(lambda: _run(command.parse_args(arguments)))
 

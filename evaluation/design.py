@@ -1,4 +1,4 @@
-"""Choose a level for a site: `python -m evaluation.design --max-missed 0.20 OUT`."""
+"""Choose a noise level for a site: `python -m evaluation.design --max-missed 0.20 OUT`."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from evaluation.verdict.what_to_share import Question
 
 _EPILOG = """\
-Levels of mechanisms that claim to protect are held against every limit, after the strongest attack
-of each adversary that counts. A limit holds only if the upper end of the 95 % interval is at or
-below it; what was not tried does not hold. Of the levels that hold everything those are shown that
-no other one beats (in missed conflicts, PLR after attack, and linkage), at most five, cheapest
-first. No level is interpolated.
+Each level of a mechanism that claims to protect must keep within every limit, after the strongest
+attack of each adversary that counts. A level keeps within a limit if the upper end of the 95 %
+interval does. An adversary that was not tried counts as a failure. The answer shows at most five
+levels, the cheapest first. No other level is better than they are in missed conflicts, known
+positions and re-identification at once. No level is interpolated.
 
-exit codes: 0 some level holds everything under every adding rule asked for; 1 none does, or it
-cannot be said; 2 wrong usage or data.
+exit codes: 0 some level keeps within all limits under every adding rule asked for; 1 none does, or
+the run cannot say; 2 wrong usage or data.
 
 examples:
   python -m evaluation.design runs/students03-paper-0
@@ -49,16 +49,16 @@ def _plan(arguments: Sequence[str]) -> int:
     """Answer from closed forms; what takes a second to import is not."""
     command = Parser(
         prog="python -m evaluation.design --plan",
-        description="Which noise a limit on the PLR after attack takes, from closed forms.",
-        epilog="exit codes: 0 it is said, 1 another limit is asked for, which only a run can tell "
-        "of; 2 wrong usage.",
+        description="Find the noise that keeps the attacked PLR below a limit, without a run.",
+        epilog="exit codes: 0 the noise is printed; 1 so it is, but another limit takes a run; "
+        "2 wrong usage.",
     )
     add = command.add_argument
     add("--plan", action="store_true", help="answer without a run")
-    about = "share of positions that a smoother may know"
+    about = "largest share of positions that a smoother may know"
     add("--max-plr", type=float, required=True, metavar="X", help=about)
-    add("--max-missed", type=float, metavar="X", help="no closed form tells: a run is proposed")
-    add("--max-rank1", type=float, metavar="X", help="likewise")
+    add("--max-missed", type=float, metavar="X", help="takes a run: the command is printed")
+    add("--max-rank1", type=float, metavar="X", help="the same")
     for name, default, about in (
         ("epsilon", steady.EPSILON_M, "distance below which a position is known, m"),
         ("q", steady.Q_M2_PER_S3, "spectral density of the people's acceleration, m^2/s^3"),
@@ -70,13 +70,16 @@ def _plan(arguments: Sequence[str]) -> int:
     others = {"missed": given.max_missed, "rank1": given.max_rank1}
     for name, limit in others.items():
         if limit is not None and not 0.0 <= limit <= 1.0:
-            what = "fraction from 0 to 1 (0.2 for 20 %)"
-            raise SettingsError(f"--max-{name} is a {what}, got {limit:g}")
+            raise SettingsError(
+                f"--max-{name} is a fraction from 0 to 1 (0.2 for 20 %), got {limit:g}"
+            )
     try:
-        told = noise_plan.told(plr=given.max_plr, epsilon_m=given.epsilon, q=given.q, dt_s=given.dt)
+        lines = noise_plan.plan_lines(
+            plr=given.max_plr, epsilon_m=given.epsilon, q=given.q, dt_s=given.dt
+        )
     except ValueError as error:
         raise SettingsError(f"design --plan: {error}") from None
-    print(*told, sep="\n")
+    print(*lines, sep="\n")
     return DONE if {*others.values()} == {None} else LIMIT_NOT_MET
 
 
@@ -89,7 +92,7 @@ def _run(arguments: Sequence[str]) -> int:
     if options.json:
         print(json.dumps(to_json(answer), indent=1, allow_nan=False))
     else:
-        show(answer)
+        show(answer, verbose=options.verbose)
     return DONE if answer.recommendation.met else LIMIT_NOT_MET
 
 
@@ -99,18 +102,17 @@ def _parser() -> Parser:
     from evaluation.verdict.what_to_share import HORIZON_S, LIMITS, USUAL  # noqa: PLC0415 - heavy
 
     words = {
-        "missed": "missed conflicts of the robot at raw's false-alarm rate, a fraction",
-        "false_alarm": "false alarms, a fraction of the scenes without a conflict",
-        "plr": "PLR, a fraction, at epsilon and at 4/3 of it",
-        "rank1": "rank 1 of the strongest attack, a fraction: in every task but those of simulated "
-        "people",
-        "linkage_share": "rank 1 above chance in the leading handover, as a fraction of raw's; 1: "
-        "not asked",
+        "missed": "largest share of conflicts that the robot misses, at the false alarms of raw",
+        "false_alarm": "largest share of false alarms in the scenes without a conflict",
+        "plr": "largest share of positions known (PLR), to epsilon and to 4/3 of it",
+        "rank1": "largest share of people that an attack re-identifies (rank 1), in every task",
+        "linkage_share": "largest share of raw's re-identification after a silence, above chance; "
+        "1 asks nothing",
     }
     command = Parser(
         prog="python -m evaluation.design",
-        description="Choose a level for a site: which levels of a run hold limits of privacy and "
-        "utility, what each costs, and who breaks it.",
+        description="Choose a noise level for a site: which levels of a run keep within limits of "
+        "privacy and utility, what each costs, and which adversary breaks it.",
         epilog=_EPILOG,
     )
     add = command.add_argument
@@ -123,22 +125,23 @@ def _parser() -> Parser:
         default = "" if usual is None else f" (default: {usual:g})"
         option = f"--max-{name.replace('_', '-')}"
         add(option, type=float, default=usual, metavar=unit, help=f"{about}{default}")
-    about = "an adversary that counts beside blind and informed: repeats, anchor, companions, "
+    about = "a further adversary that must not break it: repeats, anchor, companions, "
     add("--against", action="append", default=[], metavar="NAME", help=f"{about}insider")
-    about = "conflicts to choose by: those still to come, or all (default: missed_future)"
+    about = "choose by future conflicts or by all (default: missed_future)"
     choices = ("missed_future", "missed")
     add("--criterion", choices=choices, default=choices[0], help=about)
-    about = f"within how many s they are; `run`: the run's own horizon (default: {HORIZON_S:g})"
+    about = f"horizon of the conflicts, s; `run` for that of the run (default: {HORIZON_S:g})"
     add("--horizon", default=f"{HORIZON_S:g}", metavar="S", help=about)
-    add("--predictor", metavar="NAME", default="", help="the robot's (default: the run's best)")
-    about = "a mechanism's family, such as fid; repeatable (default: every one of the run)"
+    add("--predictor", metavar="NAME", default="", help="the robot (default: the best of the run)")
+    about = "family of mechanisms, such as fid; repeatable (default: all of the run)"
     add("--family", action="append", default=[], metavar="NAME", help=about)
-    about = "hold PLR, AEL and MEL against what was shared, not against the best reconstruction "
-    add("--as-shared", action="store_true", help=f"{about}(highest PLR)")
-    about = "adding rule to answer for (default: both must hold); a network can do independent only"
+    about = "limit PLR, AEL and MEL of the sent positions, not of the strongest reconstruction"
+    add("--as-shared", action="store_true", help=about)
+    about = "adding rule that must hold (default: both); a network can only add independent noise"
     add("--adding", choices=[*ADDING_RULES, "both"], default="both", help=about)
     add("--json", action="store_true", help="print one JSON object and nothing else")
-    add("--plan", action="store_true", help="answer without a run: --plan --help")
+    add("--verbose", action="store_true", help="print all numbers and reasons, not 12 lines")
+    add("--plan", action="store_true", help="answer without a run; see --plan --help")
     return command
 
 

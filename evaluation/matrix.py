@@ -12,6 +12,7 @@ from typing import Any, Final
 from evaluation.experiment.presets import PRESETS
 from evaluation.experiment.settings import Settings
 from evaluation.reporting import announcements
+from evaluation.reporting.notices import notices
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
 from isac_track.config import StageSettings
 from isac_track.errors import SettingsError, quoted
@@ -40,10 +41,10 @@ _ADVERSARY = (
 )
 _MECHANISM = "sharing mechanism: name[:VALUE][,key=value...], a sweep as LOW..HIGH/COUNT"
 _TIMEOUT = "kill and leave out a cell that takes longer than this many seconds (default: never)"
-_EXECUTOR = "where cells are computed: here (default), or on a Dask cluster; see docs/cluster.md"
+_EXECUTOR = "compute on this machine (local, default) or on a Dask cluster; see docs/cluster.md"
 _PRECISION = (
-    "half-width of the missed-conflict rates' intervals (0.01: +- 1 point): as many scenes as 250 "
-    "computed first say that it takes; not with --scenes"
+    "half-width of the intervals of missed conflicts (0.01: ±1 point); 250 scenes computed first "
+    "tell how many scenes that takes; not with --scenes"
 )
 _OPTIONS: Final[dict[str, tuple[type, str, str]]] = {
     # Key of --config: its type, its metavar, and what --help says.
@@ -51,12 +52,12 @@ _OPTIONS: Final[dict[str, tuple[type, str, str]]] = {
     "dataset": (str, "NAME|PATH", _DATA),
     "format": (str, "NAME", "format of your own file; see docs/data.md"),
     "fps": (float, "N", "frames per second of your own file"),
-    "unit": (str, "m|cm|mm", "of lengths in your own file (default: as its header says, else m)"),
-    "columns": (str, "t=NAME,...", "of t, id, x, y, group in your table: t=time[ms],x=pos_x[cm]"),
+    "unit": (str, "m|cm|mm", "unit of lengths in your own file (default: its header's, else m)"),
+    "columns": (str, "t=NAME,...", "your columns for t, id, x, y, group: t=time[ms],x=pos_x[cm]"),
     "on_duplicate": (
         str,
         "error|first|mean",
-        "of an id at two places at one time (default: error)",
+        "what to do with an id at two places at one time (default: error)",
     ),
     "crs": (str, "degrees", "x is longitude and y latitude: project them to local metres"),
     "drop_frozen": (float, "S", "drop stretches of S seconds or more at exactly one place"),
@@ -67,12 +68,12 @@ _OPTIONS: Final[dict[str, tuple[type, str, str]]] = {
     "mechanism": (list, "SPEC", f"{_MECHANISM}; {_REPLACES}"),
     "predictor": (list, "SPEC", "the robot's predictor; repeatable; `none` for none"),
     "attack": (list, "SPEC", _ATTACK),
-    "task": (list, "NAME", f"what is to be linked; `none` for none; {_REPLACES}"),
+    "task": (list, "NAME", f"linkage task; `none` for none; {_REPLACES}"),
     "adversary": (list, "NAME", _ADVERSARY),
     "jobs": (int, "N", "worker processes (default: the cores, at most 8; 1 for little work)"),
     "cell_timeout": (float, "S", _TIMEOUT),
     "executor": (str, "local|dask", _EXECUTOR),
-    "scheduler": (str, "ADDRESS", "of the Dask cluster, as tcp://host:8786"),
+    "scheduler": (str, "ADDRESS", "address of the Dask cluster, as tcp://host:8786"),
     "out": (str, "DIR", "run folder (default: runs/DATASET-PRESET-SEED)"),
 }
 _FLAGS_OF_RUN: Final = (
@@ -101,12 +102,12 @@ def parser() -> argparse.ArgumentParser:
     add("--config", type=Path, metavar="FILE.toml", help="the same keys from a file")
     for option, about in {
         "--persistent-ids": "ids are the same people in all sessions",
-        "--keep-scores": "keep the raw scores of everybody who links as well: some hundred MB",
-        "--keep-ids": "keep the recording's own ids in the run's files, not pseudonyms of them",
-        "--no-pictures": "keep no true walks to show, and draw neither figures nor the page",
-        "--fresh": "replace the run in the folder, do not continue it",
+        "--keep-scores": "also keep the raw scores of all linkage attacks: some hundred MB",
+        "--keep-ids": "keep the ids of the recording in the files of the run, not pseudonyms",
+        "--no-pictures": "store no true walks, and draw neither figures nor the page",
+        "--fresh": "replace the run in the folder instead of continuing it",
         "--verbose": "print all tables and notices, not the first screen alone",
-        "--list": "list what can be named, and stop",
+        "--list": "list presets, data sets, plug-ins, tasks and settings, and stop",
         "--dry-run": "say what would be computed, and stop",
     }.items():
         add(option, action="store_true", help=about)
@@ -191,7 +192,7 @@ def _command(arguments: Sequence[str] | None) -> int:
             warnings.simplefilter("ignore", FailedCellsWarning)  # told below
             shows = not options.no_pictures
             results = run(ready=ready, progress=update, pictures=shows, walks=shows)
-    told = [f"notice: {one}" for one in announcements.notices(results.manifest)]
+    told = [f"notice: {one}" for one in notices(results.manifest)]
     told = announcements.condensed(told, most=None if whole else 2, where="tables.txt")
     sys.stderr.writelines(f"{line}\n" for line in told)
     # One more: loops may have been compiled.
@@ -217,7 +218,7 @@ def _read_config(path: Path, stage_values: dict[str, Any]) -> argparse.Namespace
         with path.open("rb") as file:
             content = file.read(_MOST_CONFIG + 1)
         if len(content) > _MOST_CONFIG:
-            raise SettingsError("it is longer than 1 MB: no config file")  # noqa: TRY301 - told below
+            raise SettingsError("the file is longer than 1 MB, so it is no config file")  # noqa: TRY301 - told below
         words = []
         for key, value in tomllib.loads(content.decode("utf-8-sig")).items():
             if isinstance(value, dict):

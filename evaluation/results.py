@@ -89,7 +89,7 @@ def run(
     if ready is None:
         ready = plan(sized((settings or Settings()).changed(**options), progress=told))
     elif settings is not None or options:
-        raise SettingsError("a plan that is ready has its settings: leave out all others")
+        raise SettingsError("a ready plan has its settings already: leave out all others")
     if progress is True:
         sys.stderr.writelines(f"{line}\n" for line in plan_lines(ready))
     folder.check_folder(ready.out)
@@ -115,7 +115,7 @@ def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> S
         return settings
     usual = plan(settings)
     if not usual.axes.predictors:
-        raise SettingsError("--precision is that of missed-conflict rates: name a --predictor")
+        raise SettingsError("--precision is about missed conflicts: add --predictor NAME")
     out = usual.out.with_name(f"{usual.out.name}-pilot")
     alone: dict[str, Any] = {"precision": None, "scenes": BLOCK_SCENES, "attacks": (), "tasks": ()}
     alone["stages"] = settings.stages.changed({"conflict.horizons_s": ()})

@@ -42,12 +42,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--variant", action="append", metavar="NAME", help=about)
     about = "a class of your own that the run used, package.module:Class; repeatable"
     add("--trust", action="append", default=[], metavar="SPEC", help=about)
-    about = "one more variant: this setting changed; repeatable; adds to the list"
+    about = "a further variant with this setting; repeatable"
     add("--set", action="append", default=[], metavar="STAGE.KEY=VALUE", help=about)
     add("--list", action="store_true", help="list the variants, and stop")
     add("--scenes", type=int, metavar="N", help="scenes of each variant (default: the run's)")
     add("--jobs", type=int, metavar="N", help="worker processes, as in evaluation.matrix")
-    add("--fresh", action="store_true", help="replace the runs of the variants, do not continue")
+    add("--fresh", action="store_true", help="replace earlier runs of the variants")
     add("--json", action="store_true", help="print one JSON object instead of the table")
     kept = "interrupted; finished cells are kept, the same command continues (without --fresh)"
     return exit_code(lambda: _command(command.parse_args(arguments)), interrupted=kept)

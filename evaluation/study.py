@@ -35,11 +35,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         epilog=_EXIT,
     )
     add = command.add_argument
-    about = "repeatable: a recording"
+    about = "a recording; repeatable"
     add("--dataset", action="append", metavar="NAME|PATH", required=True, help=about)
     add("--preset", default="paper", choices=list(PRESETS), help="of every run (default: paper)")
-    add("--seed", action="append", metavar="N", type=int, help="repeatable (default: 0)")
-    about = "repeatable: law of the sensing error (default: radial)"
+    add("--seed", action="append", metavar="N", type=int, help="base seed; repeatable (default: 0)")
+    about = "law of the sensing error; repeatable (default: radial)"
     add("--law", action="append", choices=LAWS, help=about)
     for option, about in {
         "--columns": "as in evaluation.matrix, of every file",
@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--out", metavar="DIR", type=Path, required=True, help="folder of the study")
     add("--jobs", metavar="N", type=int, help="worker processes of a run")
     add("--executor", metavar="local|dask", default="local", help="as in evaluation.matrix")
-    add("--scheduler", metavar="ADDRESS", help="of the Dask cluster")
+    add("--scheduler", metavar="ADDRESS", help="address of the Dask cluster")
     kept = "interrupted; finished runs are kept, the same command continues"
     return exit_code(lambda: _study(command.parse_args(arguments)), interrupted=kept)
 

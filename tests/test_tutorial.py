@@ -93,7 +93,7 @@ def test_verdict_and_design_question_are_answered(finished):
     offset = [gap for one in found for gap in one["contrasts"] if gap["mechanism"] == "offset"]
     assert all(gap["evidence"] == "construction" and gap["reading"] == "differs" for gap in offset)
     assert offset[0]["effect"] == pytest.approx(0.13, abs=0.005)
-    answer = "The nearest is fixed:1: missed conflicts 69.6 % [42.1, 87.5], above 45 %; about 75"
+    answer = "straight line misses up to 88 % of future conflicts within 3 s (limit 45 %); about 75"
     assert all(answer in " ".join(text.split()) for text in (said, TEXT))
     assert said.rstrip().endswith("exit code: 1")
 

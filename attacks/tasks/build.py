@@ -205,8 +205,8 @@ def cross_session(draft: Draft) -> Sessions:
     tracks, needed_s = draft.tracks, draft.settings.linkage.window_s
     if tracks.session is None or tracks.person is None:
         raise DataError(
-            f"task {draft.task.name}: nobody is known to come back; it takes sessions whose ids "
-            "are the same people: a markerID in their headers, or --persistent-ids"
+            f"task {draft.task.name}: no person is known to be in two sessions; give sessions with "
+            "a markerID in their headers, or --persistent-ids if equal ids are the same person"
         )
     longest: dict[str, dict[str, int]] = {name: {} for name in tracks.session}
     long = draft.lasting(needed_s)
@@ -358,8 +358,8 @@ def handover(draft: Draft) -> Sessions:
     draft.need_people(rows.size, "people are there when pseudonyms rotate")
     if used.size < N_FOLDS:
         raise DataError(
-            f"task {draft.task.name}: pseudonyms rotate {used.size} times with somebody to link, "
-            "but it takes 2; use a longer recording or a shorter linkage.handover_period_s"
+            f"task {draft.task.name}: {used.size} rotations of pseudonyms have people to link, but "
+            "2 are needed; use a longer recording or a shorter linkage.handover_period_s"
         )
     # Since the recording began: whatever its clock says, the same instant has the same draws.
     labels = [f"{after:g} s" for after in at_s[used] - first_s]
@@ -437,9 +437,9 @@ def sessions_of(
         mine, others = person[fold == half], person[fold != half]
         if mine.size < 2 or not found.learns[half][others].any():  # noqa: PLR2004 - one alone has no other
             raise DataError(
-                f"task {task.name}: half of the people has nobody to link, or nobody "
-                "else to learn from: too many belong to one walking group, or are there all the "
-                "time; use a recording of more people or leave the task out (--task)"
+                f"task {task.name}: half of the people have no mate, or no other people to train "
+                "on, since too many share a walking group or are present all the time; use a "
+                "recording of more people or leave the task out (--task)"
             )
     return found
 

@@ -330,7 +330,7 @@ def _fitted(
         if not ((learns.mate >= 0).any() and learns.gallery.size):
             task = known.sessions.task.name
             raise DataError(
-                f"{who} learns from other people, but there is nobody to learn from in {task}; "
+                f"{who} needs other people to train on, and task {task} has none; "
                 "use a recording of more people or leave the attack out"
             )
         probes, gallery = (sharing.handed(one, plugin) for one in sides.of(learns))

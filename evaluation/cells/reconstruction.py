@@ -362,8 +362,8 @@ def _context(
         train = TrainingSet(sharing.copied(train.release), train.truth.copy())
     if Knowledge.TRAIN in granted and train is None:
         raise DataError(
-            f"attack {consumer.spec!r} learns from other people, but all tracks belong to one "
-            "person or group; use a recording of more people or leave the attack out"
+            f"attack {consumer.spec!r} needs other people to train on, but all tracks belong to "
+            "one person or group; use a recording of more people or leave the attack out"
         )
     companions = (one.tracks(victims.tracks) for one in level.beside)
     repeats, seed = [], level.block.seed

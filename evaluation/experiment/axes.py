@@ -263,8 +263,8 @@ def axes(settings: Settings) -> Axes:
     rows = (found.consumers, *map(found.readers, found.tasks))
     for name in sorted({*asked} - {one.knowledge for some in rows for one in some}):
         raise SettingsError(
-            f"adversary {name}: no attack of the run does more with what it knows; name one "
-            f"that does, such as --attack {BREAKER}"
+            f"adversary {name}: no attack of the run uses its knowledge; name one that does, "
+            f"such as --attack {BREAKER}"
         )
     return found
 
@@ -320,8 +320,8 @@ def _attacks(specs: Iterable[Any]) -> tuple[tuple[Plugin, ...], tuple[Consumer, 
             for behind in plugins.parse("attacks", behind_spec) if at else (None,):
                 if behind and (not links_people or kind_of(behind.instance) == "linkage"):
                     raise SettingsError(
-                        f"{spec!r}: left of @ stands a linkage attack, right of it the "
-                        "reconstruction that it runs behind, as in shape@radial_rts"
+                        f"{spec!r}: write a linkage attack left of @ and a reconstruction attack "
+                        "right of it, as in shape@radial_rts"
                     )
                 link = Consumer("linkage", plugin, behind=behind)
                 links[link.spec] = link

@@ -113,9 +113,9 @@ class Settings:
                 f"got {quoted(self.scheduler)}"
             )
         if is_dask and self.jobs is not None:
-            raise SettingsError("--jobs is of --executor local: a cluster has the workers it has")
+            raise SettingsError("--jobs is for --executor local: a cluster has its own workers")
         if is_dask and self.cell_timeout_s is not None:
-            raise SettingsError("--cell-timeout is of --executor local: a cluster has its own")
+            raise SettingsError("--cell-timeout is for --executor local: a cluster has its own")
 
     def _check_types(self) -> None:
         """Refuse what only Python lets one write, and take lists and mappings for what they are."""

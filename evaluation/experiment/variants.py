@@ -100,7 +100,7 @@ def chosen(
     found = {one.name: one for one in (*named, *added)}
     for one in found.values():
         if manifest is not None and one.changes_nothing(manifest):
-            raise SettingsError(f"{one.name} changes nothing: it is what the run did")
+            raise SettingsError(f"variant {one.name} changes nothing: the run had this setting")
     return list(found.values())
 
 
@@ -181,8 +181,8 @@ def settings_of(
         # Only the user's own command line decides what is imported, never a file.
         if plugins.is_own_class(kind, spec) and spec not in trust:
             raise SettingsError(
-                f"the run's files name {spec!r}, a class that is not built in; "
-                f"if it is yours, say so: --trust {spec}"
+                f"the run's files name {spec!r}, a class that is not built in; if you trust its "
+                f"code, add --trust {spec}"
             )
     run = (asked - too_small.keys()) | {""}
     usual = PRESETS[ran["preset"]]

@@ -1,13 +1,17 @@
 """Numbers, shares and lists as a sentence says them: one home for every text of a run."""
 
-import math
-from collections.abc import Sequence
-from typing import Final
+from __future__ import annotations
 
-from isac_track.intervals import Estimate
+import math
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from isac_track.intervals import Estimate
 
 PERCENT: Final = 100.0
-_REALISTIC: Final = 100_000  # People, or times as much data: beyond it nobody collects them.
+_AT_LEAST_TWO: Final = 2
 
 
 def whole(percent: float) -> str:
@@ -52,7 +56,7 @@ def counted(n: int, noun: str, plural: str = "") -> str:
 
 def listed(words: Sequence[str], last: str = "and") -> str:
     """Return words in a row: `a, b and c`."""
-    if len(words) < 2:
+    if len(words) < _AT_LEAST_TWO:
         return "".join(words)
     return f"{', '.join(words[:-1])} {last} {words[-1]}"
 
@@ -60,20 +64,3 @@ def listed(words: Sequence[str], last: str = "and") -> str:
 def sentence_case(text: str) -> str:
     """Return a text that starts with a capital."""
     return text[:1].upper() + text[1:]
-
-
-def people_needed(n: float) -> str:
-    """Return how many people would decide an item that is open now."""
-    if not n < _REALISTIC:
-        return "No realistic number of people would decide it."
-    digits = max(0, len(f"{n:.0f}") - 2)
-    return f"About {round(n, -digits):,.0f} people would decide it."
-
-
-def times_as_much(times: float, noun: str) -> str:
-    """Return how many times as much data would decide, `noun` being what there must be more of."""
-    if not times < _REALISTIC:
-        return f"no realistic number of {noun} would decide it"
-    return f"about {times:,.0f} times as many {noun} would decide it" if times >= 9.5 else (
-        f"about {times:.2g} times as many {noun} would decide it"
-    )

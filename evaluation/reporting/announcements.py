@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import shlex
 import textwrap
-from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from evaluation.experiment.constants import BLOCK_SCENES
 from evaluation.experiment.presets import PRESETS
+from evaluation.reporting.notices import plan_notices
 from isac_track.config import StageSettings
 
 if TYPE_CHECKING:
@@ -20,11 +20,9 @@ if TYPE_CHECKING:
     from isac_track.plugins import Kind
 
 WIDTH: Final = 80  # Columns of the first screen.
-USUAL_DISTANCE_M: Final = (20.0, 40.0)  # From the station: the constants were fitted at 30 m.
-USUAL_AT_CAP: Final = 0.3  # At most, of the tracks: there 13 %.
+_INSIDE_NUMBER: Final = re.compile(r" (?=[%±])|(?<=\beta) (?=\d)|(?<=\d) (?=(?:m|s|Hz)\b)")
+"""Spaces at which no line is broken."""
 _COMMANDS = ("matrix.py", "isac-track", "__main__.py")
-_TOLD_WHOLE: Final = ("header", "unit", "frame-clock", "crs", "doubt")
-_LARGE_GALLERY = 3000  # People, above which it is proposed to score some alone.
 _KINDS: tuple[Kind, ...] = ("mechanisms", "predictors", "attacks")
 
 
@@ -35,11 +33,11 @@ def near(path: Path) -> Path:
     return path
 
 
-def wrapped(text: str) -> list[str]:
+def wrapped(text: str, *, width: int = WIDTH, indent: str = "  ") -> list[str]:
     """Return a text in lines; a number and its unit stay together."""
-    kept = text.replace(" %", "\0%")
+    joined = _INSIDE_NUMBER.sub("\0", text)
     lines = textwrap.wrap(
-        kept, WIDTH, subsequent_indent="  ", break_on_hyphens=False, break_long_words=False
+        joined, width, subsequent_indent=indent, break_on_hyphens=False, break_long_words=False
     )
     return [line.replace("\0", " ") for line in lines]
 
@@ -93,9 +91,7 @@ def plan_lines(ready: Plan) -> Iterator[str]:
     """Yield what a plan is about to do, what it leaves out, and what slow attacks cost."""
     from evaluation.runs.files import CHECKSUMS  # noqa: PLC0415 - names alone need none
     from evaluation.runs.folder import check_folder, usable  # noqa: PLC0415 - names alone need none
-    from evaluation.runs.manifest import about_data  # noqa: PLC0415 - names alone need none
     from evaluation.runs.pieces import n_finished  # noqa: PLC0415 - names alone need none
-    from isac_track.datasets.registry import KNOWN  # noqa: PLC0415 - names alone need none
 
     # Reading all of them would take seconds here; the run does, and says which are damaged.
     check_folder(ready.out)
@@ -106,8 +102,6 @@ def plan_lines(ready: Plan) -> Iterator[str]:
         f"{ready.dataset.name}: {len(ready.tracks)} of {len(ready.dataset.tracks)} tracks used, "
         f"{scenes_text(ready.identity)}; {ready.n_cells} cells{so_far}, in {near(ready.out)}"
     )
-    people = {one.task.name: Counter(one.gallery.search.tolist()) for one in ready.sessions}
-    sizes = {name: max(counts.values()) for name, counts in people.items()}
     slow = [one for one in ready.axes.consumers if one.is_slow]
     n_levels, costs = len(ready.axes.mechanisms), list[tuple[str, int, float]]()
     for spec in dict.fromkeys(one.spec for one in slow):
@@ -115,43 +109,7 @@ def plan_lines(ready: Plan) -> Iterator[str]:
 
         rows = [one for one in slow if one.spec == spec]
         costs.append((spec, len(rows), slow_cost_s(rows, tracks=ready.tracks, n_levels=n_levels)))
-    yield from _said(
-        "plan",
-        of=ready,
-        n_pilot=BLOCK_SCENES,
-        # Of those that are known docs/data.md tells.
-        read=[] if ready.dataset.name in KNOWN else data_notices(about_data(ready)),
-        large=[name for name, size in sizes.items() if size > _LARGE_GALLERY],
-        largest=max(sizes.values(), default=0),
-        slow=costs,
-    )
-
-
-def _said(part: str, **of: Any) -> list[str]:  # noqa: ANN401 - what a macro takes
-    from evaluation.reporting.markup import paragraphs  # noqa: PLC0415 - names alone need none
-
-    return paragraphs(f"run.{part}", **of)
-
-
-def data_notices(dataset: Mapping[str, Any]) -> list[str]:
-    """Return what was made of a recording, as its manifest has it: read, mended and left out."""
-    counts: Counter[str] = Counter()
-    for one in dataset["repairs"]:
-        counts[one["kind"]] += one["count"]
-    details = [one["detail"] for one in dataset["repairs"] if one["kind"] in _TOLD_WHOLE]
-    return _said("data_notices", dataset=dataset, counts=counts, details=details)
-
-
-def used_are_slower(manifest: Mapping[str, Any], *, least: float = 0.0) -> str:
-    """Return how fast the tracks used are beside all; empty where they differ by less than `least`.
-
-    `least` is a share of the mean speed of all.
-    """
-    speeds = manifest["dataset"].get("speed_mps")
-    if speeds is None or not abs(speeds["used"] - speeds["recorded"]) > least * speeds["recorded"]:
-        return ""
-    min_s = manifest["settings"]["stages"]["resample.min_duration_s"]
-    return _said("used_are_slower", min_s=min_s, **speeds)[0]
+    yield from plan_notices(ready, slow_costs=costs)
 
 
 def changed_settings(manifest: Mapping[str, Any]) -> list[str]:
@@ -159,34 +117,6 @@ def changed_settings(manifest: Mapping[str, Any]) -> list[str]:
     usual = StageSettings().flat()
     stages = manifest["settings"].get("stages", {}).items()
     return [f"{key}={at}" for key, at in stages if usual.get(key, at) != at]
-
-
-def notices(manifest: Mapping[str, Any]) -> list[str]:
-    """Return what a reader of a finished run must know."""
-    tasks = (manifest.get("linkage") or {}).get("tasks", {})
-    lost = {task: approximation(manifest, task) for task in tasks}
-    return _said("notices", of=defaultdict(dict, manifest), linked=tasks, tasks=lost)
-
-
-def geometry(manifest: Mapping[str, Any], *, only_unusual: bool = False) -> list[str]:
-    """Return a line on how far people are from the station; none of a run that does not say."""
-    if not (known := manifest.get("geometry")):
-        return []
-    words = {"usual_m": USUAL_DISTANCE_M, "usual_at_cap": USUAL_AT_CAP}
-    stages = manifest["settings"]["stages"]
-    return _said("geometry", of=known, settings=stages, only_unusual=only_unusual, **words)
-
-
-def who_is_linked(manifest: Mapping[str, Any]) -> list[str]:
-    """Return a line on how many people each task rests, and why others are out."""
-    return _said("who_is_linked", tasks=(manifest.get("linkage") or {}).get("tasks", {}))
-
-
-def approximation(manifest: Mapping[str, Any], task: str) -> str:
-    """Return what `linkage.candidates` cost a task; nothing where every pair was scored."""
-    found = (manifest.get("linkage") or {}).get("candidates", {}).get(task)
-    per_probe = manifest["settings"]["stages"]["linkage.candidates"]
-    return _said("approximation", found=found, per_probe=per_probe)[0] if found else ""
 
 
 def command(manifest: Mapping[str, Any]) -> str:

@@ -16,7 +16,6 @@ from evaluation.analysis.metrics import EXPOSURE, METRICS, OF_ROBOT, SUCCESS, SU
 from evaluation.analysis.strongest import HEADLINE
 from evaluation.experiment.constants import horizon_of
 from evaluation.reporting import table as make
-from evaluation.reporting.markup import paragraphs
 from evaluation.reporting.result_tables import laplace_notes
 from evaluation.reporting.rows import Results, family_of, mechanism_columns
 from evaluation.reporting.table import Cell, Column, Table
@@ -66,15 +65,15 @@ def paper_table(run: Results) -> Table:
     seen = [row for row in linear if not paper.is_fitted(row)]
     rates = [row for row in records if np.isfinite(row["paper_error"])]  # the missed ones
     is_own = run.dataset == paper.DATASET
-    notes = paragraphs(
-        "run.paper_notes",
-        identity=run.manifest["identity"],
-        paper=paper,
-        dataset=run.dataset,
-        n=(len(linear), len(seen), sum(row[judged[1]].startswith("yes") for row in seen)),
-        far=[where_text(row["mechanism"], row["level"]) for row in rates if paper.differs(row)],
-        n_rates=len(rates),
-    )
+    identity = run.manifest["identity"]
+    n_scenes = identity.get("scenes_utility", identity["scenes"])
+    notes = [f"Missed rates rest on {n_scenes:,} scenes, the others on {identity['scenes']:,}."]
+    if is_own:
+        notes += _own_recording_notes(linear, seen, rates, judged[1])
+    else:
+        notes.append(
+            f"The paper used {paper.DATASET}; ours are of {run.dataset}, so they need not agree."
+        )
     columns = [
         *mechanism_columns(run.families),
         make.said("metric", lambda row: METRICS[row["metric"]].title),
@@ -86,6 +85,32 @@ def paper_table(run: Results) -> Table:
     ]
     title = "The paper's numbers beside ours, privacy as shared; 95 % intervals"
     return make.built("paper", title, records, columns, notes=notes, n_headings=2, n_keys=4)
+
+
+def _own_recording_notes(
+    linear: Sequence[Mapping[Any, Any]],
+    seen: Sequence[Mapping[Any, Any]],
+    rates: Sequence[Mapping[Any, Any]],
+    tolerance: str,
+) -> list[str]:
+    """Return how many numbers were fitted and how many agree, on the recording of the paper.
+
+    `linear` are the numbers under the adding rule of the paper, `seen` those that were not fitted,
+    `rates` the missed rates, and `tolerance` the column that says whether they agree.
+    """
+    n_within = sum(row[tolerance].startswith("yes") for row in seen)
+    far = [where_text(row["mechanism"], row["level"]) for row in rates if paper.differs(row)]
+    fitted = (
+        f"Of {len(linear)} numbers under linear adding {len(linear) - len(seen)} are fitted. "
+        f"The other {len(seen)} were seen when the readings were chosen: {n_within} are within "
+        "the tolerance."
+    )
+    error = (
+        f"The paper's own error is that of a share of {paper.CONFLICTS} conflicts. Missed rates "
+        f"that differ at 5 % by both errors: {', '.join(far) or 'none'} (of {len(rates)}, each "
+        "by itself)."
+    )
+    return [fitted, error]
 
 
 def claims_table(run: Results) -> Table:
@@ -183,7 +208,7 @@ def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
         if all("power" in one for one in records):
             ends = ("prediction_error", "prediction_error_low", "prediction_error_high")
             columns += [
-                make.counted("people that show an equal", "", "n_needed", digits=0),
+                Column("people that show an equal", _people_needed),
                 make.said("evidence", lambda row: ", ".join(row["evidence"])),
                 make.said("power to show", _power),
                 make.counted("prediction error", "points", *ends, scale=100.0),
@@ -211,6 +236,14 @@ def _criterion_text(item: Mapping[str, Any]) -> str:
     horizon_s = item.get("horizon_s")
     text = CRITERIA.get(item["criterion"], item["criterion"])
     return text if horizon_s is None else f"{text}, {horizon_s:g} s ahead"
+
+
+def _people_needed(row: Mapping[str, Any]) -> Cell:
+    """Return how many people would show that linkage is equal, where anybody could record them."""
+    needed = row["n_needed"]
+    if needed is not None and needed >= rules.MOST_PEOPLE:
+        return make.word("no realistic number")
+    return make.number(needed, digits=0)
 
 
 def _power(item: Mapping[str, Any]) -> str:

@@ -83,12 +83,14 @@ def _table(run: Results, title: str, columns: Sequence[Column], *, note: str) ->
 
 
 def gap_text(known: Sequence[Gap], where: Where, task: str = "") -> str:
-    """Return in words how far linkers, or who rebuilds, are from the optimum; empty if unknown."""
+    """Return how far the attacks on a level are from the optimum; empty if unknown."""
     own, *others = [
-        f"{'' if one.is_exact else 'at most '}{max(100 * one.gap.value, 0.0):.1f}"
-        for one in known
-        if one.where == where and one.attack.task == task
+        f"{'' if gap.is_exact else 'at most '}{max(100 * gap.gap.value, 0.0):.1f}"
+        for gap in known
+        if gap.where == where and gap.attack.task == task
     ] or [""]
-    other = "".join(f" ({one} if errors are isotropic)" for one in others)
+    if not own:
+        return ""
     unit = "of 100 people" if task else "points"
-    return f"in the model world {own} {unit} below the optimum{other}" * bool(own)
+    isotropic = "".join(f" With isotropic errors it lacks {other}." for other in others)
+    return f"In the model world the closest attack lacks {own} {unit} of the optimum.{isotropic}"

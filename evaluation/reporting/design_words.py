@@ -1,8 +1,7 @@
 """The answer of `evaluation.design`: words, a table, JSON."""
 
 import math
-import textwrap
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -10,19 +9,24 @@ from typing import Any, Final
 
 from rich.console import Console
 
-from evaluation.analysis.families import LEVEL_UNITS
 from evaluation.analysis.levels import COLUMNS
 from evaluation.analysis.metrics import EXPOSURE, MEDIAN, METRICS, MISSED_RATE, SUCCESS, WIDE
 from evaluation.reporting import recommendation as words
 from evaluation.reporting import table as make
 from evaluation.reporting import terminal
-from evaluation.reporting.announcements import scenes_text
-from evaluation.reporting.noise_plan import told
+from evaluation.reporting.amounts import percent_cell, sentence_case
+from evaluation.reporting.announcements import scenes_text, wrapped
+from evaluation.reporting.grid import Group, grid_lines
+from evaluation.reporting.names import adding_phrase, mechanism_name, robot_subject
+from evaluation.reporting.noise_plan import plan_lines
+from evaluation.reporting.notices import few_people
 from evaluation.reporting.table import Cell, Column, Table
+from evaluation.reporting.terminal import Part
 from evaluation.runs.files import made_of
 from evaluation.runs.manifest import read_manifest
 from evaluation.verdict.what_to_share import (
     LIMITS,
+    MISSED,
     Attacked,
     Check,
     Linked,
@@ -34,8 +38,11 @@ from evaluation.verdict.what_to_share import (
 from isac_track.errors import SettingsError
 from isac_track.intervals import Estimate
 from isac_track.kalman import steady
+from isac_track.privacy import WIDE_TIMES
 
 _NUMBERS: Final = (EXPOSURE, WIDE, MEDIAN, "ael", "mel")
+_LINES: Final = 12  # Of the short answer.
+_HEADS, _LEAST_ROWS = 2, 2  # Of its table, in lines.
 _ENDS: Final = ("value", "ci_low", "ci_high")
 
 
@@ -61,8 +68,8 @@ def answer_of(out: Path, question: Question) -> Answer:
     advice = recommend(table, question, dataset=dataset, scenes=scenes)
     if not (advice.proposals or advice.refused):
         raise SettingsError(
-            f"{out} has no level that claims to protect, with {' or '.join(question.adding)} "
-            "adding; add some with the command of the run and --mechanism "
+            f"{out} has no level that claims to protect and adds noise by the rule "
+            f"{' or '.join(question.adding)}; run it again with --mechanism "
             f"fid:1..1000/10,adding={question.adding[0]}"
         )
     return Answer(out, manifest, advice)
@@ -75,7 +82,9 @@ def to_json(answer: Answer) -> dict[str, Any]:
     limits = {name: question.limits.get(name) for name in LIMITS}
     return {
         "met": advice.met,
-        "answer": words.sentence(advice, simulated=dataset["simulated"]),
+        "answer": words.answer_text(
+            advice, simulated=dataset["simulated"], epsilon_m=words.epsilon_m(manifest)
+        ),
         "out": str(answer.out),
         "dataset": dataset["name"],
         "simulated": bool(dataset["simulated"]),
@@ -88,16 +97,17 @@ def to_json(answer: Answer) -> dict[str, Any]:
         "against": ["blind", "informed", *question.against],
         "limits": limits | {"as_shared": question.as_shared},
         "not_answerable": list(advice.missing),
-        "raw": _offer(advice.raw, advice) if advice.raw else None,
-        "proposals": [_offer(offer, advice) for offer in advice.proposals],
-        "nearest": _offer(advice.nearest, advice) if advice.nearest else None,
-        "refused": [_offer(offer, advice) for offer in _nearest_levels(advice.refused)],
+        "raw": _offer(advice.raw, answer) if advice.raw else None,
+        "proposals": [_offer(offer, answer) for offer in advice.proposals],
+        "nearest": _offer(advice.nearest, answer) if advice.nearest else None,
+        "refused": [_offer(offer, answer) for offer in _nearest_levels(advice.refused)],
         "notes": notes(answer),
     }
 
 
-def _offer(offer: Offer, advice: Recommendation) -> dict[str, Any]:
+def _offer(offer: Offer, answer: Answer) -> dict[str, Any]:
     """Return a level as plain values."""
+    advice = answer.recommendation
     mechanism, level = offer.where
     return {
         "mechanism": mechanism,
@@ -114,7 +124,7 @@ def _offer(offer: Offer, advice: Recommendation) -> dict[str, Any]:
         ],
         "linked": _linked(offer.linked) if offer.linked else None,
         "tasks": [_linked(task) for task in offer.tasks],
-        "checks": [_check(check, advice) for check in offer.checks],
+        "checks": [_check(check, answer) for check in offer.checks],
     }
 
 
@@ -141,14 +151,15 @@ def _linked(linked: Linked) -> dict[str, Any]:
     }
 
 
-def _check(check: Check, advice: Recommendation) -> dict[str, Any]:
+def _check(check: Check, answer: Answer) -> dict[str, Any]:
+    epsilon = words.epsilon_m(answer.manifest)
     return {
         "name": check.name,
         "adversary": check.adversary or None,
         "limit": _finite(check.limit),
         "measured": _number(check.measured),
         "status": check.status,
-        "reason": words.reason(check, advice),
+        "reason": words.reason(check, answer.recommendation, epsilon_m=epsilon),
     }
 
 
@@ -169,59 +180,128 @@ def _nearest_levels(offers: Iterable[Offer]) -> list[Offer]:
 
 
 def notes(answer: Answer) -> list[str]:
-    """Return what else is to be known of the run and of the question."""
-    advice, limits = answer.recommendation, answer.recommendation.question.limits
-    limit, closed = limits.get(EXPOSURE, 0.0), list[str]()
-    if 0.0 < limit < 1.0 and not advice.question.as_shared:
-        epsilon_m = words.epsilon_m(answer.manifest)
-        dt_s = float(answer.manifest["history"]["interval_s"])
-        closed = told(plr=limit, epsilon_m=epsilon_m, q=steady.Q_M2_PER_S3, dt_s=dt_s)[:2]
+    """Return what else a reader must know of the run and of the question."""
+    advice, dataset = answer.recommendation, answer.manifest["dataset"]
+    epsilon = words.epsilon_m(answer.manifest)
+    texts = [dataset["notice"] or "The people are simulated."] if dataset["simulated"] else []
+    if few := few_people(dataset):
+        texts.append(few)
     raw = advice.raw.checks if advice.raw else ()
-    missed = [check for check in raw if check.name in ("missed", "false_alarm")]
-    raw_misses = [words.reason(check, advice) for check in missed if check.status == "not met"]
-    lacks = [
-        (words.level_name(offer), offer.lacks_rule) for offer in advice.refused if offer.lacks_rule
+    missed = [check for check in raw if check.name in (MISSED, "false_alarm")]
+    reasons = [
+        words.reason(check, advice, epsilon_m=epsilon)
+        for check in missed
+        if check.status == "not met"
     ]
-    return words.said(
-        "notes",
-        dataset=answer.manifest["dataset"],
-        raw_misses="; ".join(raw_misses),
-        closed=" ".join(closed),
-        lacks=lacks[:1],
-    )
+    if reasons:
+        texts.append(
+            f"Raw positions exceed the limit themselves: {'; '.join(reasons)}. No level can be "
+            "expected to keep within it."
+        )
+    texts += _closed_form_notes(answer)
+    texts += [
+        f"{sentence_case(words.level_name(offer))} keeps within the limits, but no level of its "
+        f"mechanism does with {adding_phrase(offer.lacks_rule)}: --adding leaves that rule out."
+        for offer in [offer for offer in advice.refused if offer.lacks_rule][:1]
+    ]
+    return texts
 
 
-def show(answer: Answer, *, console: Console | None = None) -> None:
-    """Print the answer in one sentence, the levels behind it, and why not others."""
-    console, advice = console or terminal.standard_output(), answer.recommendation
-    identity, epsilon = answer.manifest["identity"], words.epsilon_m(answer.manifest)
-    about = (
-        f"{answer.manifest['dataset']['name']}: {scenes_text(identity)}, seed {identity['seed']}; "
-        f"robot {advice.robot or 'none'}; 95 % intervals, whose upper ends must meet the limits"
-    )
-    units = ", ".join(f"{family} {unit}" for family, unit in LEVEL_UNITS.items())
-    parts: list[str | tuple[str, str] | Table] = [
-        (words.sentence(advice, simulated=answer.manifest["dataset"]["simulated"]), "bold"),
-        "",
-        f"{about} (level: {units})",
-        answer_table(advice),
-        "",
-    ]
-    shown = advice.proposals or advice.unsettled or advice.refused[:1]
-    parts += [f"- {words.offer_text(offer, advice, epsilon)}" for offer in shown]
-    refused = [offer for offer in _nearest_levels(advice.refused) if offer not in shown]
-    if refused:
-        parts += ["", "What others fail, at the level of each that comes nearest:"]
-    for offer in refused:
-        failures = "; ".join(words.failures(offer, advice))
-        parts.append(f"- {words.level_name(offer)}: {failures}")
-    remarks = [f"NOTICE: {note}" for note in notes(answer)]
-    if remarks:
-        parts += ["", *remarks]
+def _closed_form_notes(answer: Answer) -> list[str]:
+    """Return which noise the closed forms alone would have named, without a run."""
+    question = answer.recommendation.question
+    limit = question.limits.get(EXPOSURE, 0.0)
+    if not 0.0 < limit < 1.0 or question.as_shared:
+        return []
+    epsilon_m = words.epsilon_m(answer.manifest)
+    dt_s = float(answer.manifest["history"]["interval_s"])
+    lines = plan_lines(plr=limit, epsilon_m=epsilon_m, q=steady.Q_M2_PER_S3, dt_s=dt_s)
+    return [f"Closed forms alone, without a run: {' '.join(line.strip() for line in lines[:2])}"]
+
+
+def show(answer: Answer, *, verbose: bool = False, console: Console | None = None) -> None:
+    """Print the answer and the nearest levels in a few lines, or all that is behind it."""
+    console = console or terminal.standard_output()
+    parts = _whole(answer) if verbose else _brief(answer, width=console.width)
     _print(parts, console)
 
 
-def _print(parts: Iterable[str | tuple[str, str] | Table], console: Console) -> None:
+def _brief(answer: Answer, *, width: int) -> list[Part]:
+    """Return the answer and its levels in at most `_LINES` lines."""
+    advice, manifest = answer.recommendation, answer.manifest
+    epsilon, dataset = words.epsilon_m(manifest), manifest["dataset"]
+    text = words.answer_text(
+        advice, simulated=dataset["simulated"], epsilon_m=epsilon, most_failures=1
+    )
+    said = wrapped(text, width=width, indent="")
+    few = [f"Doubt: {few_people(dataset)}"] if few_people(dataset) else []
+    untried = words.untried_text(advice)
+    last = [*few, f"{untried}All reasons: --verbose."]
+    rows = _shown_levels(advice)
+    room = _LINES - len(said) - len(last) - _HEADS
+    grid = _level_lines(rows[: max(_LEAST_ROWS, room)], advice, epsilon_m=epsilon)
+    return [*((line, "bold") for line in said), *grid, *last]
+
+
+def _shown_levels(advice: Recommendation) -> list[Offer]:
+    """Return raw, the levels that are proposed, and the nearest of every other mechanism."""
+    named = [*filter(None, [advice.raw]), *advice.proposals, *advice.unsettled]
+    return named + [offer for offer in _nearest_levels(advice.refused) if offer not in named]
+
+
+def _level_lines(offers: Sequence[Offer], advice: Recommendation, *, epsilon_m: float) -> list[str]:
+    """Return the levels in lines: cost, what an attack knows, and what it re-identifies."""
+    wide_m = WIDE_TIMES * epsilon_m
+    rows = []
+    for offer in offers:
+        side = _limited_side(offer, advice)
+        linked = offer.linked.share if offer.linked else None
+        numbers = [offer.cost, side.value(EXPOSURE), side.value(WIDE), linked]
+        name = mechanism_name(offer.family, offer.where[1])
+        rows.append([name, *(percent_cell(number) for number in numbers)])
+    how = "as sent" if advice.question.as_shared else "attacked"
+    groups = [
+        Group("robot", ("misses, %",)),
+        Group(f"known {how}, %", (f"to {epsilon_m:.4g} m", f"to {wide_m:.4g} m")),
+        Group("re-identified", ("% of raw",)),
+    ]
+    return grid_lines(rows, groups, corner=("± half of a 95 % interval", "what is shared"))
+
+
+def _limited_side(offer: Offer, advice: Recommendation) -> Attacked:
+    """Return the positions that limits are about: as sent, or after the strongest attack."""
+    if advice.question.as_shared or offer.attacked.source is None:
+        return offer.shared
+    return offer.attacked
+
+
+def _whole(answer: Answer) -> list[Part]:
+    """Return the answer, the levels with intervals, why the others fail, and notes."""
+    advice, manifest = answer.recommendation, answer.manifest
+    epsilon, identity = words.epsilon_m(manifest), manifest["identity"]
+    robot = robot_subject(advice.robot) if advice.robot else "none"
+    about = (
+        f"{manifest['dataset']['name']}: {scenes_text(identity)}, seed {identity['seed']}. "
+        f"Robot: {robot}; {words.conflicts_text(advice.question.criterion)}, at the false alarms "
+        "of raw positions. A limit holds if the upper end of the 95 % interval does."
+    )
+    text = words.answer_text(advice, simulated=manifest["dataset"]["simulated"], epsilon_m=epsilon)
+    parts: list[Part] = [(text, "bold"), "", about]
+    parts += [answer_table(advice), ""]
+    shown = advice.proposals or advice.unsettled or advice.refused[:1]
+    parts += [f"- {words.offer_text(offer, advice, epsilon_m=epsilon)}" for offer in shown]
+    refused = [offer for offer in _nearest_levels(advice.refused) if offer not in shown]
+    if refused:
+        parts += ["", "The other mechanisms, each at its nearest level:"]
+    for offer in refused:
+        failures = "; ".join(words.failures(offer, advice, epsilon_m=epsilon))
+        parts.append(f"- {sentence_case(words.level_name(offer))}: {failures}.")
+    if remarks := [f"Note: {note}" for note in notes(answer)]:
+        parts += ["", *remarks]
+    return parts
+
+
+def _print(parts: Iterable[Part], console: Console) -> None:
     for part in parts:
         if isinstance(part, Table):
             terminal.show([part], console=console)
@@ -230,23 +310,23 @@ def _print(parts: Iterable[str | tuple[str, str] | Table], console: Console) -> 
         # The further lines of an item stand below its first word.
         below = "  " if text.startswith("- ") else ""
         width = console.width
-        lines = textwrap.wrap(text, width, break_on_hyphens=False, subsequent_indent=below)
+        lines = [text]
+        if len(text) > width:
+            lines = wrapped(text, width=width, indent=below)
         terminal.show([(line, style) for line in lines or [""]], console=console)
 
 
 def answer_table(advice: Recommendation) -> Table:
     """Return raw, the levels that are proposed, and the nearest of every other mechanism."""
-    named = [*filter(None, [advice.raw]), *advice.proposals, *advice.unsettled]
-    rows = named + [offer for offer in _nearest_levels(advice.refused) if offer not in named]
     columns = [
-        make.said("", words.level_name),
+        make.said("what is shared", lambda offer: mechanism_name(offer.family, offer.where[1])),
         Column("missed", lambda offer: make.estimated(MISSED_RATE, offer.cost), "%"),
-        Column("PLR", partial(_left, EXPOSURE), METRICS[EXPOSURE].unit, above="attacked"),
+        Column("known", partial(_left, EXPOSURE), METRICS[EXPOSURE].unit, above="attacked"),
         Column("at 4/3", partial(_left, WIDE), METRICS[WIDE].unit),
         Column("error", partial(_left, MEDIAN), METRICS[MEDIAN].unit, above="median"),
-        Column("of raw's", partial(_link, "share"), "%", above="linked"),
+        Column("of raw", partial(_link, "share"), "%", above="re-identified"),
     ]
-    return make.built("levels", "Proposed, or nearest", rows, columns)
+    return make.built("levels", "Proposed, or nearest", _shown_levels(advice), columns)
 
 
 def _left(metric: str, offer: Offer) -> Cell:

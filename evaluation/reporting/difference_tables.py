@@ -19,8 +19,8 @@ from evaluation.experiment.variants import BASE
 from evaluation.reporting import table as make
 from evaluation.reporting import terminal
 from evaluation.reporting.announcements import scenes_text
-from evaluation.reporting.markup import paragraphs
 from evaluation.reporting.table import Cell, Column, Table
+from evaluation.reporting.terminal import Part
 from evaluation.verdict import sensitivity
 from evaluation.verdict.rules import SECTIONS
 
@@ -29,10 +29,9 @@ _ROOM = 24
 _SURE = 0.001  # Smaller p-values are not written out.
 _PAIRED = {
     comparing.DRAWS: "paired over people and draws",
-    comparing.PEOPLE: "paired over people, not over draws (scenes and errors are others)",
-    comparing.NONE: "not paired: intervals as of independent estimates",
+    comparing.PEOPLE: "paired over people, not over draws (other scenes and errors)",
+    comparing.NONE: "not paired: intervals of independent estimates",
 }
-_FINDINGS = comparing.DIFFERS, comparing.BETWEEN, comparing.IDENTICAL, comparing.UNTESTED
 _MARKS = {comparing.PEOPLE: "~", comparing.NONE: "*"}  # Of a difference that is not paired in full.
 _ABOUT_CONSTANTS = (
     "rates and PLR in %, lengths in s; fitted: raw PLR, raw MEL and the PLR of fid:1000; the "
@@ -78,38 +77,101 @@ def show(
     rows = comparison.rows if every else comparison.headline
     other = rows[rows["finding"] != comparing.IDENTICAL]
     shown = other if every else other.head(_MOST_SHOWN)
-    kinds = comparison.rows["pairing"].value_counts()
-    changed = [
-        [f"{kind}:", name, " -> ".join(make.shortened(text, room=_ROOM) for text in texts)]
-        for kind, values in comparison.changed.items()
-        for name, pair in values.items()
-        for texts in [["-" if one is None else str(one) for one in pair]]
+    parts: list[Part] = [*map(_bold, _run_lines(comparison))]
+    parts += [_lead_table(comparison.lead), ""]
+    parts += _change_parts(comparison)
+    parts += ["", *_count_parts(comparison)]
+    parts.append(differences(shown, of=len(other), room=console.width))
+    if len(shown) < len(other):
+        parts.append("(all of them: --all, or --csv FILE)")
+    parts += _verdict_parts(comparison.verdicts or {})
+    terminal.show(parts, console=console)
+
+
+def _bold(text: str) -> Part:
+    return text, "bold"
+
+
+def _run_lines(comparison: comparing.Comparison) -> list[str]:
+    """Return which runs are compared."""
+    return [
+        f"{name}: {about['out']} ({about['dataset']}, {about['people']} clusters of people, "
+        f"{scenes_text(about)}, seed {about['seed']})"
+        for name, about in (("A", comparison.a), ("B", comparison.b))
     ]
-    said = paragraphs(
-        "compare.compared",
-        scenes_text=scenes_text,
-        of=comparison,
-        others=comparison.rows[~comparison.rows["headline"]],
-        is_changed=bool(changed),
-        findings=lambda of: [comparing.counts(of)[one] for one in _FINDINGS],
-        paired=[f"{kinds[kind]} {note}" for kind, note in _PAIRED.items() if kind in kinds],
-        shown=len(shown),
-        other=len(other),
-        short_list=comparing.short_list,
-        significance=f"{comparing.SIGNIFICANCE:g}",
-    )
-    title = "What tells most, B - A with 95 % intervals, p after Holm"
+
+
+def _lead_table(lead: pd.DataFrame) -> Table:
+    title = "The main numbers, B - A with 95 % intervals, p after Holm"
     keys = [
         make.said("", lambda row: f"{METRICS[row['metric']].title}, {_source(row)}"),
         make.said("", lambda row: where_text(row["mechanism"], row["level"])),
     ]
-    parts = terminal.laid_out(
-        said,
-        lead=[_table("lead", title, comparison.lead, keys)],
-        changed=terminal.aligned(changed, left={0, 1, 2}),
-        differences=[differences(shown, of=len(other), room=console.width)],
+    return _table("lead", title, lead, keys)
+
+
+def _change_parts(comparison: comparing.Comparison) -> list[Part]:
+    """Return which settings, data and code differ, and what only one run has."""
+    rows = [
+        [f"{kind}:", name, " -> ".join(_shown_value(value) for value in pair)]
+        for kind, values in comparison.changed.items()
+        for name, pair in values.items()
+    ]
+    head = (
+        "What changed, A -> B"
+        if rows
+        else ("Nothing changed in data, settings, code and libraries.")
     )
-    terminal.show(parts, console=console)
+    only = [
+        f"{axis} only in {side}: {comparing.short_list(names)}"
+        for axis, sides in comparison.only.items()
+        for side, names in zip("AB", sides, strict=True)
+        if names
+    ]
+    return [_bold(head), *terminal.aligned(rows, left={0, 1, 2}), *only]
+
+
+def _shown_value(value: object) -> str:
+    return make.shortened("-" if value is None else str(value), room=_ROOM)
+
+
+def _count_parts(comparison: comparing.Comparison) -> list[Part]:
+    """Return how many numbers are identical, and how many of each family differ."""
+    rows, (only_a, only_b) = comparison.rows, comparison.only_numbers
+    n_identical = comparing.counts(rows)[comparing.IDENTICAL]
+    head = (
+        f"{n_identical} of {len(rows)} numbers are identical ({only_a} more are only in A, "
+        f"{only_b} only in B)"
+    )
+    families = {"headline": comparison.headline, "others": rows[~rows["headline"]]}
+    texts = [_family_text(name, some) for name, some in families.items() if len(some)]
+    kinds = rows["pairing"].value_counts()
+    paired = [f"{kinds[kind]} {note}" for kind, note in _PAIRED.items() if kind in kinds]
+    return [_bold(head), *texts, f"({'; '.join(paired)})"]
+
+
+def _family_text(name: str, rows: pd.DataFrame) -> str:
+    """Return how many numbers of a family differ."""
+    counts = comparing.counts(rows)
+    untested = counts[comparing.UNTESTED]
+    without = f", {untested} without an interval" if untested else ""
+    return (
+        f"{name}: {counts[comparing.DIFFERS]} of {len(rows)} differ (p <= "
+        f"{comparing.SIGNIFICANCE:g} after Holm), {counts[comparing.BETWEEN]} undecided, "
+        f"{counts[comparing.IDENTICAL]} identical{without}"
+    )
+
+
+def _verdict_parts(verdicts: Mapping[str, Any]) -> list[Part]:
+    """Return which decisions changed; nothing where none can be compared."""
+    if not any(verdicts.values()):
+        return []
+    changed = verdicts["changed"]
+    head = (
+        f"Verdict: {len(changed)} of {verdicts['in_both']} decisions changed "
+        f"({len(verdicts['only_a'])} only in A, {len(verdicts['only_b'])} only in B)"
+    )
+    return ["", _bold(head), *(f"{item['id']}: {item['a']} -> {item['b']}" for item in changed)]
 
 
 def differences(shown: pd.DataFrame, *, of: int, room: int) -> Table:
@@ -188,18 +250,36 @@ def show_variants(rows: pd.DataFrame, *, left_out: Mapping[str, str]) -> None:
         for variant, of in sensitivity.counts(rows).items()
     ]
     columns = [make.said(name) for name in ("variant", *shown)]
-    found = rows.loc[rows["variant"] != BASE, "changed"].value_counts()
-    rest = [one for one in found.index if one not in (sensitivity.SAME, sensitivity.TURNED)]
-    said = paragraphs(
-        "compare.varied",
-        left_out=left_out,
-        same=found.get(sensitivity.SAME, 0),
-        others="".join(f", {found[one]} {one}" for one in sensitivity.CHANGES if one in rest),
-        turned=sensitivity.TURNED,
-        lines=turned(rows),
-    )
     items = make.built("sensitivity", "Items of the verdict, by section", records, columns)
-    terminal.show(terminal.laid_out(said, items=[items]))
+    terminal.show([items, "", *_variant_parts(rows, left_out)])
+
+
+def _variant_parts(rows: pd.DataFrame, left_out: Mapping[str, str]) -> list[Part]:
+    """Return which variants were left out, and how many decisions stay or change."""
+    changes = rows.loc[rows["variant"] != BASE, "changed"].value_counts()
+    others = [name for name in sensitivity.CHANGES if name in changes.index]
+    counts = [
+        f", {changes[name]} {name}"
+        for name in others
+        if name not in (sensitivity.SAME, sensitivity.TURNED)
+    ]
+    lines = turned(rows)
+    end = ":" if lines else "."
+    head = (
+        f"{changes.get(sensitivity.SAME, 0)} items have the same decision{''.join(counts)}, "
+        f"{len(lines)} {sensitivity.TURNED}{end}"
+    )
+    meaning = (
+        "(Signs of decisions: base against the run's own verdict, all others against base. lost: "
+        "decided before, not now; gained: the reverse; missing: not tested there.)"
+    )
+    return [
+        meaning,
+        *(f"left out: {name}: {why}; --variant {name} runs it" for name, why in left_out.items()),
+        "",
+        _bold(head),
+        *(f"- {line}" for line in lines),
+    ]
 
 
 def show_constants(found: Mapping[str, Calibration]) -> None:

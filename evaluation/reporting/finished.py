@@ -28,9 +28,10 @@ def load(out: Path | str) -> Results:
     out = Path(out)
     manifest = read_manifest(out)
     files = {**FRAMES, "flags": "flags.json", "verdict": "verdict.json"}
-    found: dict[str, Any] = {of: made_of(out, name) for of, name in files.items()}
-    found["flags"] = pd.DataFrame(found["flags"]["flags"], columns=found["flags"].get("columns"))
-    results = Results(out=out, manifest=manifest, **found)
+    tables: dict[str, Any] = {field: made_of(out, name) for field, name in files.items()}
+    flags = tables["flags"]
+    tables["flags"] = pd.DataFrame(flags["flags"], columns=flags.get("columns"))
+    results = Results(out=out, manifest=manifest, **tables)
     rows = results.measured
     rows = rows[rows["metric"].isin([EXPOSURE, SUCCESS, ASSIGNED]) & (rows["knowledge"] != "")]
     # Their values alone are asked for, and what makes estimates takes long to import.

@@ -1,147 +1,326 @@
-"""The first screen of a run, at most 40 lines of 80 columns; all else is in `tables.txt`."""
+"""The first screen of a run, at most 24 lines of 80 columns; all else is in `tables.txt`."""
 
 import math
+import re
 import shlex
 from collections.abc import Mapping, Sequence
-from itertools import groupby
 from typing import Any, Final
 
 from evaluation.analysis import weak_attacks
+from evaluation.analysis.families import CLEAN
 from evaluation.analysis.keys import Where
-from evaluation.reporting.announcements import (
-    WIDTH,
-    geometry,
-    near,
-    notices,
-    scenes_text,
-    used_are_slower,
-    wrapped,
+from evaluation.reporting.amounts import PERCENT, counted, listed, percent_cell, whole
+from evaluation.reporting.announcements import WIDTH, near, wrapped
+from evaluation.reporting.answers import answers, headline_of, lead_robot, level_phrase, reference
+from evaluation.reporting.grid import Group, grid_lines
+from evaluation.reporting.headline import Headline, Shown, levels_of
+from evaluation.reporting.names import (
+    INDEPENDENT_MARK,
+    dataset_title,
+    short_mechanism_name,
+    shortcut_name,
 )
-from evaluation.reporting.answers import answers, headline_of
-from evaluation.reporting.headline import MOST_LEVELS, Headline, levels_of, screen_table
-from evaluation.reporting.markup import paragraphs
+from evaluation.reporting.notices import few_people, notices, unusual_geometry, used_are_slower
 from evaluation.reporting.recommendation import recommended_levels
 from evaluation.reporting.result_tables import control_tests
-from evaluation.reporting.rows import Results
-from evaluation.reporting.table import Table, printable, shortened
-from evaluation.reporting.terminal import aligned
+from evaluation.reporting.rows import HEADLINE, Results, family_of
+from evaluation.reporting.table import printable, shortened
 from evaluation.runs.files import PAGE
 from evaluation.verdict.rules import DOES_NOT
-from isac_track.intervals import LEAST_CLUSTERS
+from isac_track.datasets.registry import KNOWN
 from isac_track.linkability import LEVEL
 
-LINES: Final = 40
-_CORNER: Final = "in %; ind. = independent"
+LINES: Final = 24
 TABLES: Final = "tables.txt"
-_LEAST_LEVELS: Final = 5
-_MANY: Final = 99  # Mechanisms: room for their number.
-_LABEL, _HEADS = 28, (16, 12, 8)  # Characters of a level; over a column, the widest that fits.
+_MOST_ROWS: Final = 8
+_LEAST_ROWS: Final = 3
+_SHORTEST: Final = 2  # A topic and a sentence.
+_LABEL_WIDTH: Final = 27
+_CORNER: Final = ("± half of a 95 % interval", "what is shared")
+_MOST_LINKED: Final = 2  # Tasks that have a column.
 _MUCH: Final = 0.2  # Of the mean speed of all tracks: by so much those used differ worth a doubt.
 _SLACK: Final = 0.05  # Of missed conflicts, above what raw costs: what the next question allows.
+_CUTS: Final = ("split", "jump", "clock", "id-reuse")
+"""Repairs that make several tracks of one person."""
 
 
-def first_screen(run: Results, *, before: int = 5) -> list[str]:
-    """Return the lines; `before` of them were printed already, which leaves levels less room."""
-    of = headline_of(run)
-    said = [f"{n} {one.topic}: {one.sentence}" for n, one in enumerate(answers(run, of), start=1)]
-    said.append(f"Doubts: {', '.join(_doubts(run, of)) or 'none'}.")
-    lines = [line for text in said for line in wrapped(text)]
-    data = [data_line(run.manifest), *geometry(run.manifest, only_unusual=True)]
-    top, last = [line for text in data for line in wrapped(text)], _next(run)
-    # Heads; chance and widths; where to read on.
-    fixed = len([*top, *lines, *last, *_read_on(run, _MANY)]) + 2 + 2
-    most = max(_LEAST_LEVELS, min(MOST_LEVELS, LINES - before - fixed))
-    levels, n_left_out = levels_of(of, most=most, named=recommended_levels(run))
-    grid = _fitting(of, levels) if levels else []
-    return [*top, *grid, *lines, *_read_on(run, n_left_out), *last]
+def first_screen(run: Results, *, before: int = 0) -> list[str]:
+    """Return the lines of the first screen.
 
-
-def _read_on(run: Results, n_left_out: int) -> list[str]:
-    """Return where to read on: no path is broken, since it is there to be copied."""
-    page, tables = run.out / PAGE, near(run.out / TABLES)
-    more = f"{n_left_out} more mechanisms: " if n_left_out else "tables: "
-    if not page.exists():
-        return [printable(f"{more}{tables}")]
-    line = printable(f"Page: {near(page)}; {more}{TABLES}")
-    return [line] if len(line) <= WIDTH else [printable(f"Page: {near(page)}"), f"{more}{TABLES}"]
+    `before` lines were printed already: they leave the table less room, but at least a few rows.
+    """
+    table = headline_of(run)
+    top = [*wrapped(data_line(run.manifest)), *unusual_geometry(run.manifest)]
+    last = [*_doubt_lines(doubts(run, table)), *_page_lines(run), *_next_lines(run)]
+    texts = [
+        f"{answer.topic}: {answer.sentence}" for answer in answers(run, table, names_level=False)
+    ]
+    least = _table_lines(run, table, room=0)
+    most = LINES - len([*top, *least, *last])
+    said = fitting_lines([_level_line(table), *texts], most=most)
+    room = LINES - before - len([*top, *said, *last])
+    grid = _table_lines(run, table, room=room)
+    # Empty lines around the table, where there is room for both.
+    blank = [""] * (bool(grid) and room > len(grid) + 1)
+    return [*top, *blank, *grid, *blank, *said, *last]
 
 
 def data_line(manifest: Mapping[str, Any]) -> str:
     """Return what was recorded, and how much of it is used; simulated people are named first."""
     dataset, identity = manifest["dataset"], manifest["identity"]
-    crowd = "SIMULATED crowd " if dataset.get("simulated") else ""
+    is_cut = any(repair["kind"] in _CUTS for repair in dataset["repairs"])
+    noun, plural = ("track", "tracks") if is_cut else ("person", "people")
+    title = f"{dataset_title(dataset['name'])}: {counted(dataset['tracks'], noun, plural)} recorded"
+    if dataset.get("simulated"):
+        title = f"Simulated crowd {dataset['name']}: {counted(dataset['tracks'], noun, plural)}"
+    scenes = identity.get("scenes_utility", identity["scenes"])
     return (
-        f"{crowd}{dataset['name']}: {dataset['tracks_used']} of {dataset['tracks']} tracks used, "
-        f"{scenes_text(identity)}, seed {identity['seed']}"
+        f"{title}, {dataset['tracks_used']:,} long enough to use; {counted(scenes, 'test scene')}"
     )
 
 
-def _fitting(of: Headline, levels: Sequence[Where]) -> list[str]:
-    """Return the first table in lines, with as many of its columns as there is room for."""
-    grids = (_grid(screen_table(of, levels, shown)) for shown in of.column_choices)
-    narrow = (grid for grid in grids if max(map(len, grid)) <= WIDTH)
-    return next(narrow, None) or _grid(screen_table(of, levels, [*of.column_choices][-1]))
+def fitting_lines(texts: Sequence[str], *, most: int) -> list[str]:
+    """Return texts in at most `most` lines, if that takes no more than their last sentences.
+
+    The last sentence of the longest text goes first: the details of an answer are in its table.
+    """
+    shown = [re.split(r"(?<=[.:]) (?=[A-Z])", text) for text in texts]
+    lines = [wrapped(" ".join(sentences)) for sentences in shown]
+    while sum(map(len, lines)) > most:
+        # A topic and its first sentence stay.
+        longest = max(range(len(shown)), key=lambda n: (len(shown[n]) > _SHORTEST, len(lines[n])))
+        if len(shown[longest]) <= _SHORTEST:
+            break
+        shown[longest].pop()
+        lines[longest] = wrapped(" ".join(shown[longest]))
+    return [line for some in lines for line in some]
 
 
-def _grid(table: Table, rooms: Sequence[int] = _HEADS) -> list[str]:
-    """Return a table in lines, what is above several columns once; heads as wide as fits."""
-    heads = [shortened(one.name, room=rooms[0]) for one in table.columns]
-    rows = [
-        [shortened(row[0].text, room=_LABEL), *(one.text or "-" for one in row[1:])]
-        for row in table.rows
+def _table_lines(run: Results, table: Headline, *, room: int) -> list[str]:
+    """Return the first table in lines: heads, levels, chance, and what its marks mean."""
+    robot = lead_robot(table, best=run.recommendation().robot)
+    pairs = screen_columns(table, robot)
+    groups = [group for group, _ in pairs]
+    columns = [column for _, some in pairs for column in some]
+    known = [
+        where
+        for where in table.wheres
+        if table.known[where[0]].family != CLEAN
+        and any(table.at(where, column) for column in columns)
     ]
-    widths = [max(map(len, column)) for column in zip(heads, *rows, strict=True)]
-    above = " " * max(widths[0], len(_CORNER))
-    for name, of in groupby(range(1, len(heads)), key=lambda place: table.columns[place].above):
-        places = list(of)
-        room = sum(widths[place] + 2 for place in places)
-        # A heading wider than its columns makes the first of them wider.
-        heads[places[0]] = heads[places[0]].rjust(widths[places[0]] + len(name) + 2 - room)
-        above += name.rjust(max(room, len(name) + 2))
-    lines = [above, *aligned([[_CORNER, *heads[1:]], *rows], left={0})]
-    return lines if max(map(len, lines)) <= WIDTH or not rooms[1:] else _grid(table, rooms[1:])
+    chance, named = _chance_row(columns), [reference(table), *recommended_levels(run)]
+    for most in range(_MOST_ROWS - len(chance), _LEAST_ROWS - 1, -1):
+        levels = screen_levels(table, known, most=most, named=named)
+        rows = [
+            [_label(table, where), *(percent_cell(table.at(where, column)) for column in columns)]
+            for where in levels
+        ]
+        grid = grid_lines([*rows, *chance], groups, corner=_CORNER)
+        lines = [*grid, *_legend([row[0] for row in rows])]
+        if len(lines) <= room:
+            break
+    return lines if levels else []
 
 
-def _doubts(run: Results, of: Headline) -> list[str]:
-    """Return what speaks against believing the numbers, in numbers."""
-    bare = [
-        one.above
-        for one in of.columns
-        if (found := [value for where in of.wheres if (value := of.at(where, one))])
-        and not any(math.isfinite(value.ci_low) for value in found)
+def _label(table: Headline, where: Where) -> str:
+    name = short_mechanism_name(family_of(table.known, where[0]), where[1])
+    return shortened(name, room=_LABEL_WIDTH)
+
+
+def _legend(labels: Sequence[str]) -> list[str]:
+    """Return what the mark of a label means, in a line; none without a mark."""
+    is_marked = any(label.endswith(INDEPENDENT_MARK) for label in labels)
+    mark = INDEPENDENT_MARK.strip()
+    return [f"{mark} noise independent of the sensing error"] if is_marked else []
+
+
+def _level_line(table: Headline) -> str:
+    """Return which level the sentences are about, with what its abbreviation stands for."""
+    where = reference(table)
+    meaning = " (Fisher information density)" if "fid" in where[0] else ""
+    return f"With {level_phrase(table, where)}{meaning}:"
+
+
+def screen_columns(table: Headline, robot: Shown | None) -> list[tuple[Group, list[Shown]]]:
+    """Return the columns of the first screen: one robot, known positions, two linkage tasks."""
+    groups = []
+    if robot is not None:
+        head = "future, %" if robot.is_later else "all, %"
+        groups.append((Group("robot misses", (head,)), [robot]))
+    known = [column for column in (table.shared, table.attacked) if column is not None]
+    heads = tuple(column.name for column in known)
+    groups.append((Group(f"{table.shared.above}, %", heads), known))
+    if linked := list(table.linked[:_MOST_LINKED]):
+        # What both heads start with is said once.
+        first, *others = [column.name for column in linked]
+        heads = (first, *(name.removeprefix("after ") for name in others))
+        groups.append((Group(f"{linked[0].above}, %", heads), linked))
+    return groups
+
+
+def screen_levels(
+    table: Headline, known: Sequence[Where], *, most: int, named: Sequence[Where]
+) -> list[Where]:
+    """Return at most `most` levels, in the order of the run.
+
+    Raw positions and the `named` levels come first, then one level of each mechanism of the paper,
+    one of each other mechanism, and the further levels that the paper gives numbers for.
+    """
+    without_level = [where for where in known if where[1] is None]
+    lead: dict[str, Where] = {}
+    for where in known:
+        if (table.known[where[0]].name, where[1]) in HEADLINE:
+            lead.setdefault(where[0], where)
+    others, _ = levels_of(table)
+    wanted = dict.fromkeys([*without_level, *named, *lead.values(), *others])
+    chosen = [where for where in wanted if where in known][:most]
+    return sorted(chosen, key=lambda where: _order(table, where))
+
+
+def _order(table: Headline, where: Where) -> tuple[int, str, float, str]:
+    """Return where a level stands in the table: families as in the run, both rules together."""
+    families = list(dict.fromkeys(family.family for family in table.known.values()))
+    family = table.known[where[0]]
+    level = -math.inf if where[1] is None else where[1]
+    return families.index(family.family), family.name, level, family.mechanism
+
+
+def _chance_row(columns: Sequence[Shown]) -> list[list[str]]:
+    """Return the row of guessing; none where nobody is linked."""
+    sizes = [column.candidates for column in columns if math.isfinite(column.candidates)]
+    if not any(math.isfinite(column.chance) for column in columns):
+        return []
+    among = f" 1 of {min(sizes):.0f}" if sizes else ""
+    if len({round(size) for size in sizes}) > 1:
+        among += f" to {max(sizes):.0f}"
+    chances = [
+        whole(PERCENT * column.chance) if math.isfinite(column.chance) else "" for column in columns
     ]
-    is_linked = (run.linkability["cohort"] == "all") & (run.linkability["knowledge"] != "")
-    linked = run.linkability.loc[is_linked, "invalid"].fillna("")
-    linkage = run.manifest.get("linkage") or {}
-    tasks = linkage.get("tasks", {}).values()
-    return paragraphs(
-        "run.doubts",
-        failed=[*run.failed["why"]],
-        bare=list(dict.fromkeys(bare)),
-        least=f"{LEAST_CLUSTERS:.0f}",
-        n_flags=len(weak_attacks.lines(run.flags)),
-        n_linked=len(linked),
-        n_invalid=int((linked != "").sum()),
-        shortcuts=sorted({name for one in linked if one for name in one.split(", ")}),
-        tests=[one for task in run.tasks for some in control_tests(task).values() for one in some],
-        level=LEVEL,
-        n_controls=sum(one["decision"] == DOES_NOT for one in run.verdict.get("controls", ())),
-        n_frozen=max((one.get("frozen", 0) for one in tasks), default=0),
-        slower=used_are_slower(run.manifest, least=_MUCH),
-        skipped=[*linkage.get("skipped", ())],
-        n_units=sum(one["kind"] == "doubt" for one in run.manifest["dataset"]["repairs"]),
-        n_notices=len(notices(run.manifest)),
-    )
+    return [[f"guessing{among}", *chances]]
 
 
-def _next(run: Results) -> list[str]:
-    """Return the next question: what may be shared if a robot may miss a little more than now."""
+def doubts(run: Results, table: Headline) -> list[str]:
+    """Return what speaks against believing the numbers, the gravest first."""
+    manifest = run.manifest
+    linked = manifest.get("linkage") or {}
+    skipped = [*linked.get("skipped", ())]
+    n_units = sum(repair["kind"] == "doubt" for repair in manifest["dataset"]["repairs"])
+    n_controls = sum(item["decision"] == DOES_NOT for item in run.verdict.get("controls", ()))
+    n_weak = len(weak_attacks.lines(run.flags))
+    n_frozen = max((task.get("frozen", 0) for task in linked.get("tasks", {}).values()), default=0)
+    failed = [*run.failed["why"]]
+    texts = [
+        f"{counted(len(failed), 'cell')} FAILED ({failed[0]})" if failed else "",
+        few_people(manifest["dataset"]).partition(" (")[0],
+        _untried_text(run),
+        "units of the recording may be wrong" if n_units else "",
+        _no_interval_text(table),
+        f"{counted(n_controls, 'positive control')} of the descriptors failed"
+        if n_controls
+        else "",
+        f"{counted(n_weak, 'sign')} of a weak reconstruction attack" if n_weak else "",
+        _invalid_text(run),
+        _control_text(run),
+        f"not linked: {listed(skipped)}" if skipped else "",
+        f"{counted(n_frozen, 'track')} nearly frozen" if n_frozen else "",
+        used_are_slower(manifest, least=_MUCH),
+        counted(len(notices(manifest)), "notice") if notices(manifest) else "",
+    ]
+    return [text for text in texts if text]
+
+
+def _untried_text(run: Results) -> str:
+    """Return that no adversary that knows more was tried on the level that is proposed."""
+    proposals = run.recommendation().proposals[:1]
+    is_untried = any(all(side.source is None for side in offer.beyond) for offer in proposals)
+    return "the proposal was tried against one release only" if is_untried else ""
+
+
+def _no_interval_text(table: Headline) -> str:
+    """Return which numbers have no interval at any level; empty if all have one."""
+    bare = []
+    for column in table.columns:
+        numbers = [table.at(where, column) for where in table.wheres]
+        known = [number for number in numbers if number is not None]
+        if known and not any(math.isfinite(number.ci_low) for number in known):
+            bare.append(column.above.partition(",")[0])
+    subjects = listed(list(dict.fromkeys(bare)))
+    return f"no intervals on {subjects} (few people)" if bare else ""
+
+
+def _invalid_text(run: Results) -> str:
+    """Return how many linkage results measure a shortcut instead of the attack."""
+    texts = run.linkability[["cohort", "knowledge", "invalid"]].astype(object).fillna("")
+    is_linked = (texts["cohort"] == "all") & (texts["knowledge"] != "")
+    invalid = texts.loc[is_linked, "invalid"]
+    shortcuts = sorted({name for text in invalid if text for name in text.split(", ")})
+    if not shortcuts:
+        return ""
+    names = listed([shortcut_name(name) for name in shortcuts])
+    n_invalid = int((invalid != "").sum())
+    return f"{n_invalid} of {len(invalid)} linkage results invalid ({names})"
+
+
+def _control_text(run: Results) -> str:
+    """Return how many controls link people, where more do than by chance."""
+    tests = [
+        is_linked
+        for task in run.tasks
+        for control in control_tests(task).values()
+        for is_linked in control
+    ]
+    expected = LEVEL * len(tests)
+    if not sum(tests) > expected:
+        return ""
+    return f"{sum(tests)} of {len(tests)} controls link people ({expected:.0f} expected)"
+
+
+def _doubt_lines(texts: Sequence[str]) -> list[str]:
+    """Return the doubts in one line, or more for a first one that is long."""
+    if not texts:
+        return ["Doubts: none."]
+    for n in range(len(texts), 0, -1):
+        rest = len(texts) - n
+        more = f"; {rest} more: {TABLES}" if rest else ""
+        lines = wrapped(f"Doubts: {'; '.join(texts[:n])}{more}.")
+        if len(lines) == 1:
+            return lines
+    return lines
+
+
+def _page_lines(run: Results) -> list[str]:
+    """Return where to read on: no path is broken, since it is there to be copied."""
+    page, tables = run.out / PAGE, near(run.out / TABLES)
+    if not page.exists():
+        return [printable(f"Tables: {tables}")]
+    line = printable(f"Page: {near(page)}; all numbers: {TABLES}")
+    return [line] if len(line) <= WIDTH else [printable(f"Page: {near(page)}")]
+
+
+def _next_lines(run: Results) -> list[str]:
+    """Return the next commands: which noise a site may choose, and of `quick` the whole sweep."""
     out, answer = shlex.quote(str(near(run.out))), run.recommendation()
     if not (answer.raw and math.isfinite(answer.raw.cost.ci_high)):
-        return [f"Next: python -m evaluation.report --verbose {out}"]
+        return command_lines("Next", "python -m evaluation.report --verbose", out)
     missed = min(1.0, math.ceil(20.0 * (answer.raw.cost.ci_high + _SLACK)) / 20.0)
     rules = answer.question.adding
     # By default both must hold, and a run of one has no answer.
     rest = f"--adding {rules[0]} {out}" if len(rules) == 1 else out
-    line = f"Next: python -m evaluation.design --max-missed {missed:.2f}"
-    return [f"{line} {rest}"] if len(f"{line} {rest}") <= WIDTH else [f"{line} \\", f"  {rest}"]
+    design = f"python -m evaluation.design --max-missed {missed:.2f}"
+    return [*command_lines("Next", design, rest), *paper_hint(run.manifest)]
+
+
+def command_lines(label: str, command: str, rest: str) -> list[str]:
+    """Return a command in a line, or in two that a shell joins."""
+    line = f"{label}: {command} {rest}"
+    return [line] if len(line) <= WIDTH else [f"{label}: {command} \\", f"  {rest}"]
+
+
+def paper_hint(manifest: Mapping[str, Any]) -> list[str]:
+    """Return the command of the whole sweep of the paper, of a run of preset `quick`."""
+    dataset = manifest["dataset"]
+    if manifest["settings"]["preset"] != "quick" or dataset.get("sessions"):
+        return []
+    name = dataset["name"] if dataset["name"] in KNOWN else dataset["path"]
+    rest = f"--dataset {shlex.quote(name)}"
+    return command_lines("All levels", "python -m evaluation.matrix --preset paper", rest)

@@ -1,6 +1,5 @@
-"""What templates make: a table as LaTeX (a booktabs tabular), the page, and words; Markdown."""
+"""Tables as LaTeX (a booktabs tabular) and as Markdown, and the environment of the page."""
 
-import re
 from collections.abc import Iterable
 from itertools import groupby
 from operator import itemgetter
@@ -52,7 +51,6 @@ _LATEX = Environment(  # noqa: S701 - what is not HTML needs another escape: `te
     comment_end_string="#>",
     keep_trailing_newline=True,
 )
-_TEXT = Environment(**_OPTIONS)  # noqa: S701 - what is shown as it is has no escape
 PREAMBLE: Final = "% Needs \\usepackage{booktabs}. Values with 95 % intervals.\n"
 _MOST_COLUMNS = 10  # Beside the keys: what a page has room for.
 _MOST_BESIDE = 6  # With more columns of intervals, these stand below their values.
@@ -83,17 +81,6 @@ def latex(tables: Iterable[Table]) -> str:
             is_below = n_intervals > _MOST_BESIDE
             parts.append(template.render(places=places, is_below=is_below, **options))
     return PREAMBLE + "\n".join(parts)
-
-
-def paragraphs(name: str, words: dict[str, Any] | None = None, /, **of: Any) -> list[str]:  # noqa: ANN401 - see jinja2
-    """Return the paragraphs of a macro of a text template, a line each; none is empty.
-
-    `run.notices` is that of `run.txt.j2`. Behind a tag, which takes the end of its line, two empty
-    lines stand between them. `words` are names that the whole template knows, always the same.
-    """
-    template, _, part = name.partition(".")
-    said = getattr(_TEXT.get_template(f"{template}.txt.j2", globals=words).module, part)(**of)
-    return [" ".join(one.split()) for one in re.split(r"\n\s*\n", said) if one.strip()]
 
 
 def markdown(table: Table) -> str:

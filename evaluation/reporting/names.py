@@ -3,7 +3,7 @@
 Files, columns and options keep the SPEC (`fid:1,adding=independent`); a person reads these names.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Final
 
@@ -92,6 +92,11 @@ _ADVERSARIES: Final = {
 }
 """By the name that `--adversary` takes."""
 
+_ADDING: Final = {
+    "linear": "noise added as in the paper",
+    "independent": "noise independent of the sensing error",
+}
+
 _DESCRIPTORS: Final = {
     "plr": "privacy leakage ratio",
     "ael": "average exposure length",
@@ -149,24 +154,36 @@ def mechanism_name(family: Family, level: float | None) -> str:
     Parameters that are not the default follow in brackets, the adding rule last if it is not the
     paper's: `FID noise, eta 1 (independent)`.
     """
-    details = _other_parameters(family)
-    if is_independent(family):
-        details.append("independent")
-    name = _plain_name(family, level)
-    return f"{name} ({', '.join(details)})" if details else name
+    return _with_details(_plain_name(family, level), _details(family))
 
 
 def short_mechanism_name(family: Family, level: float | None) -> str:
     """Return the same where room is short: a mark says that noise is independent."""
-    details = _other_parameters(family)
-    name = _plain_name(family, level)
-    name = f"{name} ({', '.join(details)})" if details else name
+    name = _with_details(_plain_name(family, level), _other_parameters(family))
     return f"{name}{INDEPENDENT_MARK}" if is_independent(family) else name
+
+
+def mechanism_phrase(family: Family, level: float | None) -> str:
+    """Return the same in the middle of a sentence: `FID noise at eta 1`, `slow noise of 0.4 m`."""
+    name = _plain_name(family, level)
+    if family.family in _MECHANISMS:
+        name = name.replace(", eta", " at eta").replace(", ", " of ")
+    return _with_details(name, _details(family))
 
 
 def is_independent(family: Family) -> bool:
     """Return whether a parameter makes the noise independent of the sensing error."""
     return "adding=independent" in family.mechanism
+
+
+def _details(family: Family) -> list[str]:
+    """Return what stands in brackets behind a name."""
+    rule = ["independent"] if is_independent(family) else []
+    return [*_other_parameters(family), *rule]
+
+
+def _with_details(name: str, details: Sequence[str]) -> str:
+    return f"{name} ({', '.join(details)})" if details else name
 
 
 def _plain_name(family: Family, level: float | None) -> str:
@@ -187,6 +204,11 @@ def _other_parameters(family: Family) -> list[str]:
 def robot_name(consumer: str) -> str:
     """Return what a robot's predictor is called."""
     return _ROBOTS.get(consumer, spoken(consumer))
+
+
+def is_built_in_robot(consumer: str) -> bool:
+    """Return whether a predictor is the project's own, not a user's."""
+    return consumer in _ROBOTS
 
 
 def robot_subject(consumer: str) -> str:
@@ -212,6 +234,11 @@ def task_head(task: str) -> str:
 def adversary_name(adversary: str) -> str:
     """Return an adversary as the subject of a sentence: `an adversary with one true position`."""
     return _ADVERSARIES.get(adversary, f"the adversary {adversary}")
+
+
+def adding_phrase(adding: str) -> str:
+    """Return an adding rule after the word `with`."""
+    return _ADDING.get(adding, f"{adding} noise")
 
 
 def descriptor_name(metric: str) -> str:

@@ -9,20 +9,14 @@ from evaluation.analysis import weak_attacks
 from evaluation.analysis.keys import Source, is_attack
 from evaluation.experiment.presets import IDENTITY, SHARED
 from evaluation.reporting.amounts import counted
-from evaluation.reporting.announcements import (
-    changed_settings,
-    command,
-    data_notices,
-    geometry,
-    scenes_text,
-    used_are_slower,
-)
+from evaluation.reporting.announcements import changed_settings, command, scenes_text
 from evaluation.reporting.answers import answers, headline_of
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.glossary import GLOSSARY, plain_name
 from evaluation.reporting.headline import Headline
 from evaluation.reporting.markup import HTML
 from evaluation.reporting.names import attack_name, dataset_title, spec_text
+from evaluation.reporting.notices import data_notices, geometry, used_are_slower
 from evaluation.reporting.pictures import panels, pictures, planes, walks_takeaway
 from evaluation.reporting.protection_record import OPINION, protection_record
 from evaluation.reporting.rows import Results

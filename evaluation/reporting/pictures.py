@@ -126,7 +126,7 @@ def _chosen(table: Headline) -> Picture | None:
 
 def planes(table: Headline) -> dict[str, list[Picture]]:
     """Return missed conflicts against privacy, by the name of each robot: all levels of the run."""
-    robots = dict.fromkeys(key.consumer for key in table.found if key.metric == MISSED_RATE)
+    robots = dict.fromkeys(key.consumer for key in table.numbers if key.metric == MISSED_RATE)
     privacy = [shown for shown in (table.attacked, *table.linked[-1:]) if shown]
     return {
         robot_name(robot): drawn

@@ -1,20 +1,37 @@
-"""What may be shared, in words: the one answer that screen, page and `design` give."""
+"""What may be shared, in words: the same answer for first screen, page, notebook and `design`."""
 
-from collections.abc import Mapping
-from functools import partial
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from evaluation.analysis.keys import Where
-from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS, WIDE
-from evaluation.reporting import table as make
-from evaluation.reporting.headline import robot_name
-from evaluation.reporting.markup import paragraphs
-from evaluation.reporting.rows import Results, short_name
+from evaluation.analysis.metrics import EXPOSURE, MEDIAN, METRICS, SUCCESS, WIDE
+from evaluation.analysis.strongest import BEYOND
+from evaluation.reporting.amounts import (
+    PERCENT,
+    bare_percent,
+    counted,
+    half_width,
+    listed,
+    percent,
+    sentence_case,
+    whole,
+)
+from evaluation.reporting.names import (
+    adding_phrase,
+    adversary_name,
+    descriptor_name,
+    mechanism_phrase,
+    robot_subject,
+    task_phrase,
+)
+from evaluation.reporting.notices import few_people
+from evaluation.reporting.rows import Results
+from evaluation.verdict.rules import MOST_PEOPLE
 from evaluation.verdict.what_to_share import (
     LIMITS,
     LINKED,
     MISSED,
-    MOST_PLR,
     Attacked,
     Check,
     Criterion,
@@ -22,35 +39,35 @@ from evaluation.verdict.what_to_share import (
     Recommendation,
     Unknown,
 )
-from isac_track.intervals import LEAST_CLUSTERS, Estimate
+from isac_track.intervals import FEWEST_EFFECTIVE, Estimate
 from isac_track.privacy import WIDE_TIMES
 
-_NOT_RUN: Final = ("no horizon", "no robot", "no handover", "adversary not tried")
-"""What a run does not have at any level: it is said without the limit that asks for it."""
-_SHOWN: Final = {MISSED: MISSED_RATE, LINKED: EXPOSURE, "false_alarm": "false_alarm_rate"}
-"""Metrics that numbers with other names are shown like."""
-_BRIEF: Final = {EXPOSURE: "PLR", WIDE: "at 4/3 of epsilon", LINKED: "linkage", MISSED: "missed"}
-"""What limits are called where there is little room."""
-_WHY: Final[dict[Unknown, str]] = {
+_MOST_NAMED: Final = 2  # Levels that a sentence names.
+_MANY_TIMES: Final = 9.5  # From here on, how many times as many is told without decimals.
+_FALSE_ALARMS: Final = "false_alarm"
+_WHY: Final[Mapping[Unknown, str]] = {
     "no horizon": "conflicts within {horizon} were not judged: add "
-    "--set conflict.horizons_s={at:g}",
-    "no robot": "nobody foresees conflicts: add --predictor kalman_cv",
-    "no attack": "no attack was run at this level: add --attack ou_rts",
-    "no handover": "linkage after a silence was not run: add --task handover-1s "
+    "--set conflict.horizons_s={seconds:g}",
+    "no robot": "no robot predicts conflicts: add --predictor kalman_cv",
+    "no attack": "no attack ran at this level: add --attack ou_rts",
+    "no handover": "linkage after a silence was not tried: add --task handover-1s "
     "--attack kinematic --attack kinematic@radial_rts",
-    "no task": "nobody is linked: add --task rerelease --attack shape@radial_rts",
-    "adversary not tried": "{adversary} was not tried: add --adversary {adversary}",
-    "shortcut": "a shortcut gives people away: no measure of the attack",
-    "attack too weak": "every attack is too weak: it fails without any error, too",
+    "no task": "linkage was not tried: add --task rerelease --attack shape@radial_rts",
+    "adversary not tried": "{adversary} was not tried: add --adversary {option}",
+    "shortcut": "a shortcut gives people away, so the attack itself is not measured",
+    "attack too weak": "the attack fails even without noise, so it is no measure",
     "no value": "the value is unknown",
-    "too few people": f"so few people have no interval; {LEAST_CLUSTERS:g} groups have",
+    "too few people": f"there are too few people: a decision takes {FEWEST_EFFECTIVE}",
 }
+"""Why something cannot be said, and which option adds it."""
+_RUN_LACKS: Final = ("no horizon", "no robot", "no handover", "adversary not tried")
+"""Reasons that name their subject themselves."""
 
 
 def recommended_levels(run: Results) -> list[Where]:
     """Return the levels that the first screen names."""
     answer = run.recommendation()
-    return [offer.where for offer in answer.proposals or answer.refused[:1]]
+    return [offer.where for offer in answer.proposals[:1] or answer.refused[:1]]
 
 
 def epsilon_m(manifest: Mapping[str, Any]) -> float:
@@ -58,216 +75,377 @@ def epsilon_m(manifest: Mapping[str, Any]) -> float:
     return float(manifest["settings"]["stages"]["privacy.epsilon_m"])
 
 
-def said(part: str, **about: Any) -> list[str]:  # noqa: ANN401 - what a macro takes
-    """Return the paragraphs of a macro of the template of recommendations."""
-    return paragraphs(f"recommendation.{part}", _WORDS, **about)
-
-
-def screen_sentence(run: Results) -> str:
-    """Return the answer of the first screen."""
-    answer = run.recommendation()
-    return said("screen", answer=answer, limit=MOST_PLR)[0]
-
-
-def sentence(answer: Recommendation, *, simulated: bool) -> str:
-    """Return the plain answer."""
-    return said("sentence", answer=answer, simulated=simulated)[0]
-
-
-def reason(check: Check, answer: Recommendation) -> str:
-    """Return why a limit is not met; empty if it is."""
-    return "" if check.status == "met" else said("reason", check=check, answer=answer)[0]
-
-
-def offer_text(offer: Offer, answer: Recommendation, epsilon: float) -> str:
-    """Return what a level costs and leaves, and who breaks it."""
-    limit = answer.question.limits.get(EXPOSURE, 1.0)
-    about = {"level": offer, "raw": answer.raw, "wide": WIDE_TIMES * epsilon, "limit": limit}
-    return said("offer", **about)[0]
-
-
 def level_name(offer: Offer) -> str:
-    """Return a level as it is asked for."""
-    return short_name({offer.where[0]: offer.family}, offer.where)
+    """Return a level in the middle of a sentence."""
+    return mechanism_phrase(offer.family, offer.where[1])
 
 
-def numbers_text(name: str, number: Estimate) -> str:
-    """Return a number with unit and interval."""
-    metric = _SHOWN.get(name, name)
-    cell = make.estimated(metric, number)
-    return f"{cell.text or '-'} {METRICS[metric].unit} {cell.interval}".strip()
+def levels_text(offers: Sequence[Offer]) -> str:
+    """Return the first levels by name, and how many more there are."""
+    names = [level_name(offer) for offer in offers]
+    n_more = len(names) - _MOST_NAMED
+    if n_more <= 0:
+        return listed(names)
+    return listed([*names[:_MOST_NAMED], counted(n_more, "further level")])
 
 
-def _amount(name: str, limit: float) -> str:
-    shown = METRICS[_SHOWN.get(name, LIMITS.get(name, name))]
-    return f"{limit * shown.scale:.4g} {shown.unit}".strip()
+def share_answer(run: Results) -> str:
+    """Return what to share, what that costs and what breaks it, for the first screen."""
+    dataset = run.manifest["dataset"]
+    if not few_people(dataset):
+        return _share_text(run)
+    tracks = counted(dataset["tracks_used"], "usable track")
+    return f"With {tracks} nothing is decided. {_share_text(run)}"
 
 
-def _metres(distance_m: float) -> str:
-    return f"{distance_m:.4g} m"
-
-
-def _silence(task: str) -> str:
-    gap = task.partition("-")[2].removesuffix("s")
-    return f"after {gap} s" if gap else "after a silence"
-
-
-def _costs(criterion: Criterion) -> str:
-    conflicts = "conflicts to come" if criterion.conflicts == "missed_future" else "all conflicts"
-    at = criterion.horizon_s
-    return f"{conflicts} within {at:g} s" if at is not None else conflicts
-
-
-def _subject(check: Check, task: str) -> str:
-    """Return what a check is about."""
-    label = check.source.label if check.source else ""
-    name, _, its_task = check.name.partition("/")
-    if name == LINKED:
-        return f"linkage {_silence(task)}"
-    if name == SUCCESS:
-        linker = check.source.attack.label if check.source else "nobody"
-        return f"rank 1 in {its_task} by {linker}"
-    if name in (MISSED, "false_alarm"):
-        return "missed conflicts" if name == MISSED else "false alarms"
-    head = METRICS[WIDE].head if name == WIDE else METRICS[name].head
-    if check.source is None:
-        return head
-    return f"{head} after {label}" if check.source.knowledge else f"{head} as shared"
-
-
-def _told_check(check: Check) -> str:
-    name = check.name.partition("/")[0]
-    text = numbers_text(name, check.measured)
-    return f"{text} of raw's" if name == LINKED else text
-
-
-def _cause(check: Check, answer: Recommendation) -> str:
-    """Return why something cannot be said, and which option would add it."""
-    code, at = check.unknown, answer.question.criterion.horizon_s
-    if code is None:
-        return ""
-    shown = "this horizon" if at is None else f"{at:g} s"
-    return _WHY[code].format(adversary=check.adversary, horizon=shown, at=at)
-
-
-def _why(check: Check, answer: Recommendation) -> str:
-    """Return the same with what it is about, but of what the run does not have at all."""
-    cause = _cause(check, answer)
-    if check.unknown in _NOT_RUN:
-        return cause
-    return f"{_subject(check, answer.task)}: cannot say, {cause}"
-
-
-def _stands(
-    offer: Offer, limit: float, *, is_brief: bool = False
-) -> tuple[list[str], list[str], list[str]]:
-    """Return who breaks a level, who does not, with what each knows, and who was not tried."""
-    broken, held, untried = list[str](), list[str](), list[str]()
-    for side in offer.beyond:
-        breaks = side.breaks(limit)
-        if breaks is None:
-            untried.append(side.adversary)
-            continue
-        text = _briefly_left_by(side, limit) if is_brief else _left_by(side)
-        (broken if breaks else held).append(text)
-    return broken, held, untried
-
-
-def _brief_failures(offer: Offer, answer: Recommendation) -> list[str]:
-    """Return which limits a level does not hold, with the numbers alone."""
-    texts = [
-        _why(check, answer)
-        if check.unknown
-        else f"{_BRIEF.get(check.name, check.name)} {_told_check(check)}"
-        for check in offer.failing
+def _share_text(run: Results) -> str:
+    """Return the same, however many people there are."""
+    answer, epsilon = run.recommendation(), epsilon_m(run.manifest)
+    if answer.proposals:
+        offer = answer.proposals[0]
+        limits = " and ".join(_short_limits(answer))
+        sentences = [
+            f"{sentence_case(level_name(offer))} is the cheapest level with {limits}.",
+            _brief_cost(answer, offer),
+        ]
+        return " ".join([*sentences, *_screen_standing(offer, answer)])
+    if answer.unsettled:
+        missing = "; ".join(missing_texts(answer))
+        held = levels_text(answer.unsettled)
+        return f"The run cannot say: {missing}. All other limits hold with {held}."
+    if not answer.refused:
+        return "Not answerable: the run has no level that claims to protect."
+    nearest = answer.refused[0]
+    known = [check for check in nearest.failing if not check.unknown]
+    failing = [reason(check, answer, epsilon_m=epsilon) for check in known]
+    failing = failing or failures(nearest, answer, epsilon_m=epsilon)
+    sentences = [
+        f"No level keeps within the limits. The nearest is {level_name(nearest)}: {failing[0]}."
     ]
-    if offer.lacks_rule:
-        texts.append(f"no level under {offer.lacks_rule} adding that holds")
-    return texts
+    if answer.robot:
+        sentences.append(_brief_cost(answer, nearest))
+    return " ".join(sentences)
 
 
-def _left_by(side: Attacked) -> str:
-    known = numbers_text(EXPOSURE, side.value(EXPOSURE))
-    return f"{side.adversary} ({known}, {numbers_text(WIDE, side.value(WIDE))} at 4/3)"
+def _short_limits(answer: Recommendation) -> list[str]:
+    """Return the limits of the first screen: those that are asked where nobody names others."""
+    known, linked = (answer.question.limits.get(name, 1.0) for name in (EXPOSURE, LINKED))
+    return [
+        f"at most {PERCENT * known:.4g} % of positions known",
+        f"{PERCENT * linked:.4g} % of the raw re-identification",
+    ]
 
 
-def _briefly_left_by(side: Attacked, limit: float) -> str:
-    """Return what an adversary knows: at epsilon, or farther off if only that is too much."""
-    plr, wide = side.value(EXPOSURE), side.value(WIDE)
-    if plr.ci_high <= limit < wide.ci_high:
-        return f"{side.adversary} {numbers_text(WIDE, wide)} at 4/3 of epsilon"
-    return f"{side.adversary} {numbers_text(EXPOSURE, plr)}"
+def _brief_cost(answer: Recommendation, offer: Offer) -> str:
+    """Return the cost of a level without its conflicts: the table above names them."""
+    if not answer.robot:
+        return cost_sentence(answer, offer)
+    raw = f" (raw positions: {bare_percent(answer.raw.cost)})" if answer.raw else ""
+    subject = sentence_case(robot_subject(answer.robot))
+    return f"{subject} then misses {percent(offer.cost)} at equal false alarms{raw}."
 
 
-def _broken_by(answer: Recommendation) -> list[str]:
-    limit = answer.question.limits.get(EXPOSURE, 1.0)
-    texts = []
+def _screen_standing(offer: Offer, answer: Recommendation) -> list[str]:
+    """Return which adversaries break a proposal, or else hold; none where none was tried."""
+    was_tried = any(side.source is not None for side in offer.beyond)
+    return standing_sentences(offer, answer)[:1] if was_tried else []
+
+
+def share_details(run: Results) -> tuple[str, ...]:
+    """Return the limits, the other proposals, and which adversaries were not tried."""
+    answer, epsilon = run.recommendation(), epsilon_m(run.manifest)
+    shown = answer.proposals or answer.unsettled or answer.refused[:1]
+    limits = "; ".join(limit_texts(answer, epsilon_m=epsilon))
+    sentences = [f"Limits: {limits}."] if shown else []
+    sentences += [offer_text(offer, answer, epsilon_m=epsilon) for offer in shown[:1]]
+    if others := [level_name(offer) for offer in shown[1:]]:
+        sentences.append(f"Further levels: {listed(others)}.")
+    return tuple(sentences)
+
+
+def answer_text(
+    answer: Recommendation, *, simulated: bool, epsilon_m: float, most_failures: int | None = None
+) -> str:
+    """Return the answer of `design`: yes, no or why the run cannot say, and against whom.
+
+    At most `most_failures` limits are told that the nearest level exceeds.
+    """
+    people = " (simulated people)" if simulated else ""
+    limits = f"Limits: {'; '.join(limit_texts(answer, epsilon_m=epsilon_m)) or 'none'}."
+    if answer.proposals:
+        names = levels_text(answer.proposals)
+        verb = "keeps" if len(answer.proposals) == 1 else "keep"
+        yes = f"Yes{people}, {_against(answer)}: {names} {verb} within the limits."
+        return " ".join([yes, limits, *_break_sentences(answer)])
+    if answer.unsettled:
+        names = levels_text(answer.unsettled)
+        missing = "; ".join(missing_texts(answer))
+        held = f"All other limits hold with {names}."
+        return f"The run cannot say{people}: {missing}. {held} {limits}"
+    if answer.nearest is None:
+        return f"No{people}: the run has no level that claims to protect."
+    texts = failures(answer.nearest, answer, epsilon_m=epsilon_m)
+    shown = texts[:most_failures]
+    if n_more := len(texts) - len(shown):
+        shown.append(counted(n_more, "further limit fails", "further limits fail"))
+    failing = "; ".join(shown)
+    nearest = f"The nearest is {level_name(answer.nearest)}: {failing}."
+    return f"No{people}: no level keeps within the limits. {limits} {nearest}"
+
+
+def _against(answer: Recommendation) -> str:
+    """Return against which adversaries the answer holds, and which break every proposal."""
+    asked = [adversary_name(name) for name in answer.question.against]
+    held = "against one release"
+    if asked:
+        held += f" and {listed(asked)}"
+    limit = _plr_limit(answer)
+    broken = set.intersection(
+        *(
+            {side.adversary for side in offer.beyond if side.breaks(limit)}
+            for offer in answer.proposals
+        )
+    )
+    if not broken:
+        return held
+    return f"{held}, but not {listed([adversary_name(name) for name in sorted(broken)], 'or')}"
+
+
+def _break_sentences(answer: Recommendation) -> list[str]:
+    """Return which adversary that was not asked for breaks which proposal, and how to ask."""
+    sentences = []
     for offer in answer.proposals:
         for side in offer.beyond:
-            if side.breaks(limit):
-                known = _briefly_left_by(side, limit).removeprefix(f"{side.adversary} ")
-                texts.append(f"{side.adversary} breaks {level_name(offer)}: {known}")
-    return texts
+            if side.breaks(_plr_limit(answer)):
+                known = percent(_worse(side, _plr_limit(answer)))
+                sentences.append(
+                    f"With {level_name(offer)}, {adversary_name(side.adversary)} knows {known} of "
+                    f"positions; to make it count: --against {side.adversary}."
+                )
+    return sentences
 
 
-def _limits(answer: Recommendation) -> list[str]:
+def cost_sentence(answer: Recommendation, offer: Offer) -> str:
+    """Return what a robot misses at a level, beside raw positions."""
+    if not answer.robot:
+        return "The run does not say what a robot misses."
+    raw = f" (raw positions: {bare_percent(answer.raw.cost)})" if answer.raw else ""
+    subject = robot_subject(answer.robot)
+    is_future = answer.question.criterion.conflicts == "missed_future"
+    conflicts = "future conflicts" if is_future else "all conflicts"
+    return (
+        f"At the false alarms of raw positions, {subject} misses {percent(offer.cost)} of "
+        f"{conflicts}{raw}."
+    )
+
+
+def conflicts_text(criterion: Criterion) -> str:
+    """Return which conflicts levels are chosen by."""
+    conflicts = "future conflicts" if criterion.conflicts == "missed_future" else "all conflicts"
+    seconds = criterion.horizon_s
+    return conflicts if seconds is None else f"{conflicts} within {seconds:g} s"
+
+
+def standing_sentences(offer: Offer, answer: Recommendation) -> list[str]:
+    """Return which adversaries break a level, which do not, and which were not tried."""
+    limit = _plr_limit(answer)
+    tried = [side for side in offer.beyond if side.breaks(limit) is not None]
+    broken = [
+        f"{adversary_name(side.adversary)} (knows {bare_percent(_worse(side, limit))})"
+        for side in tried
+        if side.breaks(limit)
+    ]
+    held = [adversary_name(side.adversary) for side in tried if not side.breaks(limit)]
+    untried = [side.adversary for side in offer.beyond if side.breaks(limit) is None]
+    sentences = []
+    if broken:
+        verb = "breaks" if len(broken) == 1 else "break"
+        sentences.append(f"{sentence_case(listed(broken))} {verb} it.")
+    if held:
+        sentences.append(f"It holds against {listed(held)}.")
+    if untried:
+        sentences.append(f"Not tried: --adversary {listed(untried, 'or')}.")
+    return sentences
+
+
+def untried_text(answer: Recommendation) -> str:
+    """Return which adversaries the shown levels were not tried against; empty if against all."""
+    shown = answer.proposals or answer.unsettled or answer.refused[:1]
+    untried = dict.fromkeys(
+        side.adversary for offer in shown for side in offer.beyond if side.source is None
+    )
+    return f"Not tried: --adversary {listed(list(untried), 'or')}. " if untried else ""
+
+
+def _plr_limit(answer: Recommendation) -> float:
+    return answer.question.limits.get(EXPOSURE, 1.0)
+
+
+def _worse(side: Attacked, limit: float) -> Estimate:
+    """Return the share of positions that an adversary knows: at 4/3 epsilon if only that breaks."""
+    near, wide = side.value(EXPOSURE), side.value(WIDE)
+    return wide if near.ci_high <= limit < wide.ci_high else near
+
+
+def offer_text(offer: Offer, answer: Recommendation, *, epsilon_m: float) -> str:
+    """Return what a level costs and leaves, and who breaks it."""
+    side = offer.attacked if offer.attacked.source else offer.shared
+    is_attacked = side.source is not None and side.source.knowledge
+    subject = "an attack" if is_attacked else "without an attack, an adversary"
+    wide_m = WIDE_TIMES * epsilon_m
+    near, wide = percent(side.value(EXPOSURE)), percent(side.value(WIDE))
+    reach = f"{near} of positions to {epsilon_m:.4g} m and {wide} to {wide_m:.4g} m"
+    sentences = [f"{sentence_case(level_name(offer))}: {subject} knows {reach}."]
+    if answer.robot:
+        sentences.append(cost_sentence(answer, offer))
+    if math.isfinite(side.value(MEDIAN).value):
+        sentences.append(f"The median error is {length_text(side.value(MEDIAN))}.")
+    if offer.linked and math.isfinite(offer.linked.share.value):
+        phrase = sentence_case(task_phrase(offer.linked.task))
+        rank1, share = percent(offer.linked.rank1), percent(offer.linked.share)
+        sentences.append(f"{phrase} it re-identifies {rank1}: {share} of the raw share.")
+    return " ".join([*sentences, *standing_sentences(offer, answer)])
+
+
+def length_text(length: Estimate) -> str:
+    """Return a length with its half-width, m."""
+    half = half_width(length)
+    value = f"{length.value:.2f} m"
+    return f"{value} ±{half:.2f}" if math.isfinite(half) else value
+
+
+def limit_texts(answer: Recommendation, *, epsilon_m: float) -> list[str]:
     """Return the limits that were asked, in words."""
     question, texts = answer.question, list[str]()
     for name, limit in question.limits.items():
-        if name == LINKED:
-            if question.asks_linkage:
-                most = f"{_amount(LINKED, limit)} of raw's"
-                texts.append(f"linkage {_silence(answer.task)} <= {most}")
-            continue
-        side = "as shared" if question.as_shared else "after attack"
-        heads = {
-            MISSED: f"missed {_costs(question.criterion)}",
-            "false_alarm": "false alarms",
-            SUCCESS: "rank 1 in every task",
-            EXPOSURE: f"PLR {side} (at epsilon and at 4/3 of it)",
-        }
-        head = heads.get(name, f"{METRICS[LIMITS[name]].head} {side}")
-        texts.append(f"{head} <= {_amount(name, limit)}")
+        amount = _amount(name, limit)
+        if name == EXPOSURE:
+            wide_m = WIDE_TIMES * epsilon_m
+            side = "as sent" if question.as_shared else "after an attack"
+            reach = f"to {epsilon_m:.4g} m and {wide_m:.4g} m"
+            texts.append(f"{amount} of positions known {reach} {side}")
+        elif name == LINKED and question.asks_linkage:
+            task = task_phrase(answer.task) if answer.task else "after a silence"
+            texts.append(f"{amount} of the raw re-identification {task}")
+        elif name == MISSED:
+            texts.append(f"{amount} of {conflicts_text(question.criterion)} missed")
+        elif name == _FALSE_ALARMS:
+            texts.append(f"{amount} false alarms")
+        elif name == SUCCESS:
+            texts.append(f"{amount} of people re-identified in every task")
+        elif name != LINKED:
+            side = "as sent" if question.as_shared else "after an attack"
+            texts.append(f"{amount} of {descriptor_name(name)} {side}")
     return texts
 
 
-def _missing(answer: Recommendation) -> list[str]:
-    """Return what the run cannot say, each with the option that adds it."""
+def _amount(name: str, limit: float) -> str:
+    metric = METRICS[LIMITS.get(name, name)]
+    if metric.is_share:
+        return f"{PERCENT * limit:.4g} %"
+    return f"{limit:.4g} {metric.unit}".strip()
+
+
+def failures(offer: Offer, answer: Recommendation, *, epsilon_m: float) -> list[str]:
+    """Return which limits a level exceeds, and by how much."""
+    texts = [reason(check, answer, epsilon_m=epsilon_m) for check in offer.failing]
+    if offer.lacks_rule:
+        texts.append(f"no level of its mechanism holds with {adding_phrase(offer.lacks_rule)}")
+    return texts
+
+
+def reason(check: Check, answer: Recommendation, *, epsilon_m: float) -> str:
+    """Return why a limit is not met; empty if it is."""
+    if check.status == "met":
+        return ""
+    if check.unknown:
+        return _why(check, answer)
+    name = EXPOSURE if check.name == WIDE else check.name.partition("/")[0]
+    limit = _amount(name, check.limit)
+    text = f"{_excess(check, answer, epsilon_m)} (limit {limit})"
+    return f"{text}; {more}" if (more := _more_data(check)) else text
+
+
+def _excess(check: Check, answer: Recommendation, epsilon_m: float) -> str:
+    """Return what exceeds a limit, up to the upper end of its interval."""
+    name, _, task = check.name.partition("/")
+    upper = check.measured.ci_high
+    share = f"up to {whole(PERCENT * upper)} %"
+    if name == LINKED:
+        return f"an attack keeps {share} of the raw re-identification {task_phrase(answer.task)}"
+    if name == SUCCESS:
+        return f"an attack re-identifies {share} of people {task_phrase(task)}"
+    if name == MISSED:
+        conflicts = conflicts_text(answer.question.criterion)
+        return f"{robot_subject(answer.robot)} misses {share} of {conflicts}"
+    if name == _FALSE_ALARMS:
+        return f"{robot_subject(answer.robot)} raises {share} false alarms"
+    if name in (EXPOSURE, WIDE):
+        reach_m = WIDE_TIMES * epsilon_m if name == WIDE else epsilon_m
+        return f"{_adversary(check)} knows {share} of positions to {reach_m:.4g} m"
+    return f"{_adversary(check)} leaves a {descriptor_name(name)} of up to {upper:.2f} s"
+
+
+def _adversary(check: Check) -> str:
+    """Return who knows what a check is about."""
+    if check.source is None or not check.source.knowledge:
+        return "an adversary without an attack"
+    return adversary_name(check.adversary) if check.adversary in BEYOND else "an attack"
+
+
+def _more_data(check: Check) -> str:
+    """Return how much more data would decide; empty where no more would."""
+    times = check.times_more
+    if math.isnan(times):
+        return ""
+    if math.isinf(times):
+        return "the value is at its limit, and no more data would decide it"
+    if check.asks == "scenes":
+        n_scenes = max(float(f"{check.scenes * times:.2g}"), check.scenes + 1)
+        return f"about {n_scenes:,.0f} scenes would decide it"
+    if not times < MOST_PEOPLE:
+        return "no realistic number of people would decide it"
+    amount = f"{times:,.0f}" if times >= _MANY_TIMES else f"{times:.2g}"
+    return f"about {amount} times as many people would decide it"
+
+
+def cause(check: Check, answer: Recommendation) -> str:
+    """Return why something cannot be said, and which option adds it; empty if it can be."""
+    if check.unknown is None:
+        return ""
+    seconds = answer.question.criterion.horizon_s
+    return _WHY[check.unknown].format(
+        adversary=adversary_name(check.adversary),
+        option=check.adversary,
+        horizon="this horizon" if seconds is None else f"{seconds:g} s",
+        seconds=seconds,
+    )
+
+
+def _why(check: Check, answer: Recommendation) -> str:
+    """Return the same after what it is about, where the reason does not name it."""
+    if check.unknown in _RUN_LACKS:
+        return cause(check, answer)
+    return f"{_subject(check, answer)}: {cause(check, answer)}"
+
+
+def _subject(check: Check, answer: Recommendation) -> str:
+    """Return the number that a check is about."""
+    name, _, task = check.name.partition("/")
+    subjects = {
+        LINKED: f"re-identification {task_phrase(answer.task)}",
+        SUCCESS: f"re-identification {task_phrase(task)}",
+        MISSED: "missed conflicts",
+        _FALSE_ALARMS: "false alarms",
+        EXPOSURE: "known positions",
+        WIDE: "known positions",
+    }
+    return subjects.get(name, descriptor_name(name))
+
+
+def missing_texts(answer: Recommendation) -> list[str]:
+    """Return what the run cannot say of any level, each with the option that adds it."""
     checks = (check for offer in answer.refused for check in offer.failing)
     by_code = {(check.unknown, check.adversary): check for check in checks if check.unknown}
-    texts = [
-        _cause(check, answer) for (code, _), check in by_code.items() if code in answer.missing
-    ]
+    texts = [cause(check, answer) for (code, _), check in by_code.items() if code in answer.missing]
     return list(dict.fromkeys(texts))
-
-
-def failures(offer: Offer, answer: Recommendation) -> list[str]:
-    """Return which limits a level does not hold, and why."""
-    texts = [reason(check, answer) for check in offer.failing]
-    if offer.lacks_rule:
-        texts.append(f"no level of its mechanism holds under {offer.lacks_rule} adding")
-    return texts
-
-
-_WORDS: dict[str, Any] = {  # What the template calls.
-    "name": level_name,
-    "names": lambda offers: [level_name(offer) for offer in offers],
-    "told": numbers_text,
-    "told_check": _told_check,
-    "amount": _amount,
-    "metres": _metres,
-    "silence": _silence,
-    "costs": _costs,
-    "subject": _subject,
-    "why": _why,
-    "stands": _stands,
-    "brief_stands": partial(_stands, is_brief=True),
-    "brief_failures": _brief_failures,
-    "robot_name": robot_name,
-    "limits": _limits,
-    "limit_text": lambda check: _amount(check.name.partition("/")[0], check.limit),
-    "missing": _missing,
-    "failures": failures,
-    "broken_by": _broken_by,
-    "head": lambda name: METRICS[name].head,
-}

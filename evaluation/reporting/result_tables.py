@@ -37,8 +37,7 @@ from evaluation.experiment.constants import horizon_of
 from evaluation.experiment.presets import IDENTITY, SHARED
 from evaluation.reporting import rows as picked
 from evaluation.reporting import table as make
-from evaluation.reporting.announcements import approximation
-from evaluation.reporting.markup import paragraphs
+from evaluation.reporting.notices import approximation
 from evaluation.reporting.table import Cell, Column, Table
 from isac_track.linkability import LEVEL
 from isac_track.protection import Laplace
@@ -243,25 +242,55 @@ def rank_table(run: picked.Results, task: LinkedTask) -> Table:
         records.append([label, *(_rank(task.cells[where].get(source)) for where in wheres)])
     some = [next(iter(task.cells[where].values())) for where in wheres]
     records.append(["chance", *(make.amount(SUCCESS, row["chance"]) for row in some)])
-    tests = control_tests(task)
-    invalid = (",".join(row[INVALID] for row in block.values()) for block in task.cells.values())
-    linked = (run.manifest.get("linkage") or {}).get("tasks", {})
-    notes = paragraphs(
-        "run.ranked",
-        row=some[0],
-        people=linked.get(task.name, {}).get("people"),
-        usual=_USUAL,
-        lost=approximation(run.manifest, task.name),
-        tests=[one for found in tests.values() for one in found],
-        beaten=[(name, sum(of), len(of)) for name, of in tests.items() if sum(of) > len(of) / 2],
-        level=LEVEL,
-        leaks=Counter(one for of in invalid for one in sorted({*re.split(", *", of)}) if one),
-        n_levels=len(task.cells),
-        has_ceiling=(CLEAN, None) in wheres,
-    )
+    people = (run.manifest.get("linkage") or {}).get("tasks", {}).get(task.name, {}).get("people")
+    notes = [
+        _people_note(some[0], people),
+        *filter(None, [approximation(run.manifest, task.name)]),
+        *_control_notes(task),
+        "Cells without a mark link people, by the ranks of all mates.",
+    ]
+    if (CLEAN, None) in wheres:
+        notes.append("clean: no error at all, the ceiling.")
     title = f"{task.name}: {task.about}; rank 1 in %, 95 % intervals"
     name = f"linkage-{task.name}"
     return make.built(name, title, records, columns, notes=notes, marks=MEANING)
+
+
+def _people_note(row: Mapping[str, Any], people: int | None) -> str:
+    """Return how many people a task rests on, and how large its galleries are."""
+    low, high = int(row["gallery_min"]), int(row["gallery_max"])
+    size = f"{low}" if low == high else f"{low} to {high} (mean {row['gallery_mean']:.1f})"
+    n_probes, n_mated = int(row["n_probes"]), int(row["n_mated"])
+    mated = f"all {n_probes}" if n_probes == n_mated else f"{n_mated} of {n_probes}"
+    start = "" if people is None else f"{people} people; "
+    return (
+        f"{start}{mated} releases have a mate among {size} candidates. The adversary is {_USUAL} "
+        "unless another is named."
+    )
+
+
+def _control_notes(task: LinkedTask) -> list[str]:
+    """Return how many controls link people, and which shortcuts give them away."""
+    tests = control_tests(task)
+    outcomes = [is_linked for control in tests.values() for is_linked in control]
+    texts = []
+    if outcomes:
+        worst = [
+            f"{name} {sum(control)} of {len(control)}"
+            for name, control in tests.items()
+            if 2 * sum(control) > len(control)
+        ]
+        expected = f"{LEVEL * len(outcomes):.1f} expected"
+        texts.append(
+            f"Controls: {sum(outcomes)} of {len(outcomes)} beat chance at {100 * LEVEL:g} % "
+            f"({'; '.join([expected, *worst])})."
+        )
+    cells = (",".join(row[INVALID] for row in block.values()) for block in task.cells.values())
+    leaks = Counter(name for text in cells for name in {*re.split(", *", text)} if name)
+    told = [f"{name} at {n} of {len(task.cells)} levels" for name, n in sorted(leaks.items())]
+    if outcomes or told:
+        texts.append(f"Shortcuts that give people away: {', '.join(told) or 'none'}.")
+    return texts
 
 
 def strength_table(run: picked.Results) -> Table:

@@ -22,21 +22,22 @@ from evaluation.analysis.families import families_in
 from evaluation.analysis.keys import INFORMED, Source, keys_of, worlds_of
 from evaluation.analysis.metrics import RECONSTRUCTION, SUCCESS, SUCCESS_OF_100, UTILITY
 from evaluation.analysis.strongest_table import ONE_RELEASE
-from evaluation.reporting import answer_tables as answers
+from evaluation.reporting import answer_tables, terminal
 from evaluation.reporting import result_tables as measured
-from evaluation.reporting import terminal
-from evaluation.reporting.announcements import (
-    changed_settings,
+from evaluation.reporting.announcements import changed_settings
+from evaluation.reporting.answers import answers, headline_of
+from evaluation.reporting.bounds import bound_table, linked_bound_table
+from evaluation.reporting.first_screen import TABLES, data_line, doubts, first_screen
+from evaluation.reporting.headline import headline, headline_table
+from evaluation.reporting.markup import latex, markdown
+from evaluation.reporting.names import mechanism_name
+from evaluation.reporting.notices import (
     data_notices,
+    geometry,
     notices,
     used_are_slower,
     who_is_linked,
 )
-from evaluation.reporting.answers import headline_of
-from evaluation.reporting.bounds import bound_table, linked_bound_table
-from evaluation.reporting.first_screen import TABLES, data_line, first_screen
-from evaluation.reporting.headline import headline, headline_table
-from evaluation.reporting.markup import latex, markdown
 from evaluation.reporting.rows import Results, by_level, telling
 from evaluation.reporting.table import Table, built, estimated, held, said
 from evaluation.reporting.terminal import Part
@@ -50,7 +51,7 @@ _REFERENCE: Final = "smoke"  # The preset whose numbers the tests hold a fresh r
 _SHOWN: Final = (*UTILITY, *RECONSTRUCTION, SUCCESS, SUCCESS_OF_100, "chance")
 
 
-def show(run: Results, *, before: int = 1, verbose: bool = False) -> None:
+def show(run: Results, *, before: int = 0, verbose: bool = False) -> None:
     """Print the first screen, of which `before` lines were printed already, or all tables."""
     console = terminal.standard_output()
     if verbose:
@@ -68,7 +69,7 @@ def write_text(run: Results) -> None:
 
 
 def _everything(run: Results) -> Iterator[Part]:
-    yield data_line(run.manifest), "bold"
+    yield f"{data_line(run.manifest)}, seed {run.manifest['identity']['seed']}", "bold"
     if changed := changed_settings(run.manifest):
         yield f"settings changed: {' '.join(changed)}"
     if slower := used_are_slower(run.manifest):
@@ -76,7 +77,9 @@ def _everything(run: Results) -> Iterator[Part]:
     data = run.manifest["dataset"]
     for notice in filter(None, [data.get("notice"), *data_notices(data), *notices(run.manifest)]):
         yield f"NOTICE: {notice}", "yellow"
+    yield from geometry(run.manifest)
     yield from who_is_linked(run.manifest)
+    yield from _answer_lines(run)
     yield from measured.sweep_tables(run.ours, n_reports=run.n_reports)
     yield from measured.horizon_tables(run.summary)
     yield measured.standing_table(run.verdict.get("robots", ()))
@@ -85,7 +88,7 @@ def _everything(run: Results) -> Iterator[Part]:
     yield from (bound_table(run), linked_bound_table(run))
     yield from (measured.rank_table(run, task) for task in run.tasks)
     yield measured.strength_table(run)
-    yield from (answers.paper_table(run), answers.claims_table(run))
+    yield from (answer_tables.paper_table(run), answer_tables.claims_table(run))
     for name, why in run.manifest.get("linkage", {}).get("skipped", {}).items():
         yield ""
         yield f"{name} is left out: {why}", "yellow"
@@ -95,33 +98,42 @@ def _everything(run: Results) -> Iterator[Part]:
         yield from ((line, "yellow") for line in [*flags, note])
     if items := run.verdict.get("items"):
         yield from ("", ("Verdict", "bold"))
-        yield from answers.item_tables(items).values()
+        yield from answer_tables.item_tables(items).values()
         yield "(In words, with reasons: verdict.json.)"
     for line in failed_lines(run.failed):
         yield f"failed: {line}", "red"
 
 
+def _answer_lines(run: Results) -> Iterator[Part]:
+    """Yield the five answers with their details, and all doubts."""
+    table = headline_of(run)
+    yield ""
+    for answer in answers(run, table):
+        yield " ".join([f"{answer.topic}: {answer.sentence}", *answer.details])
+    yield from (f"Doubt: {text}." for text in doubts(run, table))
+
+
 def page_tables(run: Results) -> dict[str, Table]:
     """Return the tables of the page by name; none of them is empty."""
     title = "The pictures in numbers, at every level; 95 % intervals"
-    found = [
+    tables = [
         replace(headline_table(headline_of(run)), title=title),
-        answers.paper_table(run),
-        answers.claims_table(run),
+        answer_tables.paper_table(run),
+        answer_tables.claims_table(run),
         *measured.sweep_tables(run.ours, n_reports=run.n_reports)[:1],
         *measured.horizon_tables(run.summary),
         measured.standing_table(run.verdict.get("robots", ())),
-        answers.frontier_table(run),
+        answer_tables.frontier_table(run),
         measured.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest)),
         bound_table(run),
         linked_bound_table(run),
         *(measured.rank_table(run, task) for task in run.tasks),
         measured.strength_table(run),
-        answers.flag_table(run),
+        answer_tables.flag_table(run),
         measured.doubt_table(run),
-        *answers.item_tables(run.verdict.get("items", ())).values(),
+        *answer_tables.item_tables(run.verdict.get("items", ())).values(),
     ]
-    return {one.name: one for one in found if one.rows}
+    return {table.name: table for table in tables if table.rows}
 
 
 def write_tex(run: Results, *, folder: Path) -> None:
@@ -133,9 +145,9 @@ def write_tex(run: Results, *, folder: Path) -> None:
     files = {
         "sweep": measured.sweep_tables(run.ours, n_reports=run.n_reports),
         "attacks": [measured.attack_table(attacked, only=source) for source in sources],
-        "paper": [answers.paper_table(run)],
+        "paper": [answer_tables.paper_table(run)],
         "linkability": [measured.rank_table(run, task) for task in run.tasks],
-        "verdict": answers.item_tables(run.verdict.get("items", ())).values(),
+        "verdict": answer_tables.item_tables(run.verdict.get("items", ())).values(),
     }
     for name, tables in files.items():
         write_whole(folder / f"{name}.tex", latex(tables).encode())
@@ -144,17 +156,16 @@ def write_tex(run: Results, *, folder: Path) -> None:
 def _linkage(summary: pd.DataFrame) -> Table:
     """Return rank 1 of every informed linker, a column for each level."""
     rows = summary[summary["metric"].isin([SUCCESS, "chance"]) & (summary["knowledge"] == INFORMED)]
-    known, found = families_in(rows), by_level(rows)
+    known, numbers = families_in(rows), by_level(rows)
     columns = [said("task"), replace(said("chance"), unit="%", align="right"), said("linker")]
     records: dict[Source, dict[str, Any]] = {}
-    for where in telling(found, known, controls=False):
-        one, level = known[where[0]], "" if where[1] is None else f" {where[1]:g}"
-        heading = f"{one.name}{level}{', ind.' * (one.adding == 'independent')}"
+    for where in telling(numbers, known, controls=False):
+        heading = mechanism_name(known[where[0]], where[1])
         columns.append(held(heading, f"{where}"))
-        for source, of in found[where].items():
+        for source, metrics in numbers[where].items():
             about: dict[str, Any] = {"task": source.task, "linker": source.attack.consumer}
-            about["chance"] = f"{100 * of['chance'].value:.1f}"
-            records.setdefault(source, about)[f"{where}"] = estimated(SUCCESS, of.get(SUCCESS))
+            about["chance"] = f"{100 * metrics['chance'].value:.1f}"
+            records.setdefault(source, about)[f"{where}"] = estimated(SUCCESS, metrics.get(SUCCESS))
     return built("linkage", "Rank 1 (%) of every linker; 95 % intervals", records.values(), columns)
 
 
@@ -173,10 +184,10 @@ def published(run: Results) -> pd.DataFrame:
     summary = run.summary
     if run.manifest["settings"]["preset"] == _REFERENCE:
         return summary
-    told = set(telling(by_level(summary), run.families, controls=False))
-    is_told = np.array([key.where in told for key in keys_of(summary)])
+    shown = set(telling(by_level(summary), run.families, controls=False))
+    is_shown = np.array([key.where in shown for key in keys_of(summary)])
     is_control = summary["consumer"].str.contains("/control-")
-    return summary[summary["metric"].isin(_SHOWN) & ~is_control & is_told]
+    return summary[summary["metric"].isin(_SHOWN) & ~is_control & is_shown]
 
 
 def write_docs(run: Results, *, root: Path) -> list[Path]:
@@ -209,8 +220,8 @@ def write_docs(run: Results, *, root: Path) -> list[Path]:
 def filled(text: str, *, results: Path) -> str:
     """Return a text, its blocks written anew. DataError for a table or run that is not there."""
 
-    def block(found: re.Match[str]) -> str:
-        start, name, run, end = found.groups()
+    def block(match: re.Match[str]) -> str:
+        start, name, run, end = match.groups()
         path = results / f"{run}.csv"
         if name not in (_FIRST, *DOCS) or not path.is_file():
             known = ", ".join((_FIRST, *DOCS))

@@ -4,7 +4,7 @@ import os
 import shutil
 import sys
 import textwrap
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import TypeAlias
 
 from rich.console import Console
@@ -40,13 +40,6 @@ def show(parts: Iterable[Part], *, console: Console | None = None) -> None:
             say(console, text, style, wrap=True)
         else:
             console.print()
-
-
-def laid_out(said: Iterable[str], **held: Sequence[Part]) -> Iterator[Part]:
-    """Yield paragraphs: after `# ` in bold, `--` as an empty line, `[name]` as what is held."""
-    for one in said:
-        usual = "" if one == "--" else (one.removeprefix("# "), "bold" * one.startswith("# "))
-        yield from held.get(one.strip("[]"), [usual])
 
 
 def say(console: Console, text: str, style: str = "", *, wrap: bool = False) -> None:

@@ -32,6 +32,7 @@ LEAST_CORRELATION: Final = 0.10  # Partial, of ranks: less tells nothing of a tr
 LEAST_FALL: Final = 0.20  # Of linkage, raw to the strongest fixed error: else anything would track.
 FEWEST_DISCORDANT: Final = 10  # People linked under one of two only; fewer: interval of counts.
 NO_SPREAD: Final = 1e-9  # Standard error below which replicates say nothing.
+MOST_PEOPLE: Final = 100_000  # Or times as many: nobody records more.
 REACH: Final = 0.02  # Share of its span by which a point may lie beyond the fixed sweep.
 
 

@@ -291,8 +291,7 @@ def _sentence(one: Tested, said: Mapping[str, Any]) -> str:
         high = _points(said["spread_high"])
         return f"{equal}, no mechanism lets {high} of 100 people {either}: {name} tracks."
     if decision == BETWEEN:
-        many = float(f"{said['n_needed'] or 0:.2g}")
-        would = f"; if truly equal, about {many:,.0f} people would show it" if many else ""
+        would = _people_needed(said["n_needed"])
         return f"{equal}, mechanisms let {said['why']} {either}{would}."
     if low <= rules.SUCCESS_MARGIN:
         fall, span = _points(one.found.fall[0]), np.exp(one.found.span[0])
@@ -310,6 +309,14 @@ def _sentence(one: Tested, said: Mapping[str, Any]) -> str:
         f"{equal}, {_named(worst)} lets {with_interval(gap, 'share', absolute=True)} {more} of 100 "
         f"people be linked than fixed noise{held}: {fails}"
     )
+
+
+def _people_needed(n: float | None) -> str:
+    """Return how many people would show that linkage is equal, if it is; empty if unknown."""
+    if not n:
+        return ""
+    many = f"about {float(f'{n:.2g}'):,.0f}" if n < rules.MOST_PEOPLE else "no realistic number of"
+    return f"; if truly equal, {many} people would show it"
 
 
 def _points(share: float, digits: int = 1) -> str:

@@ -34,7 +34,7 @@ from evaluation.analysis.metrics import (
 from evaluation.analysis.strongest import BEYOND
 from evaluation.analysis.strongest_table import ONE_RELEASE
 from isac_track.errors import SettingsError, did_you_mean
-from isac_track.intervals import Estimate
+from isac_track.intervals import FEWEST_EFFECTIVE, Estimate
 
 MOST_PLR: Final = 0.5  # After attack: below it most positions are kept.
 MOST_LINKAGE_SHARE: Final = 0.5  # Of raw's rank 1 above chance.
@@ -146,7 +146,8 @@ class Check:
             return self.missing
         if math.isnan(self.measured.value):
             return "no value"
-        return None if math.isfinite(self.measured.ci_high) else "too few people"
+        is_few = 0 < self.measured.n < FEWEST_EFFECTIVE
+        return "too few people" if is_few or not math.isfinite(self.measured.ci_high) else None
 
     @property
     def status(self) -> str:

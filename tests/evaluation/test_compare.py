@@ -22,10 +22,8 @@ from evaluation.analysis import summary
 from evaluation.analysis.differences import COLUMNS, pairing
 from evaluation.analysis.differences import compare as compared
 from evaluation.analysis.metrics import METRICS
-from evaluation.reporting import markup
-from evaluation.reporting.difference_tables import show, show_variants
+from evaluation.reporting.difference_tables import show
 from evaluation.runs.manifest import read_manifest
-from evaluation.verdict import sensitivity
 from isac_track.config import StageSettings
 from isac_track.linkability.significance import holm
 
@@ -187,7 +185,7 @@ def test_another_seed_moves_no_headline_number_and_the_text_says_what_is_paired(
     text = shown(found, width=300)
     assert re.search(r"seed +0 -> 1", text)
     assert "paired over people, not over draws" in text
-    assert "not paired: intervals as of independent estimates" in text
+    assert "not paired: intervals of independent estimates" in text
     some, every = shown(found), shown(found, every=True)
     assert "The 20 surest of" in some
     assert "AUC" not in some
@@ -253,13 +251,6 @@ class TestOtherPeople:
             assert row["pairing"] == "people"
             ends = sign * np.quantile(drawn_b - drawn_a, [0.025, 0.975])[::sign]
             assert [*row[EFFECT]] == pytest.approx([sign * (b - a), *ends], abs=1e-12)
-
-
-def test_it_is_told_in_a_session_that_was_told_of_other_assumptions(both, monkeypatch):
-    """One template has the words of both."""
-    monkeypatch.setattr(markup, "_TEXT", markup._TEXT.overlay())
-    show_variants(pd.DataFrame(columns=list(sensitivity.COLUMNS)), left_out={})
-    assert re.search(r"A: .*, 20 scenes, seed 0\)", shown(both("base", "wide")))
 
 
 class TestCommand:

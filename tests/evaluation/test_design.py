@@ -32,35 +32,39 @@ def holding(name, content=None):
 class TestExitCode:
     def test_is_0_if_some_level_holds_everything(self, made, ran):
         said = ran(design, made())
-        told = "Yes, against blind and informed: ou:0.4 ind. holds PLR after attack (at epsilon and"
+        told = "Yes, against one release: slow noise of 0.4 m keeps within the limits. Limits: 50 %"
         assert (said.code, " ".join(said.out.split())[: len(told)]) == (0, told)
 
     def test_is_1_if_a_control_alone_would(self, made, ran):
         said = ran(design, made((RAW, BAD, SHIFTED)), *IND)
         assert (said.code, "offset" in said.out) == (1, False)
-        assert said.out.startswith("No: no level holds")
+        assert said.out.startswith("No: no level keeps within the limits.")
 
     @pytest.mark.parametrize(
         ("options", "code", "told"),
         [
-            (["--max-missed", "0.23"], 0, "missed conflicts to come within 3 s <= 23 %"),
-            (["--max-missed", "0.21"], 1, "missed conflicts 20.0 % [18.0, 22.0], above 21 %"),
-            (["--max-plr", "0.3"], 1, "PLR after ou_rts (informed) 30.0 % [28.0, 32.0], above 30"),
-            (["--max-linkage-share", "0.41"], 1, "linkage after 1 s 40.0 % [38.0, 42.0] of raw's"),
-            (["--against", "anchor"], 0, "Yes, against blind and informed and anchor: ou:0.4 ind."),
-            (["--against", "insider"], 1, "Not answerable: insider was not tried: add --adversary"),
+            (["--max-missed", "0.23"], 0, "23 % of future conflicts within 3 s missed"),
+            (["--max-missed", "0.21"], 1, "up to 22 % of future conflicts within 3 s (limit 21 %)"),
+            (["--max-plr", "0.3"], 1, "knows up to 32 % of positions to 0.3 m (limit 30 %)"),
+            (["--max-linkage-share", "0.41"], 1, "up to 42 % of the raw re-identification aft"),
+            (["--against", "anchor"], 0, "Yes, against one release and an adversary with one true"),
+            (["--against", "insider"], 1, "and clock was not tried: add --adversary insider"),
             (
                 ["--horizon", "4"],
                 1,
-                "Not answerable: conflicts within 4 s were not judged: add --s",
+                "The run cannot say: conflicts within 4 s were not judged: add",
             ),
             (
                 ["--horizon", "run", "--criterion", "missed", "--max-missed", "0.13"],
                 0,
-                "missed all ",
+                "of all conflicts missed",
             ),
-            (["--predictor", "least_squares", "--max-missed", "0.4"], 1, "missed conflicts 40.0 %"),
-            (["--family", "fixed"], 1, "The nearest is fixed:1 ind.: PLR after ou_rts"),
+            (
+                ["--predictor", "least_squares", "--max-missed", "0.4"],
+                1,
+                "straight line misses up to 42 %",
+            ),
+            (["--family", "fixed"], 1, "The nearest is fixed noise of 1 m (independent)"),
         ],
     )
     def test_follows_what_is_asked_and_names_it(self, made, ran, options, code, told):
@@ -70,20 +74,20 @@ class TestExitCode:
     def test_a_yes_says_who_breaks_it(self, made, ran):
         broken = changed(GOOD, beyond={"anchor": 0.92})
         said = " ".join(ran(design, made((RAW, broken))).out.split())
-        assert said.startswith("Yes, against blind and informed: ou:0.4 ind. holds")
-        assert "; anchor breaks ou:0.4 ind.: 92.0 % [90.0, 94.0]." in said
-        assert "Not tried: repeats, companions, insider (--adversary NAME)." in said
+        assert said.startswith("Yes, against one release, but not an adversary with one true pos")
+        assert "knows 92 % ±2 of positions; to make it count: --against anchor." in said
+        assert "Not tried: --adversary repeats, companions or insider." in said
 
     def test_only_limits_that_were_asked_are_named(self, made, ran):
         said = ran(design, "--max-linkage-share", "1", made())
-        first = " ".join(said.out.split()).partition(" walks:")[0]
-        assert first.endswith("holds PLR after attack (at epsilon and at 4/3 of it) <= 50 %.")
+        first = " ".join(said.out.split()).partition(" ±")[0]
+        assert first.endswith("Limits: 50 % of positions known to 0.3 m and 0.4 m after an attack.")
 
     def test_limits_hold_after_attack_unless_asked_as_shared(self, made, ran):
         question = ["--max-plr", "0.29", made()]
         attacked, shared = (ran(design, *question, *more) for more in ([], ["--as-shared"]))
         assert (attacked.code, shared.code) == (1, 0)
-        assert "PLR as shared (at epsilon" in " ".join(shared.out.split())
+        assert "known to 0.3 m and 0.4 m as sent" in " ".join(shared.out.split())
 
     @pytest.mark.parametrize(
         ("levels", "spoil", "options", "message"),
@@ -127,20 +131,20 @@ class TestExitCode:
         assert proposed["after_attack"]["plr_wide"]["value"] == pytest.approx(0.4)
         assert [one.get("breaks") for one in proposed["beyond"]] == [False, False, None, None]
         assert whole["against"] == ["blind", "informed"]
-        assert whole["answer"].startswith("Yes (simulated people), against blind and informed:")
+        assert whole["answer"].startswith("Yes (simulated people), against one release:")
 
     def test_epsilon_is_that_of_the_run(self, made, ran):
         out = made()
         stages = {"privacy.epsilon_m": 0.6}
         edit_manifest(out, lambda manifest: manifest["settings"]["stages"].update(stages))
-        assert "40.0 % [38.0, 42.0] at 0.8 m" in " ".join(ran(design, out).out.split())
+        assert "to 0.6 m  to 0.8 m" in ran(design, out).out
 
 
 class TestPlan:
     def test_says_the_total_error_first_and_needs_no_run(self, ran):
         first, *rest = ran(design, "--plan", "--max-plr", "0.2").out.splitlines()
         # [(sqrt 2 0.09 / -ln 0.8)^4 / (0.057 0.0836^3)]^(1/6)
-        assert first.startswith("total std per axis, raw and added: 3.83 m")
+        assert first.startswith("White noise: 3.83 m per axis in all")
         assert any("python -m evaluation.matrix" in line for line in rest)
         # 0.3 sqrt(8 / (-4 ln 0.8)) = 0.8981, no less
         assert any("--mechanism ou:0.90 " in line for line in rest)
@@ -148,7 +152,7 @@ class TestPlan:
 
     def test_of_missed_conflicts_nothing_can_be_said(self, ran):
         said = ran(design, "--plan", "--max-plr", "0.2", "--max-missed", "0.15")
-        assert (said.code, "only a run tells" in said.out) == (1, True)
+        assert (said.code, "Only a run tells" in said.out) == (1, True)
 
     @pytest.mark.parametrize(
         ("options", "says"),

@@ -1,7 +1,6 @@
 """A run with further horizons: what it adds, and that it changes nothing else."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -19,11 +18,11 @@ from evaluation.analysis.summary import clusters, weights_of
 from evaluation.experiment.constants import horizon_of, horizon_world, is_world
 from evaluation.experiment.presets import BASELINE, PRESETS
 from evaluation.reporting import tables
-from evaluation.reporting.announcements import notices
-from evaluation.reporting.answers import answers
+from evaluation.reporting.answers import answers, lead_robot
 from evaluation.reporting.figures.conflict_times import figures
-from evaluation.reporting.first_screen import first_screen
+from evaluation.reporting.first_screen import first_screen, screen_columns
 from evaluation.reporting.headline import Shown, headline
+from evaluation.reporting.notices import notices
 from evaluation.runs.cell_files import read_rows
 from evaluation.verdict.items import Draft
 from isac_track.intervals import Estimate, estimate_of
@@ -250,44 +249,40 @@ class TestStandingStill:
             {"robot": "kalman_cv", "horizon_s": 3.0, "levels": 6, "loses": []},
         ]
         shown = answers(replace(run, verdict=run.verdict | {"robots": robots}))[0].sentence
-        assert shown.endswith(
-            "Standing still misses fewer than the paper's line at 2 of 6 levels (3 s ahead)."
-        )
-        assert "Future conflicts, 3 s ahead: the paper's line " in shown
+        assert shown.endswith("The paper's straight line loses to standing still at 2 of 6 levels.")
+        assert "of future conflicts (raw positions: " in shown
         alone = answers(replace(made["alone"], verdict={}))[0].sentence
-        assert "ahead" not in alone
-        assert "Standing still" not in alone
+        assert "future" not in alone
+        assert "standing still" not in alone
 
 
 def test_the_first_table_shows_future_conflicts_and_fits(made):
     lines = first_screen(made["both"])
     # No path is broken, however long.
     assert max(len(line) for line in lines if str(made["both"].out) not in line) <= 80
-    heads = next(place for place, line in enumerate(lines) if line.startswith("in %"))
-    assert "future, 3 s" in lines[heads - 1]
-    assert lines[heads].split()[-5:] == ["line", "Kalman", "line", "Kalman", "shared"]
+    heads = next(line for line in lines if line.startswith("what is shared"))
+    assert heads.removeprefix("what is shared").split()[:2] == ["future,", "%"]
     assert "future" not in " ".join(first_screen(made["alone"]))
 
 
 @pytest.mark.parametrize("n_linked", [0, 1, 2, 3])
-def test_columns_give_way_where_there_is_no_room(n_linked):
+def test_the_screen_has_six_columns_at_most(n_linked):
     first = headline(make_summary(predictors=("least_squares", "kalman_cv")))
     robots = first.robots
-    linked = [Shown("found again", f"task-{n}", Measure(f"t{n}", "rank1")) for n in range(n_linked)]
+    linked = [Shown("found", f"task-{n}", Measure(f"t{n}", "rank1")) for n in range(n_linked)]
     later = {
         robot.measure._replace(metric=MISSED_FUTURE).at(*where): Estimate(0.5, 0.4, 0.6)
         for robot in robots
         for where in first.wheres
     }
     wide = replace(first, linked=linked, horizon_s=3.0, later=later)
-    choices = [[shown.name for shown in columns] for columns in wide.column_choices]
-    assert len(choices) == 1 + max(n_linked - 1, 0) + 2
-    assert choices[0][:4] == ["line", "Kalman", "line", "Kalman"]
-    assert all(len(more) == len(less) + 1 for more, less in pairwise(choices))
-    assert choices[-2][:3] == ["line", "Kalman", "Kalman"]  # the better robot's stay longer
-    # The missed conflicts of the paper, and the first task, stay.
-    assert choices[-1][:2] == ["line", "Kalman"]
-    assert choices[-1][-1:] == (["task-0"] if n_linked else ["attack"])
+    best = lead_robot(wide, best="kalman_cv")
+    assert best.measure.consumer == "kalman_cv"
+    assert best.is_later
+    pairs = screen_columns(wide, best)
+    assert [group.title for group, _ in pairs][:2] == ["robot misses", "known to 0.3 m, %"]
+    assert all(len(group.heads) == len(columns) for group, columns in pairs)
+    assert sum(len(columns) for _, columns in pairs) == 3 + min(n_linked, 2)
 
 
 def test_the_frontier_is_read_at_the_price_of_future_conflicts_at_the_longest_horizon():
@@ -333,6 +328,7 @@ def test_tracks_that_end_before_the_horizon_are_said(made):
     assert made["alone"].manifest["horizons"] == {}
     few = {"3": {"tracks_used": used - 2, "no_future": 2, "exhausted_redraws": 1}}
     shown = notices(manifest | {"horizons": few | {"9": {"tracks_used": 0, "no_future": used}}})
-    assert "3 s ahead: 2 tracks end before that and are not used there" in shown
-    assert "no conflicts 9 s ahead: too few recordings last so long after the history" in shown
-    assert any(line.startswith("3 s ahead: 1 background agents found no place") for line in shown)
+    assert "3 s ahead: 2 tracks end before that and cannot be used there." in shown
+    assert "No conflicts 9 s ahead: too few recordings last so long after the history." in shown
+    start = "3 s ahead: 1 background agent keeps its last draw"
+    assert any(line.startswith(start) for line in shown)

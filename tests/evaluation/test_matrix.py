@@ -30,8 +30,8 @@ def test_a_dry_run_writes_nothing_and_a_run_ends_in_a_table(small, tmp_path, ran
     assert not (tmp_path / "run").exists()
     shown = ran(matrix, *small)
     assert shown.code == 0
-    assert "known in 0.3 m" in shown.out
-    assert f"tables: {tmp_path / 'run' / 'tables.txt'}" in shown.out
+    assert "known to 0.3 m, %" in shown.out
+    assert f"Tables: {tmp_path / 'run' / 'tables.txt'}" in shown.out
     assert "12 of 12 tracks used, 8 scenes; 1 cells" in shown.err
     value = pd.read_csv(tmp_path / "run" / "summary.csv").set_index("metric")["value"]["plr"]
     assert f"{100 * value:.1f}" in shown.out
@@ -207,10 +207,10 @@ def test_what_a_reader_must_know_is_a_notice(csv_recording, tmp_path, ran):
     assert "kalman_cv:noise=declared asked for SIGMA, which a robot does not have" in shown.err
     assert "2 notices in full: tables.txt" in shown.err
     doubts = " ".join(shown.out.partition("Doubts: ")[2].split())
-    told = "missed, known in 0.3 m: too few people (it takes 15) for an interval, 2 notices. "
+    told = "12 usable tracks: too few to decide anything; 2 more: tables.txt. "
     assert doubts.startswith(told)
     told = (tmp_path / "run" / "tables.txt").read_text(encoding="utf-8")
-    assert re.search(r"\d+ background agents found no place", told)
+    assert re.search(r"\d+ background agents keep their last draw", told)
 
 
 def test_what_is_said_of_a_file_is_the_same_from_a_config_and_in_the_identity(tmp_path):

@@ -288,7 +288,7 @@ def test_fewer_than_eight_who_come_back_are_refused():
     with pytest.raises(DataError, match="7 people walk for 12 s in two sessions, but it takes 8"):
         sessions("cross_session", tracks=runs(n=7))
     for unknown in ({"person": None}, {"session": None}):
-        with pytest.raises(DataError, match="nobody is known to come back"):
+        with pytest.raises(DataError, match="no person is known to be in two sessions"):
             sessions("cross_session", tracks=replace(runs(), **unknown))
 
 

@@ -513,8 +513,8 @@ class TestAxes:
         ("given", "message"),
         [
             ({"tasks": ("rerelese",)}, "did you mean 'rerelease'"),
-            ({"attacks": ("shape@dtw",)}, "left of @ stands a linkage attack"),
-            ({"attacks": ("kalman_rts@radial_rts",)}, "left of @ stands a linkage attack"),
+            ({"attacks": ("shape@dtw",)}, "write a linkage attack left of @"),
+            ({"attacks": ("kalman_rts@radial_rts",)}, "write a linkage attack left of @"),
             ({"attacks": ("shape@kalman_rtss",)}, "did you mean 'kalman_rts'"),
             ({"attacks": ("shape@",)}, "'shape@': expected LINKER@RECONSTRUCTION"),
             ({"attacks": ("@radial_rts",)}, "expected LINKER@RECONSTRUCTION"),

@@ -19,29 +19,24 @@ from helpers.summaries import BAD, SHIFTED, changed, table
 from helpers.summaries import RAW as PLANTED_RAW
 
 from evaluation.analysis.keys import Source
+from evaluation.reporting.amounts import whole
 from evaluation.reporting.answers import answers, headline_of
 from evaluation.reporting.headline import headline_table
 from evaluation.reporting.rows import spoken
 
-SHARE = re.compile(r"(\d+\.\d) % \[(\d+\.\d), (\d+\.\d)\]")
-PEOPLE = re.compile(r"(\d+) of 100 people, at least (\d+)")
+SHARE = re.compile(r"(\d+|<1) %(?: ±(\d+|<1))?")
+LIMITS = {"50"}
+"""Shares of the question itself, in %."""
 
 
 def held(run):
-    """All shares of a run with their intervals, as they are written."""
+    """All shares of a run with half of their intervals, as they are written."""
     both = pd.concat([run.summary, run.levels])
-    ends = (100.0 * both[["value", "ci_low", "ci_high"]]).to_numpy(dtype=float)
-    return {tuple(f"{one:.1f}" for one in row) for row in ends}
-
-
-def spreads_of(verdict):
-    """By how many of 100 people linkage differs, of all items."""
-    ends = [
-        [100 * one[key] for key in ("spread", "spread_low")]
-        for one in verdict.get("items", ())
-        if one["section"] == "validity"
-    ]
-    return {(f"{value:.0f}", f"{low:.0f}") for value, low in ends}
+    ends = 100.0 * both[["value", "ci_low", "ci_high"]].to_numpy(dtype=float)
+    values = {whole(value) for value, _, _ in ends}
+    upper = {whole(high) for _, _, high in ends}
+    pairs = {(whole(value), whole(0.5 * (high - low))) for value, low, high in ends}
+    return pairs | {(value, "") for value in values | upper}
 
 
 RUNS = {
@@ -65,52 +60,85 @@ def test_every_number_of_an_answer_is_in_the_tables(name):
     said = answers(run)
     assert len(said) == 5
     assert all(one.sentence.endswith(".") and "nan" not in one.sentence for one in said)
-    found = SHARE.findall(" ".join(one.sentence for one in said))
-    assert set(found) <= held(run)
-    assert found or name == "nothing"
-    spreads = PEOPLE.findall(said[3].sentence)
-    assert set(spreads) <= spreads_of(run.verdict)
-    assert len(spreads) == (name not in ("no verdict", "nothing"))
+    shares = {pair for answer in said for pair in SHARE.findall(answer.sentence)}
+    assert {pair for pair in shares if pair[0] not in LIMITS} <= held(run)
+    assert shares or name == "nothing"
+    (percent,) = re.findall(r"by at least (\d+) of 100 people", said[3].sentence) or [None]
+    items = run.verdict.get("items", ())
+    spreads = {f"{100 * i['spread_low']:.0f}" for i in items if i["section"] == "validity"}
+    assert percent in (spreads or {None})
     untested = [one.topic for one in said if one.sentence.startswith("Not tested")]
     expected = {
         "no predictor": ["Robot", "Links"],
         "no attack": ["Links"],
         "no linker": ["Links"],
         "another predictor": ["Links"],
-        "no verdict": ["Links", "Tells"],
-        "nothing": ["Robot", "Leak", "Links", "Tells"],
+        "no verdict": ["Links", "Descriptors"],
+        "nothing": ["Robot", "Leak", "Links", "Descriptors"],
     }
     assert untested == expected.get(name, [])
 
 
+@pytest.mark.parametrize("name", RUNS)
+def test_without_the_level_an_answer_has_the_same_numbers(name):
+    run = RUNS[name]()
+    named, short = answers(run), answers(run, names_level=False)
+    for long, brief in zip(named, short, strict=True):
+        assert SHARE.findall(long.sentence) == SHARE.findall(brief.sentence)
+        assert len(brief.sentence) <= len(long.sentence)
+
+
 SPREAD = {"spread": 0.12, "spread_low": 0.08, "spread_high": 0.21, "n_needed": 412.0}
-AT, SO_FAR = "at equal PLR linkage differs by", "as far as these attacks go"
+EQUAL = "at equal values, linkage differs by"
+LINKABLE = "say how linkable people are"
 
 
 @pytest.mark.parametrize(
     ("decision", "evidence", "low", "said"),
     [
-        ("does not track", ["attacks"], 0.08, f"No (PLR): {AT} 12 of {{}}, {SO_FAR}"),
-        ("does not track", ["construction", "shown"], 0.08, f"No (PLR): {AT} 12 of {{}}, shown by"),
-        ("does not track", ["attacks"], 0.0, "No (PLR): linkage falls where PLR hardly changes ("),
-        ("tracks", ["attacks"], 0.0, f"Yes (PLR): {AT} 0 to 21 of {{}}, {SO_FAR}"),
-        ("between", [], 0.02, f"Not shown either way (PLR): {AT} 2 to 21 of {{}}; were it equal, "),
-        (
-            "not testable",
-            [],
-            0.0,
-            "Not testable (PLR): rerelease, linear: nobody links; of 2 items",
-        ),
+        ("does not track", ["attacks"], 0.08, f"does not {LINKABLE}: {EQUAL} at least 8 of 100"),
+        ("does not track", ["construction"], 0.08, f"does not {LINKABLE}: {EQUAL} at least 8"),
+        ("does not track", ["attacks"], 0.0, f"does not {LINKABLE}: linkage falls where the priv"),
+        ("tracks", ["attacks"], 0.0, "says how linkable people are: at equal values, linkage"),
+        ("between", [], 0.02, "The run cannot say whether the privacy leakage ratio tells"),
+        ("not testable", [], 0.0, "The run cannot test the descriptors: nobody links."),
     ],
 )
 def test_the_fourth_answer_says_what_was_decided_and_how_wide_it_is(decision, evidence, low, said):
     item = ITEM | SPREAD | {"decision": decision, "evidence": evidence, "spread_low": low}
     item |= {"why": "nobody links"}
     other = item | {"decision": "not testable", "evidence": [], "spread_low": -1.0, "why": "x"}
-    people = f"100 people{', at least 8' * (decision == 'does not track')} (rerelease, linear)"
+    answer = answers(make_run(verdict={"items": [item, other]}))[3]
+    assert said in answer.sentence
+    details = " ".join(answer.details)
+    assert ("as far as these attacks go" in details) == ("attacks" in evidence)
+    assert "on all 2 items" in details
+    assert ("About 410 people" in answer.sentence) == (decision == "between")
+
+
+def test_nobody_is_asked_for_millions_of_people():
+    item = ITEM | SPREAD | {"decision": "between", "n_needed": 5089845.0}
+    sentence = answers(make_run(verdict={"items": [item]}))[3].sentence
+    assert sentence.endswith("No realistic number of people would decide it.")
+
+
+def test_where_the_adding_rules_disagree_the_fourth_answer_says_so():
+    item = ITEM | SPREAD | {"decision": "does not track", "evidence": []}
+    other = item | {"decision": "between", "adding": "independent"}
     sentence = answers(make_run(verdict={"items": [item, other]}))[3].sentence
-    assert sentence.startswith(said.format(people))
-    assert sentence.endswith("1 not testable.") or decision == "not testable"
+    assert sentence.endswith("With noise independent of the sensing error this is not shown.")
+
+
+def test_where_the_adding_rules_disagree_the_first_three_say_so():
+    run = make_run(at=levels(others=()), summary=make_summary(levels(others=())))
+    columns = ["value", "ci_low", "ci_high"]
+    far = run.summary["mechanism"] == "fid:adding=independent"
+    run.summary.loc[far, columns] = 0.001
+    robot, leak, *_ = answers(run)
+    assert robot.sentence.endswith("With noise independent of the sensing error: <1 % ±0.")
+    assert leak.sentence.endswith(
+        "With noise independent of the sensing error: <1 % ±0 and <1 % ±0."
+    )
 
 
 def test_what_attacks_find_is_held_against_the_optimum_where_that_is_known():
@@ -131,13 +159,14 @@ def test_what_attacks_find_is_held_against_the_optimum_where_that_is_known():
     world = world.assign(level=1.0, ci_low=0.0, ci_high=0.6, n=84, family="fid", adding="linear")
     item = ITEM | SPREAD | {"decision": "tracks", "evidence": ["attacks"]}
     run = make_run(summary=pd.concat([make_summary(), world]), verdict={"items": [item]})
-    beside = f"{SO_FAR} (in the model world 4.0 of 100 people below the optimum at fid:1);"
-    assert beside in answers(run)[3].sentence
+    beside = "In the model world the closest attack lacks 4.0 of 100 people of the optimum."
+    assert beside in answers(run)[3].details
 
 
 def test_a_run_without_errors_is_answered_with_what_it_has():
     run = make_run(at=[("clean", np.nan)])
-    assert answers(run)[0].sentence.startswith("Missed conflicts at clean: the paper's line ")
+    start = "With no error at all, the paper's straight line misses "
+    assert answers(run)[0].sentence.startswith(start)
 
 
 def proposed(*levels):
@@ -149,33 +178,36 @@ def proposed(*levels):
 
 def test_of_a_dozen_people_without_intervals_nothing_is_proposed():
     said = proposed(changed(half=np.nan))
-    assert said.startswith("Not answerable: so few people have no interval; 15 groups have.")
-    assert said.endswith("At ou:0.4 ind. all else holds.")
+    assert said.startswith("The run cannot say: there are too few people: a decision takes 20.")
+    assert said.endswith("All other limits hold with slow noise of 0.4 m.")
 
 
-def test_a_level_is_proposed_with_what_could_undo_it():
+def test_a_level_is_proposed_with_its_cost_and_what_breaks_it():
     said = proposed(changed(beyond={"anchor": 0.92}))
-    assert "It falls to anchor 92.0 % [90.0, 94.0]. Not tried: repeats, companions" in said
-    assert "of raw's is ou:0.4 ind.: Kalman misses 20.0 % [18.0, 22.0] of conflicts to come" in said
-    assert "median error 0.50 m [0.48, 0.52], linked after 1 s 30.0 % [28.0, 32.0]" in said
+    assert said.startswith("Slow noise of 0.4 m is the cheapest level with at most 50 % of pos")
+    assert "A Kalman robot then misses 20 % ±2 at equal false alarms (raw positions: 5 %)." in said
+    assert said.endswith("An adversary with one true position (knows 92 %) breaks it.")
 
 
 def test_if_none_holds_the_nearest_is_told_and_a_control_never():
     said = proposed(BAD, SHIFTED)
-    assert said.startswith("No level holds PLR after attack (at epsilon and at 4/3 of it) <= 50 %")
-    assert "The nearest, fixed:1 ind., has PLR 80.0 % [78.0, 82.0], at 4/3 of epsilon" in said
-    assert "offset" not in said
-    assert proposed(SHIFTED) == "Not answerable: no level of the run claims to protect."
+    nearest = "The nearest is fixed noise of 1 m (independent): an attack knows up to 82 % of pos"
+    assert said.startswith(f"No level keeps within the limits. {nearest}")
+    assert "shift" not in said
+    expected = "Not answerable: the run has no level that claims to protect."
+    assert proposed(SHIFTED) == expected
 
 
 def test_a_robot_that_knows_the_mechanism_is_in_the_first_answer_beside_the_others():
     robots = ("least_squares", "kalman_cv", "kalman_cv:aware=true")
     run = make_run(summary=make_summary(predictors=robots))
-    assert re.search(
-        "the paper's line .*, Kalman .*, Kalman that is aware ", answers(run)[0].sentence
-    )
+    first = answers(run)[0]
+    told = " ".join([first.sentence, *first.details])
+    assert "A Kalman robot misses" in told
+    assert "A Kalman robot that knows the noise misses" in told
     heads = [column.name for column in headline_table(headline_of(run)).columns]
-    assert [one for one in heads if one.startswith("missed")] == ["missed, line", "missed, Kalman"]
+    missed = ["missed conflicts, paper's line", "missed conflicts, Kalman"]
+    assert [head for head in heads if head.startswith("missed")] == missed
 
 
 def test_a_plug_in_is_called_by_its_class_where_a_person_reads():
@@ -190,10 +222,10 @@ def test_who_comes_back_in_another_session_is_in_the_table_and_the_third_answer(
     linked = make_linkability(tasks={task: {"shape": 0.4} for task in tasks})
     best = STRONGEST | dict.fromkeys(tasks, Source("shape", "informed"))
     run = with_links(make_run(linkability=linked, strongest=best))
-    assert " in another session, " in answers(run)[2].sentence
+    assert "In another session, the strongest" in " ".join(answers(run)[2].details)
     heads = [column.name for column in headline_table(headline_of(run)).columns]
-    assert [one for one in heads if one.startswith("found")] == [
-        f"found again, {head}" for head in ("5 s", "back", "rerel.")
+    assert [head for head in heads if head.startswith("re-identified")] == [
+        f"re-identified, {head}" for head in ("after 5 s", "session 2", "two logs")
     ]
 
 
@@ -203,10 +235,12 @@ def test_what_leaks_is_told_under_both_error_laws_and_tabled():
     is_attack = other["consumer"] == STRONGEST[""].consumer
     other = other[is_attack].assign(value=0.123, ci_low=0.11, ci_high=0.14)
     both = make_run(summary=pd.concat([run.summary, other]))
-    assert " (12.3 % [11.0, 14.0] if errors are isotropic) after " in answers(both)[1].sentence
+    told = " ".join(answers(both)[1].details)
+    assert "The run assumes the error law of the paper" in told
+    assert "With isotropic errors the attack knows 12 % ±2." in told
     heads = [column.name for column in headline_table(headline_of(both)).columns]
     own = [column.name for column in headline_table(headline_of(run)).columns]
-    assert set(heads) - set(own) == {"known in 0.3 m, attack, isotropic error"}
+    assert set(heads) - set(own) == {"known to 0.3 m, attacked, isotropic error"}
     assert answers(run)[0] == answers(both)[0]
 
 
@@ -219,10 +253,10 @@ def test_the_worst_off_tenth_stands_beside_the_mean_or_says_why_it_does_not(n):
     refused = dict.fromkeys(numbers, np.nan)
     worst = worst.assign(metric="plr_worst_tenth", n=n, **(numbers if n > 20 else refused))
     both = make_run(summary=pd.concat([run.summary, worst]))
-    sentence, table = answers(both)[1].sentence, headline_table(headline_of(both))
+    details, table = " ".join(answers(both)[1].details), headline_table(headline_of(both))
     heads = [column.name for column in table.columns]
-    is_told = "(the worst-off tenth of people: 87.6 % [80.0, 92.0])" in sentence
-    assert is_told == (n > 20) == ("known in 0.3 m, attack, worst tenth of people" in heads)
+    is_told = "Of the most exposed tenth of people it knows 88 % ±6." in details
+    assert is_told == (n > 20) == ("known to 0.3 m, attacked, worst tenth of people" in heads)
     (note,) = table.notes
     expected = "the most exposed tenth of 55 people" if n > 20 else "it takes 20 people"
     assert expected in note

@@ -1,11 +1,13 @@
 """What comes first of a run: few lines, none too wide, with all that may be doubted."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 from helpers.finished_runs import (
+    emptied,
     everything,
     levels,
     make_flags,
@@ -15,23 +17,47 @@ from helpers.finished_runs import (
 )
 from helpers.summaries import BAD, GOOD, RAW, table
 
-from evaluation.reporting.announcements import condensed, data_notices, geometry, notices
-from evaluation.reporting.first_screen import first_screen
+from evaluation.reporting.announcements import condensed
+from evaluation.reporting.answers import headline_of
+from evaluation.reporting.first_screen import LINES, doubts, first_screen, fitting_lines
+from evaluation.reporting.notices import data_notices, geometry, notices
 from evaluation.reporting.progress import Clock
 from evaluation.reporting.recommendation import recommended_levels
 
 MANY = [*levels(), *[(f"ou{n}", at) for n in range(20) for at in (0.2, 0.4)]]
 
 
-@pytest.mark.parametrize("before", [1, 5, 11])
-@pytest.mark.parametrize("run", [make_run(at=MANY), everything(), make_run(at=[("raw", np.nan)])])
-def test_it_fits_a_terminal_whatever_was_said_before(run, before):
-    lines = first_screen(run, before=before)
-    assert before + len(lines) <= 40
+RUNS = {
+    "many": lambda: make_run(at=MANY),
+    "everything": everything,
+    "raw alone": lambda: make_run(at=[("raw", np.nan)]),
+    "clean alone": lambda: make_run(at=[("clean", np.nan)]),
+    "no predictor": lambda: make_run(summary=make_summary(predictors=())),
+    "no attack": lambda: make_run(summary=make_summary(attacks=()), strongest={}),
+    "no verdict": lambda: make_run(verdict={}),
+    "nothing": lambda: make_run(**emptied(make_run()), verdict={}, strongest={}),
+}
+
+
+@pytest.mark.parametrize("before", [0, 3, 11])
+@pytest.mark.parametrize("name", RUNS)
+def test_it_fits_a_terminal_whatever_was_said_before(name, before):
+    lines = first_screen(RUNS[name](), before=before)
+    assert len(lines) <= LINES == 24
     assert max(map(len, lines)) <= 80
-    assert not any("?" in line for line in lines)
-    assert lines[0].startswith("students03: 106 of 428 tracks used")
-    assert any(line.startswith("raw ") for line in lines)
+    assert not any("?" in line or "nan" in line for line in lines)
+    assert lines[0].startswith("Students03: 428 people recorded, 106 long enough to use; 2,000")
+    assert any(line.startswith("raw positions ") for line in lines) == (
+        name not in ("clean alone", "nothing")
+    )
+
+
+def test_the_last_sentences_of_the_longest_answer_give_way():
+    texts = ["A: First. " + "Word " * 40 + "end. Last.", "B: Only a sentence."]
+    whole = fitting_lines(texts, most=24)
+    assert fitting_lines(texts, most=len(whole)) == whole
+    assert fitting_lines(texts, most=2) == ["A: First.", "B: Only a sentence."]
+    assert fitting_lines(texts, most=1) == ["A: First.", "B: Only a sentence."]
 
 
 def test_the_level_that_the_last_answer_names_has_a_row_where_there_is_room_for_few():
@@ -41,22 +67,20 @@ def test_the_level_that_the_last_answer_names_has_a_row_where_there_is_room_for_
     run = make_run(at=[("ou", 0.4), *MANY], levels=planted)
     assert recommended_levels(run) == [("ou", 0.4)]
     lines = first_screen(run, before=12)
-    assert any(line.startswith("ou:0.4 ") for line in lines)
+    assert any(line.startswith("slow noise, 0.4 m ") for line in lines)
     text = " ".join(" ".join(lines).split())
-    assert "5 Level: The cheapest of 1 level with PLR after attack (at epsilon and at 4/3" in text
-    assert " is ou:0.4 ind.: Kalman misses 20.0 % [18.0, 22.0] of conflicts to come" in text
-    assert "holds against repeats 40.0 % [38.0, 42.0], anchor 35.0 %" in text
+    assert "Share: Slow noise of 0.4 m is the cheapest level with at most 50 % of" in text
+    assert "It holds against an adversary with several releases" in text
 
 
-def test_the_paper_levels_come_first_then_one_of_every_other_mechanism():
-    lines = first_screen(make_run(at=MANY), before=1)
-    rows = [line.split("  ")[0] for line in lines[3:] if not line.startswith(" ")]
-    told = ["raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1"]
-    assert rows[:7] == [*told, "fid:1 ind.", "fixed:0.7 ind."]
-    assert len({row.partition(":")[0] for row in rows[7:14]} - {"1 Robot"}) >= 3
-    n_rows = next(n for n, row in enumerate(rows) if row.startswith(("chance", "+-")))
-    assert n_rows <= 14
-    assert any(f"{27 - (n_rows - 5)} more mechanisms: " in line for line in lines)
+def test_raw_comes_first_then_a_level_of_every_mechanism_of_the_paper():
+    lines = first_screen(make_run(at=MANY))
+    start = lines.index(next(line for line in lines if line.startswith("what is shared"))) + 1
+    rows = [line.split("  ")[0] for line in lines[start:]]
+    assert rows[0] == "raw positions"
+    assert {"FID noise, eta 1", "FID noise, eta 1 *", "fixed noise, 0.7 m"} <= {*rows[1:7]}
+    marked = [line for line in lines if line.startswith("* noise independent of")]
+    assert len(marked) == 1
 
 
 def test_what_simulates_says_so_first_and_doubts_are_counted():
@@ -71,11 +95,27 @@ def test_what_simulates_says_so_first_and_doubts_are_counted():
         "skipped": {"split": "x"},
     }
     text = " ".join(" ".join(first_screen(run)).split())
-    assert text.startswith("SIMULATED crowd ")
-    assert "Doubts: 1 cell FAILED (it broke), 1 flag of weak attacks, 6 of " in text
-    assert "linkage cells invalid (duration gives away)" in text
-    assert "7 tracks frozen, split left out, 1 notice." in text
-    assert [*notices(run.manifest)] == ["rerelease: 7 of 9 tracks are nearly frozen"]
+    assert text.startswith("Simulated crowd students03: 428 people, 106 long enough")
+    assert "Doubts: 1 cell FAILED (it broke)" in text
+    assert re.search(r"Doubts: .* \d more: tables.txt\.", text)
+    told = doubts(run, headline_of(run))
+    assert told[1:4] == [
+        "1 sign of a weak reconstruction attack",
+        "6 of 96 linkage results invalid (track length)",
+        "not linked: split",
+    ]
+    assert told[-2:] == ["7 tracks nearly frozen", "1 notice"]
+    assert [*notices(run.manifest)] == ["rerelease: 7 of 9 tracks are nearly frozen."]
+
+
+def test_too_few_people_are_a_doubt_from_the_start_to_the_end():
+    run = make_run()
+    dataset = run.manifest["dataset"]
+    dataset |= {"tracks_used": 18, "would_help": "the longest last 9.0 s"}
+    text = " ".join(" ".join(first_screen(run)).split())
+    assert "Doubts: 18 usable tracks: too few to decide anything" in text
+    assert "Share: With 18 usable tracks nothing is decided." in text
+    assert data_notices(dataset)[0].endswith("too few to decide anything (the longest last 9.0 s).")
 
 
 def test_units_in_doubt_are_a_doubt_and_what_was_mended_a_notice():
@@ -83,8 +123,7 @@ def test_units_in_doubt_are_a_doubt_and_what_was_mended_a_notice():
     doubt = {"kind": "doubt", "count": 1, "detail": "f: units may be wrong: likely feet?"}
     bent = {"kind": "overshoot", "count": 1234, "detail": "pieces"}
     run.manifest["dataset"]["repairs"] = [doubt, bent]
-    text = " ".join(" ".join(first_screen(run)).split())
-    assert "units of the recording may be wrong" in text.partition("Doubts: ")[2]
+    assert "units of the recording may be wrong" in " ".join(doubts(run, headline_of(run)))
     first, second = data_notices(run.manifest["dataset"])
     assert first == doubt["detail"]
     assert "1,234 pieces of walks made straight where a spline overshoots" in second
@@ -97,36 +136,34 @@ def test_where_to_read_on_can_be_copied_and_fits(tmp_path, monkeypatch, name):
     out.mkdir(parents=True)
     (out / "report.html").touch()
     lines = first_screen(make_run(out, at=MANY), before=5)
-    assert len(lines) <= 35
+    assert len(lines) <= 24
     assert max(map(len, lines)) <= 80
     assert any(line.startswith(f"Page: runs/{name}/report.html") for line in lines)
-    assert any(line.endswith("more mechanisms: tables.txt") for line in lines)
 
 
 @pytest.mark.parametrize(
     ("predictors", "shown"),
     [
-        (("kalman_ca", "kalman_cv", "least_squares", "mine:gain=0.5"), ["line", "mine:gain=0.5"]),
-        (("kalman_ca", "kalman_cv", "least_squares"), ["line", "Kalman"]),
-        (("kalman_ca", "kalman_cv"), ["Kalman", "kalman_ca"]),
-        (("constant_position", "another"), ["another", "constan...sition"]),
-        (("another_robot",), ["another_robot", "shared"]),
+        (("kalman_cv", "least_squares", "mine:gain=0.5"), "A robot with mine:gain=0.5 misses "),
+        (("kalman_ca", "kalman_cv", "least_squares"), "The paper's straight line misses "),
+        (("kalman_ca", "kalman_cv"), "A Kalman robot with acceleration misses "),
+        (("constant_position", "another"), "A robot with another misses "),
+        (("constant_position",), "A robot that expects people to stand still misses "),
     ],
 )
-def test_a_robot_of_one_s_own_has_a_column(predictors, shown):
+def test_a_user_s_own_robot_is_shown(predictors, shown):
     run = make_run(summary=make_summary(predictors=predictors))
     lines = first_screen(run)
-    heads = next(line for line in lines if line.startswith("in %"))
-    assert heads.removeprefix("in %; ind. = independent").split()[:2] == shown
+    assert any(line.startswith(f"Robot: {shown}"[:78]) for line in lines)
     assert max(map(len, lines)) <= 80
 
 
 def test_numbers_without_an_interval_say_why():
     run = make_run()
-    assert "for an interval" not in " ".join(first_screen(run))
+    assert "no intervals" not in " ".join(first_screen(run))
     run.summary.loc[run.summary["metric"] == "missed_conflict_rate", ["ci_low", "ci_high"]] = np.nan
     text = " ".join(" ".join(first_screen(run)).split())
-    assert "Doubts: missed: too few people (it takes 15) for an interval" in text
+    assert "Doubts: no intervals on missed conflicts (few people)" in text
 
 
 def test_the_next_question_is_one_that_the_run_can_answer(tmp_path):
@@ -163,7 +200,7 @@ def test_the_time_left_goes_by_what_was_finished_after_the_first_cell():
 
 @pytest.mark.parametrize(
     ("distance_m", "at_cap", "said"),
-    [(30.0, 0.13, ""), (53.2, 0.1, "usual: 20 to 40"), (30.0, 0.48, "(usual: up to 30 %)")],
+    [(30.0, 0.13, ""), (53.2, 0.1, "(usual: 20 to 40 m)."), (30.0, 0.48, "; 48 % have the larg")],
 )
 def test_an_unusual_geometry_is_on_the_first_screen(distance_m, at_cap, said):
     known = {"distance_m": distance_m, "sigma_raw_m": 1.92, "at_cap": at_cap, "tracks": 9}
@@ -186,5 +223,5 @@ def test_a_station_far_from_a_file_says_the_way_out(place, distance_m, is_told):
     stages = manifest["settings"]["stages"] | {"sensing.place": place}
     manifest["settings"] = manifest["settings"] | {"stages": stages}
     (line,) = geometry(manifest)
-    way_out = "--set sensing.bs_x_m and bs_y_m move the station there; sensing.place=centred"
+    way_out = "--set sensing.bs_x_m and bs_y_m move the station; sensing.place=centred"
     assert (way_out in line) == is_told

@@ -33,7 +33,7 @@ def middles(chart):
 
 
 def test_marks_stand_where_their_numbers_are_and_the_numbers_are_those_of_the_run(of):
-    known = {f"{100 * one.value:.1f}" for one in of.found.values()}
+    known = {f"{100 * one.value:.1f}" for one in of.numbers.values()}
     found = [one.chart for one in pictures(of)]
     assert len(found) == 5
     found += [one.chart for both in planes(of).values() for one in both]

@@ -49,7 +49,7 @@ def test_only_an_interval_above_chance_shows_a_risk():
     table = headline_of(run)
     task, where = table.linked[0], reference(table)
     key = task.measure.at(*where)
-    low = replace(table, found={**table.found, key: Estimate(0.02, 0.0, 0.3, n=9)})
+    low = replace(table, numbers={**table.numbers, key: Estimate(0.02, 0.0, 0.3, n=9)})
     assert "is not ruled out" in entries(run)["Singling out"]
     assert "does not show more than chance" in entries(run, low)["Singling out"]
 

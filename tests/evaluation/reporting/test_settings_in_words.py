@@ -88,7 +88,7 @@ def texts(tmp_path_factory):
     # How long the lines below a walk are, the gap in a task's name, and the horizon that a question
     # to the run is about (and the option that adds it), no setting says.
     texts["page"] = re.sub(r'<svg class="track".*?</svg>', "", texts["page"])
-    not_settings = r"after\s2\ss\b|within\s3\ss\b|--set\s+conflict\.horizons_s=3\b"
+    not_settings = r"(?i)after\s2\ss\b|within\s3\ss\b|--set\s+conflict\.horizons_s=3\b"
     return {name: re.sub(not_settings, "", text) for name, text in texts.items()}
 
 
@@ -119,8 +119,8 @@ def test_what_follows_from_settings_is_not_spelled_out_either(texts, phrase):
 
 def test_epsilon_is_that_of_the_run_wherever_it_is_named(texts):
     epsilon = f"{CHANGED['privacy.epsilon_m']:g} m"
-    assert f"known in {epsilon}" in texts["first screen"]
-    assert f"known to {epsilon}" in texts["first screen"].replace("\n  ", " ")
+    assert f"known to {epsilon}, %" in texts["first screen"]
+    assert f"exact to {epsilon} as sent" in texts["first screen"].replace("\n  ", " ")
     assert f"Positions known to {epsilon}" in texts["page"]
     assert f"to {epsilon}" in texts["design"].replace("\n", " ")
 

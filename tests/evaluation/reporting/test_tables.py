@@ -75,7 +75,7 @@ class TestTheTextFile:
         run = make_run(failed=pd.DataFrame([row | {"block": 0, "why": "it broke"}]))
         run.manifest["dataset"]["simulated"] = True
         text = shown(run, tmp_path)
-        assert text.startswith("SIMULATED crowd students03: ")
+        assert text.startswith("Simulated crowd students03: ")
         last = "failed: mine (blind) at fid:1: it broke; left out everywhere"
         assert text.splitlines()[-1] == last
         run.manifest["dataset"]["notice"] = "a stand-in"

@@ -1,0 +1,280 @@
+"""What a reader of a run must know about its data and its people, in plain sentences.
+
+Nothing heavy is imported here: the command that plans a run reads it, too.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING, Any, Final
+
+from evaluation.experiment.constants import BLOCK_SCENES
+from evaluation.reporting.amounts import counted, listed
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from evaluation.experiment.plan import Plan
+
+USUAL_DISTANCE_M: Final = (20.0, 40.0)  # From the station: the constants were fitted at 30 m.
+USUAL_AT_CAP: Final = 0.3  # At most, of the tracks: there 13 %.
+_WHOLE_DETAILS: Final = ("header", "unit", "frame-clock", "crs", "doubt")
+"""Repairs that a notice gives in full, instead of their number."""
+_LARGE_GALLERY: Final = 3000  # People, above which it is proposed to score some alone.
+_MINUTES_FROM_S: Final = 120.0  # Costs beyond it are told in minutes.
+_REPAIRS: Final = {
+    "gap": ("gap bridged", "gaps bridged"),
+    "split": ("track split at a long gap", "tracks split at a long gap"),
+    "one-point": ("single sample dropped", "single samples dropped"),
+    "duplicate": ("repeated row dropped", "repeated rows dropped"),
+    "unsorted": ("row sorted", "rows sorted"),
+    "near-duplicate": (
+        "row merged with the sample just before",
+        "rows merged with the sample just before",
+    ),
+    "same-time": (
+        "row with a second place at one time (--on-duplicate)",
+        "rows with a second place at one time (--on-duplicate)",
+    ),
+    "jump": ("track cut at a jump", "tracks cut at a jump"),
+    "clock": ("track cut where the clock runs back", "tracks cut where the clock runs back"),
+    "id-reuse": ("id used again for another person", "ids used again for another person"),
+    "lost": ("box marked as lost, dropped", "boxes marked as lost, dropped"),
+    "other-label": ("box without a pedestrian, dropped", "boxes without a pedestrian, dropped"),
+    "frozen": (
+        "frozen stretch kept (--drop-frozen S drops it)",
+        "frozen stretches kept (--drop-frozen S drops them)",
+    ),
+    "frozen-dropped": ("frozen stretch dropped", "frozen stretches dropped"),
+    "overshoot": (
+        "piece of a walk made straight where a spline overshoots",
+        "pieces of walks made straight where a spline overshoots",
+    ),
+    "fast-step": ("step above 12 m/s kept", "steps above 12 m/s kept"),
+    "fast-piece": ("track with a step above 4 m/s kept", "tracks with a step above 4 m/s kept"),
+    "ignored-column": ("column not used", "columns not used"),
+    "too-short": ("track too short for a scene", "tracks too short for a scene"),
+}
+"""Repairs by their kind, in the order in which they are told: of a single case, and of several."""
+
+
+def data_notices(dataset: Mapping[str, Any]) -> list[str]:
+    """Return how a recording was read, repaired and cut, as the manifest of its run has it."""
+    counts: Counter[str] = Counter()
+    for repair in dataset["repairs"]:
+        counts[repair["kind"]] += repair["count"]
+    counts["too-short"] = dataset["too_short"] + dataset["no_future"]
+    details = [
+        repair["detail"] for repair in dataset["repairs"] if repair["kind"] in _WHOLE_DETAILS
+    ]
+    repairs = [
+        counted(counts[kind], *words) for kind, words in _REPAIRS.items() if counts[kind] > 0
+    ]
+    told = [f"{dataset['name']}: {listed(repairs)}."] if repairs else []
+    return [*filter(None, [few_people(dataset)]), *details, *told]
+
+
+def few_people(dataset: Mapping[str, Any]) -> str:
+    """Return that a recording has too few people to decide, and the way out; empty if enough."""
+    if not (way_out := dataset.get("would_help")):
+        return ""
+    tracks = counted(dataset["tracks_used"], "usable track")
+    return f"{tracks}: too few to decide anything ({way_out})."
+
+
+def plan_notices(ready: Plan, *, slow_costs: Sequence[tuple[str, int, float]]) -> list[str]:
+    """Return what a plan leaves out, and what may take long.
+
+    `slow_costs` has an entry for each slow attack: its SPEC, the number of its adversaries, and
+    the time that it takes in one process, s, NaN if it does not say.
+    """
+    from evaluation.runs.manifest import about_data  # noqa: PLC0415 - names alone need none
+    from isac_track.datasets.registry import KNOWN  # noqa: PLC0415 - names alone need none
+
+    texts = []
+    settings, dataset = ready.settings, ready.dataset
+    if settings.pilot_half_width is not None:
+        texts.append(
+            f"Missed conflicts are wanted to ±{settings.precision:g}. A pilot of {BLOCK_SCENES} "
+            f"scenes has ±{settings.pilot_half_width:.3f}."
+        )
+    if dataset.notice:
+        texts.append(f"notice: {dataset.notice}")
+    if dataset.name not in KNOWN:  # Of a known recording docs/data.md tells.
+        texts += [f"notice: {text}" for text in data_notices(about_data(ready))]
+    texts += [f"notice: left out: {why}" for why in ready.axes.skipped.values()]
+    texts += _gallery_notices(ready)
+    texts += [
+        f"notice: the attack {spec} is slow: {_cost_text(cost_s)} for "
+        f"{counted(n, 'adversary', 'adversaries')} at {len(ready.axes.mechanisms)} levels in one "
+        "process. It runs on one release of each source track."
+        for spec, n, cost_s in slow_costs
+    ]
+    return texts
+
+
+def _gallery_notices(ready: Plan) -> list[str]:
+    """Return which tasks have so many people that all pairs take long."""
+    sizes = {
+        session.task.name: max(Counter(session.gallery.search.tolist()).values(), default=0)
+        for session in ready.sessions
+    }
+    large = [name for name, size in sizes.items() if size > _LARGE_GALLERY]
+    if not large or ready.settings.stages.linkage.candidates:
+        return []
+    text = (
+        f"notice: {listed(large)}: galleries of up to {max(sizes.values()):,} people. Time and "
+        "memory grow with the square. --set linkage.candidates=100 scores the likeliest 100 alone."
+    )
+    return [text]
+
+
+def _cost_text(cost_s: float) -> str:
+    if cost_s < _MINUTES_FROM_S:
+        return f"about {cost_s:.0f} s"
+    if cost_s >= _MINUTES_FROM_S:
+        return f"about {cost_s / 60.0:.0f} min"
+    return "an unknown time"  # NaN
+
+
+def notices(manifest: Mapping[str, Any]) -> list[str]:
+    """Return what a reader of a finished run must know."""
+    linked = (manifest.get("linkage") or {}).get("tasks", {})
+    texts = [
+        f"{spec} asked for {listed(asked)}, which a robot does not have by default."
+        for spec, asked in manifest.get("granted", {}).items()
+    ]
+    texts += [
+        f"{family} has no `adding` attribute, so it is judged under both adding rules."
+        for family in manifest.get("without_rule", ())
+    ]
+    texts += [
+        f"{spec} took more than a minute for a few made-up people: it may take long."
+        for spec in manifest.get("untried_plugins", ())
+    ]
+    if dropped := manifest.get("dropped_cells"):
+        texts.append(f"{counted(dropped, 'cell')} of another code version dropped.")
+    if damaged := manifest.get("damaged_cells"):
+        texts.append(
+            f"{counted(len(damaged), 'damaged cell')} computed again, such as {damaged[0]}."
+        )
+    if redraws := manifest.get("exhausted_redraws"):
+        texts.append(_redraw_text(redraws))
+    for seconds, horizon in manifest.get("horizons", {}).items():
+        texts += _horizon_notices(seconds, horizon)
+    texts += [
+        f"{task}: {counts['frozen']} of {counts['people']} tracks are nearly frozen."
+        for task, counts in linked.items()
+        if 2 * counts.get("frozen", 0) > counts["people"]
+    ]
+    lost = {task: approximation(manifest, task) for task in linked}
+    texts += [f"{task}: {text}" for task, text in lost.items() if text]
+    texts += [f"The gallery of tracks lacks {why}." for why in manifest.get("gallery_without", ())]
+    return texts
+
+
+def _horizon_notices(seconds: Any, horizon: Mapping[str, Any]) -> list[str]:  # noqa: ANN401 - a key of JSON
+    """Return what a further horizon leaves out; `seconds` is the horizon."""
+    texts = []
+    if not horizon["tracks_used"]:
+        texts.append(
+            f"No conflicts {seconds} s ahead: too few recordings last so long after the history."
+        )
+    elif horizon["no_future"]:
+        tracks = counted(horizon["no_future"], "track ends", "tracks end")
+        texts.append(f"{seconds} s ahead: {tracks} before that and cannot be used there.")
+    if redraws := horizon.get("exhausted_redraws"):
+        texts.append(f"{seconds} s ahead: {_redraw_text(redraws)}")
+    return texts
+
+
+def _redraw_text(n: int) -> str:
+    agents = counted(n, "background agent keeps its", "background agents keep their")
+    return f"{agents} last draw, since no place with scenes.clearance_m was free."
+
+
+def used_are_slower(manifest: Mapping[str, Any], *, least: float = 0.0) -> str:
+    """Return how fast the tracks used are beside all; empty where they differ by less than `least`.
+
+    `least` is a share of the mean speed of all.
+    """
+    speeds = manifest["dataset"].get("speed_mps")
+    if speeds is None or not abs(speeds["used"] - speeds["recorded"]) > least * speeds["recorded"]:
+        return ""
+    min_s = manifest["settings"]["stages"]["resample.min_duration_s"]
+    slower = "slower" if speeds["used"] < speeds["recorded"] else "faster"
+    return (
+        f"tracks of at least {min_s:g} s are {slower} than all: {speeds['used']:.2f} m/s against "
+        f"{speeds['recorded']:.2f} m/s on average"
+    )
+
+
+def unusual_geometry(manifest: Mapping[str, Any]) -> list[str]:
+    """Return in a line that people are oddly near or far, or their errors large; else none."""
+    known = manifest.get("geometry")
+    if not known:
+        return []
+    low_m, high_m = USUAL_DISTANCE_M
+    is_far = not low_m <= known["distance_m"] <= high_m
+    if not is_far and known["at_cap"] <= USUAL_AT_CAP:
+        return []
+    usual = f"usual: {low_m:.0f} to {high_m:.0f} m" if is_far else "median"
+    text = f"Geometry: people are {known['distance_m']:.4g} m from the station ({usual})"
+    if known["at_cap"] > USUAL_AT_CAP:
+        text += f"; {100.0 * known['at_cap']:.0f} % have the largest error"
+    return [f"{text}."]
+
+
+def geometry(manifest: Mapping[str, Any]) -> list[str]:
+    """Return how far people are from the station, in a line; none of a run that does not say."""
+    known = manifest.get("geometry")
+    if not known:
+        return []
+    stages = manifest["settings"]["stages"]
+    low_m, high_m = USUAL_DISTANCE_M
+    is_far = not low_m <= known["distance_m"] <= high_m
+    usual_m = f" (usual: {low_m:.0f} to {high_m:.0f} m)" if is_far else ""
+    is_capped = known["at_cap"] > USUAL_AT_CAP
+    usual_share = f" (usual: up to {100.0 * USUAL_AT_CAP:.0f} %)" if is_capped else ""
+    text = (
+        f"Geometry: the median distance to the base station is {known['distance_m']:.0f} m"
+        f"{usual_m}; the median raw error is {known['sigma_raw_m']:.2f} m. "
+        f"{100.0 * known['at_cap']:.0f} % of tracks have the largest error, "
+        f"{stages['sensing.sigma_cap_m']:g} m{usual_share}."
+    )
+    if is_far and stages["sensing.place"] == "file":
+        text += (
+            " The coordinates are those of the file (sensing.place=file). --set sensing.bs_x_m "
+            "and bs_y_m move the station; sensing.place=centred moves the recording."
+        )
+    return [text]
+
+
+def who_is_linked(manifest: Mapping[str, Any]) -> list[str]:
+    """Return a line on how many people each task rests on, and why others are out."""
+    texts = []
+    for name, counts in ((manifest.get("linkage") or {}).get("tasks", {})).items():
+        why = []
+        if counts.get("too_short"):
+            why.append(f"{counts['too_short']:,} not there for long enough")
+        if counts.get("not_drawn"):
+            why.append(f"{counts['not_drawn']:,} beyond linkage.most_people")
+        others = f" ({listed(why)})" if why else ""
+        texts.append(f"{name} {counts['people']:,}{others}")
+    return [f"people in linkage tasks: {'; '.join(texts)}"] if texts else []
+
+
+def approximation(manifest: Mapping[str, Any], task: str) -> str:
+    """Return what `linkage.candidates` cost a task; nothing where every pair was scored."""
+    lost = (manifest.get("linkage") or {}).get("candidates", {}).get(task)
+    if not lost:
+        return ""
+    per_probe = manifest["settings"]["stages"]["linkage.candidates"]
+    linker = lost["consumer"].partition("/")[2]
+    mean, most = (round(100.0 * lost[name], 1) + 0.0 for name in ("loss", "most"))
+    return (
+        f"Linkers scored {per_probe} candidates of each probe. That cost {mean:.1f} points of "
+        f"rank 1 on average, and at most {most:.1f} ({linker} at {lost['spec']}). "
+        f"{lost['probes']} probes in each of {lost['cells']} cells were searched in full, too. "
+        "Metrics of all pairs are refused."
+    )
