@@ -29,6 +29,13 @@ _MOST_STEPS: Final = 5
 _TOP: Final = 6.0
 _RIGHT: Final = WIDTH - 12.0
 _FEW_DECADES: Final = 2.0
+_CURVES_HEIGHT: Final = 190.0
+_PLANE_HEIGHT: Final = 250.0
+_LABEL_MARK: Final = 16.0  # Room of the mark before a label.
+_LABEL_STEP: Final = 11.0  # Between two labels.
+_LABEL_ROOM: Final = 150.0
+_MOST_LABELS: Final = 7
+_WIDEST_ROW: Final = 172.0  # Of the names of rows.
 
 
 class Look(NamedTuple):
@@ -75,9 +82,19 @@ class Curve(NamedTuple):
     name: str
     x: Floats  # (P,) in the unit of the axis
     y: Floats  # (3, P) values and both ends of their intervals, NaN where unknown
+    label: str = ""  # Stands at the right end of the line, where there is room.
 
 
 Mark: TypeAlias = tuple[Look, float, float, str]  # x (infinite: the right edge), y, and name.
+
+
+class Label(NamedTuple):
+    """A name beside the right end of a curve, behind a small mark of its look."""
+
+    x: float
+    y: float
+    look: Look
+    text: str
 
 
 class Axis(NamedTuple):
@@ -100,6 +117,9 @@ class Chart:
     grid: list[Stroke] = field(default_factory=list)
     lines: list[tuple[str, Sequence[Stroke]]] = field(default_factory=list)  # Classes before.
     marks: list[tuple[Look, Stroke, str]] = field(default_factory=list)  # Middles and name.
+    labels: list[Label] = field(default_factory=list)  # Beside the ends of curves.
+    hints: dict[str, str] = field(default_factory=dict)  # Hover text by the words of a text.
+    right: float = _RIGHT  # Where the horizontal axis ends.
 
     @property
     def bottom(self) -> float:
@@ -110,12 +130,12 @@ class Chart:
     def texts(self) -> list[tuple[float, float, str, str]]:
         """Place, class and words of all texts but that of the upright axis."""
         found = [(at, self.bottom + 12.0, "x", text) for at, text in self.x_ticks]
-        found += [(0.5 * (self.left + _RIGHT), self.bottom + 26.0, "x", self.x_label)]
+        found += [(0.5 * (self.left + self.right), self.bottom + 26.0, "x", self.x_label)]
         return found + [(self.left - 5.0, at + 3.4, "y", text) for at, text in self.y_ticks]
 
     def x_axis(self, values: Floats, *, log: bool = False) -> Callable[[Any], Any]:
         """Draw the axis of values; return where one of them is."""
-        place, self.x_ticks = _axis(values, (self.left, _RIGHT), log=log)
+        place, self.x_ticks = _axis(values, (self.left, self.right), log=log)
         self.grid += [self.down(at) for at, _ in self.x_ticks]
         return place
 
@@ -127,7 +147,7 @@ class Chart:
 
     def across(self, y: float) -> Stroke:
         """Return a line from side to side."""
-        return (self.left, y), (_RIGHT, y)
+        return (self.left, y), (self.right, y)
 
     def down(self, x: float) -> Stroke:
         """Return a line from top to bottom."""
@@ -144,7 +164,8 @@ def rows_chart(
     """Return a row for each name, a mark for each series, and lines `across`, such as chance."""
     step = 4.5 * len(series) + 7.0
     longest = max(map(len, rows), default=0)
-    chart = Chart(x_label, 12.0 + step * len(rows) + 30.0, min(150.0, 10.0 + CHARACTER * longest))
+    left = min(_WIDEST_ROW, 10.0 + CHARACTER * longest)
+    chart = Chart(x_label, 12.0 + step * len(rows) + 30.0, left)
     at = chart.x_axis(_shares([one for _, of in series.values() for one in of if one]))
     for place, row in enumerate(rows):
         middle = 8.0 + step * (place + 0.5)
@@ -173,7 +194,7 @@ def plane_chart(
     """Return marks on two axes, a line for each mechanism, what none beats, and a limit of y."""
     points = [point for curve in curves for point in curve]
     words = [label.removesuffix(" (%)") for label in (x_label, y_label)]
-    chart = Chart(x_label, 290.0, 40.0, y_label)
+    chart = Chart(x_label, _PLANE_HEIGHT, 40.0, y_label)
     at_x = chart.x_axis(_shares([one.x for one in points]))
     at_y = chart.y_axis(_shares([one.y for one in points]))
     if limit is not None:
@@ -206,7 +227,7 @@ def curves_chart(
     marked: Sequence[Mark] = (),
 ) -> Chart:
     """Return curves on two axes; `across` are lines from side to side, a class and value each."""
-    chart = Chart(x.label, 190.0, 40.0, y.label)
+    chart = Chart(x.label, _CURVES_HEIGHT, 40.0, y.label, right=_RIGHT - label_room(curves))
     at_x = chart.x_axis(np.concatenate([one.x for one in curves]), log=x.log)
     others = [value for _, value in across] + [value for _, _, value, _ in marked]
     shown = np.concatenate([*(one.y.ravel() for one in curves), np.array(others)])
@@ -223,9 +244,42 @@ def curves_chart(
         chart.lines.append((f"bar k{one.look.place}", bars))
         chart.marks.append((one.look, way, one.name))
     for look, at, value, name in marked:
-        place = at_x(at) if np.isfinite(at) else _RIGHT
+        place = at_x(at) if np.isfinite(at) else chart.right
         chart.marks.append((look, [(place, at_y(value))], name))
+    if chart.right < _RIGHT:
+        chart.labels = _labels(curves, at_y, x=chart.right, bottom=chart.bottom)
     return chart
+
+
+def label_room(curves: Sequence[Curve]) -> float:
+    """Return how much room the labels of curves take at the right; 0 if they do not fit.
+
+    They fit if every curve has a different one, there are at most seven, and none is too long.
+    """
+    labels = [curve.label for curve in curves]
+    widest = CHARACTER * max(map(len, labels), default=0) + _LABEL_MARK
+    is_clear = all(labels) and len(set(labels)) == len(labels) <= _MOST_LABELS
+    return widest if is_clear and widest <= _LABEL_ROOM else 0.0
+
+
+def _labels(
+    curves: Sequence[Curve], at_y: Callable[[Any], Any], *, x: float, bottom: float
+) -> list[Label]:
+    """Return the labels at the height of the last values, moved apart so that none overlap."""
+    ends = [float(at_y(curve.y[0][np.isfinite(curve.y[0])][-1])) for curve in curves]
+    order = sorted(range(len(curves)), key=ends.__getitem__)
+    heights = list[float]()
+    for place in order:
+        heights.append(max(ends[place], heights[-1] + _LABEL_STEP if heights else _TOP + 2.0))
+    # What has moved below the axis pushes the others up again.
+    limit = bottom
+    for turn in reversed(range(len(heights))):
+        heights[turn] = min(heights[turn], limit)
+        limit = heights[turn] - _LABEL_STEP
+    return [
+        Label(x + 0.75 * _LABEL_MARK, height, curves[place].look, curves[place].label)
+        for place, height in zip(order, heights, strict=True)
+    ]
 
 
 def bar(ends: Sequence[float], *, at: float, upright: bool = False) -> list[Stroke]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
 
 from evaluation.reporting.table import Table, printable
 
@@ -23,6 +24,23 @@ HTML.filters["path"] = lambda strokes: "".join(
     "M" + ("L".join(f"{x:.1f} {y:.1f}" for x, y in line) + "h0" * (len(line) == 1))
     for line in strokes
 )
+
+
+def _hinted(text: str) -> Markup:
+    """Return a text as HTML, its known names with hover text; a number stays with its %."""
+    from evaluation.reporting.glossary import hinted  # noqa: PLC0415 - words alone need none
+
+    return hinted(text.replace(" %", "\u00a0%"))
+
+
+def _defined(text: str) -> str:
+    """Return the sentence of the glossary on a name; empty for other texts."""
+    from evaluation.reporting.glossary import DEFINITIONS  # noqa: PLC0415 - as said
+
+    return DEFINITIONS.get(text, "")
+
+
+HTML.filters |= {"hinted": _hinted, "defined": _defined}
 _LATEX = Environment(  # noqa: S701 - what is not HTML needs another escape: `tex`
     **_OPTIONS,
     block_start_string="<%",

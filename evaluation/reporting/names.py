@@ -3,12 +3,13 @@
 Files, columns and options keep the SPEC (`fid:1,adding=independent`); a person reads these names.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Final
 
 from evaluation.analysis.families import Family
 from evaluation.analysis.keys import level_text
-from evaluation.reporting.rows import spoken
+from evaluation.reporting.table import spoken
 
 _MECHANISMS: Final = {
     "raw": "raw positions",
@@ -108,6 +109,44 @@ _SHORTCUTS: Final = {"duration": "track length", "noise_level": "noise level"}
 _ISOTROPIC: Final = "law=isotropic"
 INDEPENDENT_MARK: Final = " *"
 """Behind a level whose noise is independent of the sensing error, where room is short."""
+INDEPENDENT_NOTE: Final = "* Noise is independent of the sensing error."
+
+
+ATTACK_NAMES: Final[Mapping[str, str]] = MappingProxyType(_ATTACKS)
+ROBOT_NAMES: Final[Mapping[str, str]] = MappingProxyType(_ROBOTS)
+FAMILY_NAMES: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        family: "thinned samples" if family == "thin" else pattern.partition(",")[0]
+        for family, pattern in _MECHANISMS.items()
+    }
+)
+"""By name in a file: the name that people read; of a mechanism without its level."""
+
+
+def family_name(family: Family) -> str:
+    """Return what a mechanism is called whatever its level: `FID noise (independent)`."""
+    name = FAMILY_NAMES.get(family.family, spoken(family.family))
+    if _ISOTROPIC in family.parameters:
+        name = f"isotropic {name}"
+    details = _other_parameters(family)
+    if is_independent(family):
+        details.append("independent")
+    return f"{name} ({', '.join(details)})" if details else name
+
+
+def short_family_name(family: Family) -> str:
+    """Return the same where room is short: a mark says that noise is independent."""
+    name = family_name(family).replace(" (independent)", "").replace(", independent)", ")")
+    return f"{name}{INDEPENDENT_MARK}" if is_independent(family) else name
+
+
+def spec_text(family: Family, level: float | None) -> str:
+    """Return a level as options take it: `fid:1,adding=independent`."""
+    name, _, parameters = family.mechanism.partition(":")
+    if "." in name:  # A class in a module has a colon of its own.
+        return " ".join(filter(None, [family.mechanism, level_text(level)]))
+    values = ",".join(filter(None, [level_text(level), parameters]))
+    return f"{name}:{values}" if values else name
 
 
 def mechanism_name(family: Family, level: float | None) -> str:

@@ -6,15 +6,23 @@ from pathlib import Path
 
 from attacks.tasks.task_list import TASKS
 from evaluation.analysis import weak_attacks
+from evaluation.analysis.keys import Source, is_attack
+from evaluation.experiment.presets import IDENTITY, SHARED
+from evaluation.reporting.amounts import counted
 from evaluation.reporting.announcements import changed_settings, command, scenes_text
 from evaluation.reporting.answers import answers, headline_of
 from evaluation.reporting.figures.figure import Figure
+from evaluation.reporting.glossary import GLOSSARY, plain_name
+from evaluation.reporting.headline import Headline
 from evaluation.reporting.markup import HTML
+from evaluation.reporting.names import attack_name, dataset_title, spec_text
 from evaluation.reporting.notices import data_notices, geometry, used_are_slower
-from evaluation.reporting.pictures import panels, pictures, planes
+from evaluation.reporting.pictures import panels, pictures, planes, walks_takeaway
+from evaluation.reporting.protection_record import OPINION, protection_record
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import decision
 from evaluation.reporting.tables import page_tables
+from evaluation.reporting.takeaways import level_name
 from evaluation.runs.files import PAGE, write_whole
 from evaluation.runs.pieces import failed_lines
 
@@ -28,18 +36,27 @@ def write(run: Results, *, figures: Sequence[Figure]) -> Path:
 
 def render(run: Results, *, figures: Sequence[Figure] = ()) -> str:
     """Return the page."""
-    flags, of = weak_attacks.lines(run.flags), headline_of(run)
+    flags, table = weak_attacks.lines(run.flags), headline_of(run)
+    walks = [] if run.gallery is None else panels(run.gallery)
     text = HTML.get_template("report.html.j2").render(
         run=run,
-        answers=list(zip(answers(run, of), pictures(of), strict=True)),
-        planes=planes(of),
-        gallery=[] if run.gallery is None else panels(run.gallery),
-        epsilon_m=f"{run.manifest['settings']['stages']['privacy.epsilon_m']:g}",
+        title=title(run),
+        answers=list(zip(answers(run, table), pictures(table), strict=True)),
+        record=protection_record(run, table),
+        opinion=OPINION,
+        planes=planes(table),
+        gallery=walks,
+        walks_caption=walks_takeaway(walks),
+        level_names=level_names(table),
+        rebuilt_by="" if run.gallery is None else attack_name(run.gallery.iloc[0]["attack"]),
+        epsilon_m=f"{table.epsilon_m:g}",
         decision=decision,
         figures=figures,
         tables=page_tables(run),
+        glossary=GLOSSARY,
+        plain_name=plain_name,
         known_tasks=TASKS,
-        flag_lines=[one.removeprefix("flag: ").removesuffix(": flags.json") for one in flags],
+        flag_lines=[line.removeprefix("flag: ").removesuffix(": flags.json") for line in flags],
         failed_lines=failed_lines(run.failed),
         command=command(run.manifest),
         scenes=scenes_text(run.manifest["identity"]),
@@ -49,3 +66,25 @@ def render(run: Results, *, figures: Sequence[Figure] = ()) -> str:
         geometry=geometry(run.manifest),
     )
     return re.sub(r">\n+<", "><", text)  # a line's end between two elements would be a node
+
+
+def title(run: Results) -> str:
+    """Return what was run on which recording, in a line."""
+    shared = run.ours[run.ours["consumer"] == SHARED]
+    levels = len(shared[["mechanism", "level"]].drop_duplicates())
+    consumers = run.summary.loc[is_attack(run.summary), "consumer"].unique()
+    attacks = {Source(name).attack.consumer.partition("@")[0] for name in consumers} - {IDENTITY}
+    parts = [
+        f"{counted(run.manifest['dataset']['tracks_used'], 'pedestrian track')}",
+        f"shared with robots at {counted(levels, 'noise level')}",
+        f"under {counted(len(attacks), 'attack')}" if attacks else "",
+    ]
+    return f"{dataset_title(run.dataset)}: {' '.join(filter(None, parts))}"
+
+
+def level_names(table: Headline) -> dict[str, str]:
+    """Return the plain name of each level by its SPEC, as `gallery.parquet` has it."""
+    return {
+        spec_text(table.known[mechanism], level): level_name(table, (mechanism, level))
+        for mechanism, level in table.wheres
+    }

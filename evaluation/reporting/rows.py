@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -19,7 +18,7 @@ from evaluation.analysis.keys import Key, Source, Where, keys_of, level_text
 from evaluation.analysis.metrics import METRICS, MISSED_RATE
 from evaluation.experiment.presets import DISSOCIATION, SHARED
 from evaluation.reporting.announcements import scenes_text
-from evaluation.reporting.table import Column, level, said
+from evaluation.reporting.table import Column, level, said, spoken
 from isac_track.errors import SettingsError, did_you_mean
 from isac_track.types import Floats
 
@@ -36,10 +35,10 @@ CONTROLS: Final = frozenset(spec.partition(":")[0] for spec in DISSOCIATION)
 HEADLINE: Final = (("raw", None), ("fid", 1.0), ("fid", 1000.0), ("fixed", 0.7), ("fixed", 1.0))
 """The few levels that tell the story: mechanism without its adding rule, and level."""
 _LOG_SPAN = 30.0  # The axis of a mechanism that we do not know is logarithmic from there on.
-_LEVELS: Final = {FID: "η = {}", FIXED: "{} m"}
+_LEVELS: Final = {FID: "eta {}", FIXED: "{} m"}
 _KNOWN: Final = {
-    FID: ("FID-controlled sharing", "FID threshold η (1/(m² s))", True),
-    FIXED: ("fixed added error", "Added error Δσ (m)", False),
+    FID: ("FID noise", "eta (1/(m² s))", True),
+    FIXED: ("fixed noise", "added noise (m)", False),
 }
 ENDS: Final = ["value", "ci_low", "ci_high"]  # Columns of an estimate.
 STRONGEST: Final = "strongest"
@@ -297,11 +296,6 @@ def short_name(known: Mapping[str, Family], where: Where) -> str:
     values = ",".join(filter(None, [level_text(where[1]), one.parameters]))
     name = f"{spoken(one.family)}:{values}".rstrip(":")
     return name + " ind." * (one.adding == "independent")
-
-
-def spoken(name: str) -> str:
-    """Return the name of a plug-in, a class in a module by the class alone."""
-    return re.sub(r"^[\w.]*\.\w+:(?=[A-Za-z])", "", name)
 
 
 def mechanism_columns(known: Mapping[str, Family]) -> list[Column]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
@@ -188,6 +189,11 @@ def shortened(name: str, *, room: int) -> str:
         return name
     end = (room - 3) // 2
     return f"{name[: room - 3 - end]}...{name[-end:]}"
+
+
+def spoken(name: str) -> str:
+    """Return the name of a plug-in, a class in a module by the class alone."""
+    return re.sub(r"^[\w.]*\.\w+:(?=[A-Za-z])", "", name)
 
 
 def printable(text: str) -> str:

@@ -1,40 +1,76 @@
 """Whom a slow walk exposes: PLR after attack over net speed, a curve for each level."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 import pandas as pd
 
 from evaluation.analysis.families import ADDING_RULES, RAW
-from evaluation.analysis.keys import Source, Where, where_text
-from evaluation.reporting.charts import LOOKS, PERCENT, Axis, Chart, Curve, Look, curves_chart
+from evaluation.analysis.keys import Source, Where
+from evaluation.reporting.charts import (
+    LOOKS,
+    PERCENT,
+    Axis,
+    Chart,
+    Curve,
+    Look,
+    curves_chart,
+    label_room,
+)
 from evaluation.reporting.figures.figure import Figure
+from evaluation.reporting.names import mechanism_name
 from evaluation.reporting.rows import ENDS, Results, family_of
 from isac_track.intervals import LEAST_CLUSTERS
 
-_SAID: Final = (
-    "Net speed: the way from the first to the last true position, over the duration. Raw, fid and "
-    "fixed after the run's strongest attack, another mechanism after the strongest on it. A bin of "
-    f"fewer than {LEAST_CLUSTERS:.0f} people has no interval."
+_NOTE: Final = (
+    "Net speed: distance from the first to the last true position, over the duration. "
+    "Each mechanism is shown after the strongest attack on it. "
+    f"A bin of fewer than {LEAST_CLUSTERS:.0f} people has no interval."
 )
 
 
 def figures(run: Results) -> Iterator[Figure]:
-    """Yield a panel for each adding rule, of the levels that the run has attacked."""
+    """Yield a panel for each adding rule with noise, of the levels that the run has attacked."""
     curves = _by_level(run.speeds[run.speeds["knowledge"].fillna("") != ""])
-    key = _looks(run, curves)
-    panels = list[tuple[str, Chart]]()
+    looks = _looks(run, curves)
+    panels, key = list[tuple[str, Chart]](), dict[str, Look]()
     for rule in ADDING_RULES:
         under = [where for where in curves if rule in family_of(run.families, where[0]).rules]
         drawn = [
-            _curve(key[_name(run, where)], _name(run, where), curves[where]) for where in under
+            _curve(looks[_name(run, where)], _name(run, where), curves[where]) for where in under
         ]
-        if drawn:
+        if any(where[0] != RAW for where in under):
+            key |= {} if label_room(drawn) else {curve.label: curve.look for curve in drawn}
             x, y = Axis("net speed (m/s)"), Axis("PLR after attack (%)")
             panels.append((f"{rule} adding", curves_chart(drawn, x=x, y=y)))
-    title = "PLR after attack over net speed"
-    yield Figure("by_speed", "after", title, panels, len(ADDING_RULES), key, _SAID)
+    yield Figure(
+        name="by_speed",
+        section="after",
+        title="PLR after attack over net speed",
+        panels=panels,
+        columns=len(ADDING_RULES),
+        key=key,
+        caption=_caption(curves, run),
+        note=_NOTE,
+    )
+
+
+def _caption(curves: Mapping[Where, pd.DataFrame], run: Results) -> str:
+    """Return PLR after attack of the slowest and of the fastest people at the noisiest level."""
+    added = [where for where in curves if where[0] != RAW]
+    if not added:
+        return ""
+    where = min(added, key=lambda level: curves[level]["value"].mean())
+    rows = curves[where].sort_values("speed_mps")
+    slow, fast = rows.iloc[0], rows.iloc[-1]
+    name = mechanism_name(family_of(run.families, where[0]), where[1])
+    return (
+        f"With {name}, PLR after attack is {PERCENT * slow['value']:.0f} % at "
+        f"{slow['speed_mps']:.1f} m/s and {PERCENT * fast['value']:.0f} % at "
+        f"{fast['speed_mps']:.1f} m/s."
+    )
 
 
 def _by_level(rows: pd.DataFrame) -> dict[Where, pd.DataFrame]:
@@ -50,19 +86,21 @@ def _by_level(rows: pd.DataFrame) -> dict[Where, pd.DataFrame]:
 def _looks(run: Results, wheres: Iterable[Where]) -> dict[str, Look]:
     """Return what each level looks like under either rule: raw is a star, as everywhere."""
     names = dict.fromkeys(_name(run, where) for where in wheres if where[0] != RAW)
-    looks = {RAW: Look(LOOKS - 1)} if (RAW, None) in wheres else {}
+    looks = {_name(run, (RAW, None)): Look(LOOKS - 1)} if (RAW, None) in wheres else {}
     return looks | {name: Look(place % (LOOKS - 1)) for place, name in enumerate(names)}
 
 
 def _name(run: Results, where: Where) -> str:
-    return where_text(family_of(run.families, where[0]).name, where[1])
+    """Return the plain name of a level, whatever its adding rule."""
+    family = family_of(run.families, where[0])
+    return mechanism_name(replace(family, mechanism=family.name), where[1])
 
 
 def _curve(look: Look, name: str, rows: pd.DataFrame) -> Curve:
     """Return a level over the mean speed of each bin; its name tells both ends."""
     rows = rows.sort_values("speed_mps")
     x, values = rows["speed_mps"].to_numpy(), PERCENT * rows[ENDS].to_numpy(dtype=np.float64).T
-    said = [f"{values[0, n]:.1f} % at {x[n]:.2f} m/s" for n in (0, -1)]
+    points = [f"{values[0, n]:.1f} % at {x[n]:.2f} m/s" for n in (0, -1)]
     attack = Source(str(rows["consumer"].iloc[0]), str(rows["knowledge"].iloc[0])).label
-    ends = " to ".join(dict.fromkeys(said))
-    return Curve(look, f"{name} after {attack}: {ends}", x, values)
+    ends = " to ".join(dict.fromkeys(points))
+    return Curve(look, f"{name} after {attack}: {ends}", x, values, name)

@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import textwrap
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,6 +20,8 @@ from evaluation.reporting.table import printable, shortened
 from evaluation.runs.files import write_whole
 
 _TOP, _LEFT, _HEADING, _GAP = 26.0, 10.0, 16.0, 14.0
+_LINE: Final = 14.0  # Of the caption and the note.
+_TEXT_CHARACTER: Final = 5.3  # How wide a character of these is, on average.
 _PRINTED: Final[dict[str, dict[str, Any]]] = {  # What `chart.css` says of each class.
     "grid": {"color": "#d9dce0", "linewidth": 0.6},
     "bar": {"linewidth": 1.1, "alpha": 0.55},
@@ -39,8 +42,9 @@ class Figure:
     title: str
     panels: Sequence[tuple[str, Chart]]  # Heading and chart, row by row.
     columns: int
-    key: Mapping[str, Look]  # What each mark is of.
-    caption: str = ""
+    key: Mapping[str, Look]  # What each mark is of, where no label beside a curve says so.
+    caption: str = ""  # What its numbers say: a sentence.
+    note: str = ""  # How to read it.
 
 
 class Layout(NamedTuple):
@@ -48,6 +52,7 @@ class Layout(NamedTuple):
 
     width: float
     height: float
+    lines: list[tuple[float, str]]  # Height and words of the caption and the note.
     panels: list[tuple[float, float, str, Chart]]  # Left, top, heading and chart.
     key: list[tuple[float, float, str, Look]]  # Middle of each mark, and what it is of.
 
@@ -77,6 +82,10 @@ def write(figures: Iterable[Figure], *, folder: Path, dataset: str, pdf: bool) -
 def _layout(of: Figure) -> Layout:
     columns = min(of.columns, len(of.panels))
     width, top, panels = columns * (WIDTH + _GAP), _TOP, []
+    lines = list[tuple[float, str]]()
+    for text in _wrapped(of.caption, width):
+        lines.append((top + 4.0, text))
+        top += _LINE
     for start in range(0, len(of.panels), of.columns):
         row = of.panels[start : start + of.columns]
         for place, (heading, chart) in enumerate(row):
@@ -89,7 +98,16 @@ def _layout(of: Figure) -> Layout:
             x, top = _LEFT, top + 15.0
         key.append((x, top, name, look))
         x += needed
-    return Layout(width, top + 12.0, panels, key)
+    top += _LINE if key else 0.0
+    for text in _wrapped(of.note, width):
+        lines.append((top, text))
+        top += _LINE
+    return Layout(width, top + 4.0, lines, panels, key)
+
+
+def _wrapped(text: str, width: float) -> list[str]:
+    """Return a text in lines that fit into a width."""
+    return textwrap.wrap(text, int((width - 2 * _LEFT) / _TEXT_CHARACTER))
 
 
 def _printed(of: Figure) -> bytes:
@@ -120,6 +138,11 @@ def _printed(of: Figure) -> bytes:
             for look, places, _ in chart.marks:
                 for x, y in places:
                     _mark(ax, left + x, top + y, look)
+            for label in chart.labels:
+                _mark(ax, left + label.x, top + label.y, label.look)
+                ax.text(left + label.x + 6.0, top + label.y + 3.0, label.text, fontsize=8.5)
+        for y, text in at.lines:
+            ax.text(8.0, y, text, fontsize=8.5)
         for x, y, name, look in at.key:
             _mark(ax, x, y, look)
             ax.text(x + 8.0, y + 3.0, name, fontsize=8.5)

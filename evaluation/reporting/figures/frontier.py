@@ -1,6 +1,7 @@
 """What is left at a price: attacked PLR of every family where missed conflicts rise by a target."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -9,47 +10,107 @@ from evaluation.analysis.frontier import VALUE, WHITE, usual_price
 from evaluation.analysis.keys import AS_SHARED, Source, rows_of
 from evaluation.analysis.metrics import EXPOSURE
 from evaluation.analysis.strongest import HEADLINE
+from evaluation.experiment.presets import BASELINE
 from evaluation.reporting.answer_tables import price_text
-from evaluation.reporting.charts import LOOKS, PERCENT, Axis, Curve, Look, Mark, curves_chart
+from evaluation.reporting.charts import (
+    LOOKS,
+    PERCENT,
+    Axis,
+    Chart,
+    Curve,
+    Look,
+    Mark,
+    curves_chart,
+    label_room,
+)
 from evaluation.reporting.figures.figure import Figure
+from evaluation.reporting.names import (
+    INDEPENDENT_NOTE,
+    family_name,
+    robot_name,
+    robot_subject,
+    short_family_name,
+)
 from evaluation.reporting.rows import Results, family_of
 
-_LEAST_POINTS = 2
-_MOST = LOOKS - 1  # Families of a panel beside white noise.
+_LEAST_POINTS: Final = 2
+_TELLING: Final = 0.05  # Rise of missed conflicts that the caption is about.
+_MOST: Final = LOOKS - 1  # Families of a panel beside white noise.
 
 
 def figures(run: Results) -> Iterator[Figure]:
-    """Yield attacked PLR over the rise of misses, six families a panel beside white noise."""
-    of = run.frontier
-    if of.empty:
+    """Yield attacked PLR over the rise of misses: a panel a robot and six families."""
+    if run.frontier.empty:
         return
-    of = usual_price(of[of["metric"] == EXPOSURE])
-    of = of[(of["consumer"] != AS_SHARED.consumer) & of["value"].notna()]
-    panels, key = [], dict[str, Look]()
-    counts = of.groupby(["mechanism", "robot"], sort=False)["target"].nunique()
-    lines = counts[counts >= _LEAST_POINTS].index.get_level_values("mechanism")
-    names = [str(name) for name in dict.fromkeys(lines) if name != WHITE]
-    for robot, known in of.groupby("robot", sort=False):
-        rows = {str(name): part for name, part in known.groupby("mechanism", sort=False)}
+    rows = usual_price(run.frontier[run.frontier["metric"] == EXPOSURE])
+    rows = rows[(rows["consumer"] != AS_SHARED.consumer) & rows["value"].notna()]
+    robots = [robot for robot in dict.fromkeys(rows["robot"]) if robot != BASELINE]
+    rows = rows[rows["robot"].isin(robots or [BASELINE])]
+    names = _mechanisms(rows)
+    panels, key = list[tuple[str, Chart]](), dict[str, Look]()
+    for robot, known in rows.groupby("robot", sort=False):
         for start in range(0, max(len(names), 1), _MOST):
             which = f", {start // _MOST + 1}" if len(names) > _MOST else ""
-            curves, marked = list[Curve](), list[Mark]()
-            # A mechanism looks alike for every robot.
-            for place, name in enumerate([WHITE, *names[start : start + _MOST]]):
-                if name in rows:
-                    family = family_of(run.families, name)
-                    rule = " ind." * (family.adding == "independent")
-                    title = "white" if name == WHITE else f"{family.name}{rule}{which}"
-                    key[title] = Look(place)
-                    curve, marks = _drawn(rows[name], title, Look(place))
-                    curves.append(curve)
-                    marked += marks
-            if curves:
-                x, y = Axis("rise of missed conflicts (points)"), Axis("PLR, attacked (%)")
-                panels.append((f"{robot}{which}", curves_chart(curves, x=x, y=y, marked=marked)))
-    title = "PLR after attack where misses have risen"
-    said = f"{price_text(of)} Hollow: after repeats, an anchor, companions. Down is better."
-    yield Figure("frontier", "plane", title, panels, 2, key, said)
+            # A mechanism looks the same for every robot.
+            shown = [WHITE, *names[start : start + _MOST]]
+            chart = _panel(run, known, shown, key)
+            if chart:
+                panels.append((f"robot: {robot_name(str(robot))}{which}", chart))
+    yield Figure(
+        name="frontier",
+        section="plane",
+        title="PLR after attack at equal cost for the robot",
+        panels=panels,
+        columns=2,
+        key=key,
+        caption=_caption(run, rows),
+        note=f"{price_text(rows)} Lower is better. Hollow: an adversary that knows more. "
+        f"{INDEPENDENT_NOTE}",
+    )
+
+
+def _mechanisms(rows: pd.DataFrame) -> list[str]:
+    """Return the mechanisms with enough points for a line with some robot, without white noise."""
+    counts = rows.groupby(["mechanism", "robot"], sort=False)["target"].nunique()
+    lines = counts[counts >= _LEAST_POINTS].index.get_level_values("mechanism")
+    return [str(name) for name in dict.fromkeys(lines) if name != WHITE]
+
+
+def _panel(
+    run: Results, rows: pd.DataFrame, names: Sequence[str], key: dict[str, Look]
+) -> Chart | None:
+    """Return the chart of some mechanisms; None without any. `key` gets what has no label."""
+    parts = {str(name): part for name, part in rows.groupby("mechanism", sort=False)}
+    curves, marked = list[Curve](), list[Mark]()
+    for place, name in enumerate(names):
+        if name in parts:
+            title = "white" if name == WHITE else short_family_name(family_of(run.families, name))
+            curve, marks = _drawn(parts[name], title, Look(place))
+            curves.append(curve)
+            marked += marks
+    if not curves:
+        return None
+    if not label_room(curves):
+        key |= {curve.label: curve.look for curve in curves}
+    x, y = Axis("rise of missed conflicts (points)"), Axis("PLR after attack (%)")
+    return curves_chart(curves, x=x, y=y, marked=marked)
+
+
+def _caption(run: Results, rows: pd.DataFrame) -> str:
+    """Return which mechanism has the lowest PLR where misses of a robot rise by 5 points."""
+    usual = rows[rows["knowledge"].isin(HEADLINE) & np.isclose(rows["target"], _TELLING)]
+    usual = usual[usual["robot"] == usual["robot"].iloc[0]] if len(usual) else usual
+    if usual.empty:
+        return ""
+    best = usual.sort_values("value", kind="stable").iloc[0]
+    name = family_name(family_of(run.families, str(best["mechanism"])))
+    text = (
+        f"If {robot_subject(str(best['robot']))} may miss {PERCENT * _TELLING:g} points more, "
+        f"{name} has the lowest PLR after attack: {PERCENT * best['value']:.0f} %"
+    )
+    white = usual.loc[usual["mechanism"] == WHITE, "value"]
+    beside = f"; white noise {PERCENT * white.iloc[0]:.0f} %" if len(white) else ""
+    return f"{text}{beside}."
 
 
 def _drawn(rows: pd.DataFrame, title: str, look: Look) -> tuple[Curve, list[Mark]]:
@@ -58,9 +119,9 @@ def _drawn(rows: pd.DataFrame, title: str, look: Look) -> tuple[Curve, list[Mark
     of = rows[is_usual]
     ends = of[list(VALUE)].to_numpy(dtype=np.float64).T * PERCENT
     x = of["target"].to_numpy(dtype=np.float64) * PERCENT
-    told = ", ".join(f"{y:.0f} % at +{at:g}" for at, y in zip(x, ends[0], strict=True))
+    points = ", ".join(f"{y:.0f} % at +{at:g}" for at, y in zip(x, ends[0], strict=True))
     for one in rows_of(rows[~is_usual]):
         at, value = PERCENT * one["target"], PERCENT * one["value"]
         who = f"{title}, after {Source(one['consumer'], one['knowledge']).label}"
         marks.append((look._replace(hollow=True), at, value, f"{who}: {value:.0f} %"))
-    return Curve(look, f"{title}: {told}", x, ends), marks
+    return Curve(look, f"{title}: {points}", x, ends, title), marks

@@ -1,25 +1,34 @@
-"""Figures over the level: what is shared and missed, what attacks leave, and who is found again."""
+"""Figures over the level: missed conflicts and descriptors as shared, and PLR after each attack."""
 
-import math
 import re
 from collections.abc import Iterator, Sequence
-from itertools import groupby, zip_longest
+from itertools import groupby
 from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.families import CLEAN, FID, FIXED, RAW
+from evaluation.analysis.families import FID, FIXED, RAW
 from evaluation.analysis.keys import AS_SHARED, ORACLE, Source, is_attack
-from evaluation.analysis.linkability import LinkedTask
-from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS
+from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE
 from evaluation.analysis.paper import DATASET, PREDICTOR, PUBLISHED
 from evaluation.analysis.strongest import most_knowing
 from evaluation.experiment.presets import IDENTITY, SHARED
 from evaluation.reporting import rows as picked
-from evaluation.reporting.charts import LOOKS, Axis, Chart, Curve, Look, Mark, curves_chart
+from evaluation.reporting.charts import (
+    LOOKS,
+    PERCENT,
+    Axis,
+    Chart,
+    Curve,
+    Look,
+    Mark,
+    curves_chart,
+    label_room,
+)
 from evaluation.reporting.figures.figure import Figure
+from evaluation.reporting.names import attack_name, robot_name, robot_subject
 from evaluation.reporting.result_tables import after_attack, sources_of
 
 _FILES = {FID: "fid_threshold", FIXED: "fixed_error"}
@@ -48,7 +57,7 @@ class _Series(NamedTuple):
 
 
 def figures(run: picked.Results) -> Iterator[Figure]:
-    """Yield that after attack, one of each swept mechanism, and that of linkage."""
+    """Yield the figure of the attacks, and one for each swept mechanism."""
     yield from _attacked(run)
     names: list[str] = []
     for swept, of in groupby(picked.schemes(run.ours), key=attrgetter("name")):
@@ -57,7 +66,6 @@ def figures(run: picked.Results) -> Iterator[Figure]:
         name = _FILES.get(swept, plain)
         names.append(f"{name}-{known[0].place}" if name in names else name)
         yield _sweep(run, known, name=names[-1])
-    yield _linked(run)
 
 
 def _panel(
@@ -66,7 +74,6 @@ def _panel(
     key: dict[str, Look],
     *,
     y: Axis,
-    task: str = "",
     across: Sequence[tuple[str, float]] = (),
     marked: Sequence[Mark] = (),
 ) -> Iterator[tuple[str, Chart]]:
@@ -80,12 +87,13 @@ def _panel(
         if ends:
             told = " to ".join(dict.fromkeys([ends[0], ends[-1]]))
             x = rows["level"].to_numpy(dtype=np.float64)
-            curves.append(Curve(look, f"{label}: {told}", x, values))
-            key[label] = look
+            curves.append(Curve(look, f"{label}: {told}", x, values, label))
     if curves:
+        if not label_room(curves):
+            key |= {curve.label: curve.look for curve in curves}
         x_axis = Axis(scheme.label, scheme.log)
         chart = curves_chart(curves, x=x_axis, y=y, across=across, marked=marked)
-        yield f"{task}{scheme.title}, {scheme.rule_text}", chart
+        yield f"{scheme.title}, {scheme.rule_text}", chart
         if marked:
             key["paper (raw at the edge)"] = _PAPER_LOOK
 
@@ -102,20 +110,59 @@ def _sweep(run: picked.Results, known: Sequence[picked.Scheme], *, name: str) ->
     looks = {(one, MISSED_RATE): Look(place) for place, one in enumerate(predictors)}
     looks |= {(SHARED, metric): look for metric, look in _SHARED_LOOKS.items()}
     series = [
-        _Series(METRICS[at[1]].head if at[0] == SHARED else at[0], look, of[of.index == at], at[1])
-        for at, look in looks.items()
+        _Series(_sweep_label(*at), look, of[of.index == at], at[1]) for at, look in looks.items()
     ]
     panels, key = list[tuple[str, Chart]](), dict[str, Look]()
     for label, metrics in _PANELS.items():
         some = [one for one in series if one.metric in metrics]
-        papers = {one.metric for one in some if one.metric != MISSED_RATE or one.label == PREDICTOR}
+        papers = {
+            one.metric
+            for one in some
+            if one.metric != MISSED_RATE or one.label == robot_name(PREDICTOR)
+        }
         of_paper = [one for one in metrics if one in papers and run.dataset == DATASET]
         for scheme in known:
             marked = [mark for one in of_paper for mark in _papers(one, scheme)]
             y = Axis(label, label.endswith("(s)"))
             panels += _panel(scheme, some, key, y=y, across=_raw(some), marked=marked)
-    title = f"Missed conflicts, PLR and exposure over the level: {known[0].title}"
-    return Figure(name, "figures", title, panels, len(known), key, "Dashed: raw.")
+    return Figure(
+        name=name,
+        section="figures",
+        title=f"Missed conflicts, PLR and exposure over the level: {known[0].title}",
+        panels=panels,
+        columns=len(known),
+        key=key,
+        caption=_sweep_caption(known[0], ours),
+        note="Dashed: raw positions.",
+    )
+
+
+def _sweep_label(consumer: str, metric: str) -> str:
+    """Return what a curve of a sweep is called."""
+    return METRICS[metric].head if consumer == SHARED else robot_name(consumer)
+
+
+def _sweep_caption(scheme: picked.Scheme, rows: pd.DataFrame) -> str:
+    """Return missed conflicts of the first robot and PLR as shared at both ends of a sweep."""
+    known = rows[np.isfinite(rows["value"])]
+    robot = next(iter(known.loc[known["metric"] == MISSED_RATE, "consumer"]), "")
+    shown, parts = scheme.of(known), list[str]()
+    missed = shown[(shown["metric"] == MISSED_RATE) & (shown["consumer"] == robot)]
+    if len(missed):
+        ends = _ends(missed["value"])
+        parts.append(f"{robot_subject(robot)} misses {ends} of conflicts")
+    exposed = shown[(shown["metric"] == EXPOSURE) & (shown["consumer"] == SHARED)]
+    if len(exposed):
+        parts.append(f"PLR as shared is {_ends(exposed['value'])}")
+    if not parts:
+        return ""
+    low, high = (scheme.at(shown["level"].iloc[place]) for place in (0, -1))
+    return f"From {low} to {high}, {'. '.join(parts)}."
+
+
+def _ends(values: "pd.Series[float]") -> str:
+    """Return the first and the last of some fractions, in percent."""
+    return f"{PERCENT * values.iloc[0]:.0f} % to {PERCENT * values.iloc[-1]:.0f} %"
 
 
 def _papers(metric: str, scheme: picked.Scheme) -> list[Mark]:
@@ -145,7 +192,7 @@ def _attacked(run: picked.Results) -> Iterator[Figure]:
     if not looks.keys() - {AS_SHARED}:
         return
     series = [
-        _Series("as shared" if of == AS_SHARED else of.label, look, found, EXPOSURE)
+        _Series(_label(of), look, found, EXPOSURE)
         for of, look in looks.items()
         if len(found := picked.of_source(rows, of))
     ]
@@ -153,43 +200,40 @@ def _attacked(run: picked.Results) -> Iterator[Figure]:
     panels, key = list[tuple[str, Chart]](), dict[str, Look]()
     for scheme in picked.schemes(rows):
         panels += _panel(scheme, series, key, y=Axis("PLR, shared or attacked (%)"), across=across)
-    title = "PLR as shared and after each attack, over the level"
-    said = "Dashed: raw as shared. Hollow: the oracle, a reference."
-    yield Figure("after_attack", "after", title, panels, 2, key, said)
+    yield Figure(
+        name="after_attack",
+        section="after",
+        title="PLR as shared and after each attack, over the level",
+        panels=panels,
+        columns=2,
+        key=key,
+        caption=_rise(series),
+        note="Dashed: raw positions as shared. Hollow: the oracle, a reference.",
+    )
 
 
-def _linked(run: picked.Results) -> Figure:
-    """Return rank 1 over the level, a row for each task; at most six attacks, alike everywhere."""
-    of = {task: {one: _rank1_rows(task, one) for one in task.attacks} for task in run.tasks}
-    ranked = [sorted(each, key=lambda one: _mean(each[one]), reverse=True) for each in of.values()]
-    turns = (source for turn in zip_longest(*ranked) for source in turn if source is not None)
-    sources = list(dict.fromkeys(turns))[: LOOKS - 1]
-    known, y = picked.schemes(run.summary), Axis("rank 1 (%)")
-    panels, key = list[tuple[str, Chart]](), dict[str, Look]()
-    for task, rows in of.items():
-        every = [_Series(one.label, Look(LOOKS - 1), found, SUCCESS) for one, found in rows.items()]
-        best = [value for one in every for value in one.of(CLEAN)]
-        chance = [100.0 * one.rows["chance"].iloc[0] for one in every if len(one.rows)]
-        black = [("k6", one) for one in [*sorted(best)[-1:], *chance[:1]]]
-        ran = [(Look(place), one) for place, one in enumerate(sources) if one in rows]
-        series = [_Series(one.label, look, rows[one], SUCCESS) for look, one in ran]
-        across = [*_raw(series), *black]
-        for scheme in known:
-            panels += _panel(scheme, series, key, y=y, task=f"{task.name}: ", across=across)
-    title = "Rank 1 of the strongest attacks over the level, task by task"
-    said = "Dashed: raw of each attack; in black chance, and above it no error at all."
-    columns, key = max(2, len(known)), dict(sorted(key.items(), key=lambda one: one[1]))
-    return Figure("linkability", "linkability", title, panels, columns, key, said)
+def _label(source: Source) -> str:
+    """Return what positions are called: as shared, or the attack and the adversary."""
+    if source == AS_SHARED:
+        return "as shared"
+    return f"{attack_name(source.consumer)} ({source.knowledge})"
 
 
-def _rank1_rows(task: LinkedTask, source: Source) -> pd.DataFrame:
-    """Return rank 1 of an attack where it is known, as a summary has metrics, and chance."""
-    keys = "mechanism", "level", "rank1", "ci_low", "ci_high", "chance"
-    known = (block[source] for block in task.cells.values() if source in block)
-    rows = [[row[key] for key in keys] for row in known if math.isfinite(row["rank1"])]
-    return pd.DataFrame(rows, columns=["mechanism", "level", *picked.ENDS, "chance"])
+def _rise(series: Sequence[_Series]) -> str:
+    """Return by how many points of PLR the best attack of each level exceeds what was shared.
 
-
-def _mean(rows: pd.DataFrame) -> float:
-    """Return mean rank 1 over the levels; neither raw nor the ceiling has one."""
-    return float(np.nan_to_num(rows.loc[rows["level"].notna(), "value"].mean(), nan=-1.0))
+    The oracle does not count.
+    """
+    shared = [one.rows for one in series if one.label == _label(AS_SHARED)]
+    attacked = [one.rows for one in series if not one.look.hollow and one.label != "as shared"]
+    if not (shared and attacked):
+        return ""
+    at = ["mechanism", "level"]
+    best = pd.concat(attacked).groupby(at, sort=False)["value"].max()
+    rises = PERCENT * (best - shared[0].groupby(at, sort=False)["value"].max()).dropna()
+    if rises.empty:
+        return ""
+    low, high = rises.min(), rises.max()
+    change = f"raises PLR by {low:.0f} to" if low > 0 else f"changes PLR by {low:+.0f} to"
+    end = f"{high:.0f}" if low > 0 else f"{high:+.0f}"
+    return f"The strongest attack {change} {end} points at the levels drawn."

@@ -11,8 +11,9 @@ from evaluation.analysis.keys import is_attack
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE
 from evaluation.experiment.presets import SHARED
 from evaluation.reporting import rows as picked
-from evaluation.reporting.charts import LOOKS, Axis, Curve, Look, curves_chart
+from evaluation.reporting.charts import LOOKS, Axis, Curve, Look, curves_chart, label_room
 from evaluation.reporting.figures.figure import Figure
+from evaluation.reporting.names import robot_name, robot_subject
 
 
 def figures(run: picked.Results) -> Iterator[Figure]:
@@ -21,7 +22,7 @@ def figures(run: picked.Results) -> Iterator[Figure]:
     predictor = next(iter(ours["consumer"][ours["metric"] == MISSED_RATE]), "")
     known = picked.schemes(ours, as_points=True)
     panels, key = [], dict[str, Look]()
-    for rule, metric in product(ADDING_RULES, DESCRIPTORS):
+    for metric, rule in product(DESCRIPTORS, ADDING_RULES):
         plane, shown = _plane(ours, predictor, metric), METRICS[metric]
         curves, marked = [], []
         for scheme in known:
@@ -30,19 +31,40 @@ def figures(run: picked.Results) -> Iterator[Figure]:
                 x, values = points["x"].to_numpy(), points[picked.ENDS].to_numpy().T
                 name = f"{scheme.title}, noisiest at {scheme.at(points['level'].iloc[-1])}: "
                 name += f"{x[-1]:.1f} % missed, {shown.head} {values[0, -1]:.{shown.digits}f}"
-                key[scheme.title] = Look(scheme.place % (LOOKS - 1))
-                curves.append(Curve(key[scheme.title], name, x, values))
+                look = Look(scheme.place % (LOOKS - 1))
+                curves.append(Curve(look, name, x, values, scheme.title))
         raw = plane[plane["mechanism"] == RAW]
         for at, value in zip(raw["x"], raw["value"], strict=True):
             marked.append((Look(LOOKS - 1), at, value, f"raw: {at:.1f} % missed"))
         if curves:
             y = Axis(f"{shown.head}, shared ({shown.unit})", metric != EXPOSURE)
             chart = curves_chart(curves, x=Axis("missed conflicts (%)"), y=y, marked=marked)
-            panels.append((f"{rule} adding", chart))
-            key |= {"raw": Look(LOOKS - 1)} if marked else {}
-    title = f"Each descriptor as shared against missed conflicts, predictor {predictor}"
-    said = "Down and to the left is better."
-    yield Figure("operating_points", "plane", title, panels, len(DESCRIPTORS), key, said)
+            panels.append((f"{shown.head}, {rule} adding", chart))
+            key |= {} if label_room(curves) else {one.label: one.look for one in curves}
+            key |= {"raw positions": Look(LOOKS - 1)} if marked else {}
+    yield Figure(
+        name="operating_points",
+        section="plane",
+        title=f"Each descriptor as shared, over what {robot_name(predictor)} misses",
+        panels=panels,
+        columns=2,
+        key=key,
+        caption=_caption(_plane(ours, predictor, EXPOSURE), predictor),
+        note="Down and to the left is better.",
+    )
+
+
+def _caption(plane: pd.DataFrame, predictor: str) -> str:
+    """Return missed conflicts and PLR as shared of the level with the lowest PLR, and of raw."""
+    if plane.empty:
+        return ""
+    lowest = plane.sort_values("value", kind="stable").iloc[0]
+    text = (
+        f"At the lowest PLR as shared, {lowest['value']:.0f} %, "
+        f"{robot_subject(predictor)} misses {lowest['x']:.0f} % of conflicts"
+    )
+    raw = plane.loc[plane["mechanism"] == RAW, "x"]
+    return f"{text}{f', {raw.iloc[0]:.0f} % with raw positions' if len(raw) else ''}."
 
 
 def _plane(summary: pd.DataFrame, predictor: str, metric: str) -> pd.DataFrame:

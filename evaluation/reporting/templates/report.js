@@ -62,6 +62,14 @@
   document.addEventListener("pointerover", name);
   document.addEventListener("focusin", name);
 
+  // A table that is wider than its frame says so.
+  const frames = new ResizeObserver((entries) => {
+    for (const { target } of entries) {
+      target.closest(".table").classList.toggle("wide", target.scrollWidth > target.clientWidth + 1);
+    }
+  });
+  for (const frame of document.querySelectorAll(".table .scroll")) frames.observe(frame);
+
   document.addEventListener("click", (event) => {
     if (event.target.closest("th .sort")) sort(event.target.closest("th"));
     const button = event.target.closest(".copy");

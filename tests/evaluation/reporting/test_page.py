@@ -24,7 +24,7 @@ def made(page_path):
 class TestTheFile:
     def test_it_says_what_it_is_and_refers_to_nothing_but_itself(self, made):
         assert made.startswith("<!doctype html>")
-        assert "<title>students03:" in made
+        assert "<title>Students03: " in made
         tags = Tags(made)
         assert {"name": "viewport", "content": "width=device-width, initial-scale=1"} in tags.of(
             "meta"
@@ -101,7 +101,7 @@ class TestWhatItSays:
         text = page.render(nothing)
         assert "This run has no verdict" in text
         assert "does not track" not in Tags(text).text
-        assert "Nobody links in this run." in text
+        assert "This run has no linkage attack." in text
         assert "<table>" not in text
 
     def test_marks_in_a_command_and_a_subject_are_words(self):
@@ -115,7 +115,7 @@ class TestWhatItSays:
         run = make_run(flags=make_flags())
         run.manifest["dataset"]["simulated"] = True
         text = page.render(run)
-        notice = text.index("Simulated crowd: says nothing of real people by itself.")
+        notice = text.index("Simulated crowd: these numbers say nothing about real people.")
         assert notice < text.index("What does the robot lose")
         assert "radial_rts (informed) is beaten by radial_rts (blind) at 1 of 47 levels" in text
         assert "+0.3 [+0.1, +0.5]" in text

@@ -9,6 +9,7 @@ from helpers.finished_runs import levels, make_gallery, make_run, make_summary, 
 
 from evaluation.reporting.answers import headline_of
 from evaluation.reporting.headline import levels_of
+from evaluation.reporting.names import short_mechanism_name
 from evaluation.reporting.pictures import SIZE, panels, pictures, planes
 
 SHARES = re.compile(r" (\d+\.\d) %")
@@ -46,7 +47,9 @@ def test_marks_stand_where_their_numbers_are_and_the_numbers_are_those_of_the_ru
 def test_rows_and_marks_are_those_of_the_first_table(of):
     lost = pictures(of)[0].chart
     levels, _ = levels_of(of)
-    assert [text for _, text in lost.y_ticks] == [of.name(where) for where in levels]
+    names = [short_mechanism_name(of.known[where[0]], where[1]) for where in levels]
+    assert [text for _, text in lost.y_ticks] == names
+    assert set(lost.hints) == set(names)
     assert len(lost.marks) == len(levels) * len(of.robots)
 
 
@@ -107,3 +110,10 @@ def test_walks_are_drawn_to_scale_and_leaks_are_counted():
         assert step == pytest.approx(length_px / float(text.split()[0]), abs=1e-6)  # of 1 m each
         assert len(paths["shared leak"]) == 4
         assert ((walk >= 0) & (walk <= SIZE)).all()
+
+
+def test_the_limit_is_asked_of_noise_and_not_of_raw_positions(of):
+    chosen = pictures(of)[4]
+    noisy = [name for _, _, name in chosen.chart.marks if not name.startswith("raw positions")]
+    assert len(noisy) < len(chosen.chart.marks)
+    assert f"of {len(noisy)} levels" in chosen.caption

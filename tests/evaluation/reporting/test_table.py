@@ -157,7 +157,7 @@ class TestHtmlAndMarkdown:
     def test_a_name_is_a_word_on_a_page(self, name):
         tags = Tags(html(make_table(names=(name,))))
         assert {tag for tag, _ in tags.found} == {
-            "div", "table", "caption", "thead", "tr", "th", "button", "tbody", "td",
+            "div", "table", "caption", "thead", "tr", "th", "button", "tbody", "td", "p",
         }  # fmt: skip
         assert name in tags.text
 

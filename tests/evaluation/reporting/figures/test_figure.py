@@ -82,16 +82,16 @@ def test_a_line_over_the_level_is_the_run_and_its_name_tells_the_ends():
     of = summary[(summary["mechanism"] == "fid") & (summary["consumer"] == "shared")]
     plr = 100.0 * of[of["metric"] == "plr"].sort_values("level")["value"].to_numpy()
     np.testing.assert_allclose(values(path, chart, log=(True, False))[:, 1], plr, atol=0.5)
-    assert name == f"PLR: {plr[0]:.1f} % at η = 1 to {plr[-1]:.1f} % at η = 100000"
+    assert name == f"PLR: {plr[0]:.1f} % at eta 1 to {plr[-1]:.1f} % at eta 100000"
     assert sorted(told for *_, told in papers) == [
-        "paper: PLR 18.4 % at η = 1", "paper: PLR 24 % at η = 1000", "paper: PLR 52.6 % at raw",
+        "paper: PLR 18.4 % at eta 1", "paper: PLR 24 % at eta 1000", "paper: PLR 52.6 % at raw",
     ]  # fmt: skip
 
 
 def test_the_paper_is_marked_on_its_own_recording_under_linear_adding_only():
     def papers(dataset, name="fid_threshold", at=BOTH):
         one = drawn(dataset=dataset, summary=make_summary(at, dataset=dataset))[name]
-        return [sum("paper" in mark[2] for mark in chart.marks) for _, chart in one.panels]
+        return [sum("paper: " in mark[2] for mark in chart.marks) for _, chart in one.panels]
 
     assert papers("students03") == [3, 0, 3, 0, 4, 0]
     assert not any(papers("plaza") + papers("students03", "sweep-ou", STRANGERS))
@@ -103,10 +103,12 @@ def test_plr_over_speed_has_a_curve_a_level_under_its_rules():
     headings = [heading for heading, _ in figure.panels]
     assert headings == ["linear adding", "independent adding"]
     for rule, (_, chart) in zip(("", INDEPENDENT), figure.panels, strict=True):
+        ends = "60.0 % at 0.20 m/s to 20.0 % at 1.20 m/s"
         assert [name for *_, name in chart.marks] == [
-            "raw after radial_rts (informed): 60.0 % at 0.20 m/s to 20.0 % at 1.20 m/s",
-            "fid 1 after radial_rts (informed): 60.0 % at 0.20 m/s to 20.0 % at 1.20 m/s",
+            f"raw positions after radial_rts (informed): {ends}",
+            f"FID noise, eta 1 after radial_rts (informed): {ends}",
         ]
+        assert [one.text for one in chart.labels] == ["raw positions", "FID noise, eta 1"]
         of = speeds[(speeds["mechanism"] == f"fid{rule}") & (speeds["consumer"] != "shared")]
         expected = of[["speed_mps", "value"]].to_numpy() * [1.0, 100.0]
         found = values(chart.marks[1][1], chart, log=(False, False))
@@ -174,11 +176,12 @@ def test_the_frontier_is_drawn_beside_white_noise_and_who_knows_more_is_hollow()
     knows = many[1][many[1]["metric"] == "plr"].assign(consumer="ou_rts", knowledge="anchor")
     told = pd.concat([*many, knows.assign(value=0.95)])
     made = {one.name: one for one in figures_of(replace(make_run(), frontier=told))}["frontier"]
-    assert [heading for heading, _ in made.panels] == ["kalman_cv, 1", "kalman_cv, 2"]
-    assert list(made.key) == ["white", *(f"m{n}, 1" for n in range(6)), "m6, 2"]
+    assert [heading for heading, _ in made.panels] == ["robot: Kalman, 1", "robot: Kalman, 2"]
     chart = made.panels[0][1]
+    assert not made.key
+    assert {one.text for one in chart.labels} == {"white", *(f"m{n}" for n in range(6))}
     names = [name for _, _, name in chart.marks]
-    assert names[1] == "m0, 1: 77 % at +3, 75 % at +5, 73 % at +7.5"
+    assert names[1] == "m0: 77 % at +3, 75 % at +5, 73 % at +7.5"
     (look, places, _), *_ = [one for one in chart.marks if "anchor" in one[2]]
     assert look.hollow
     assert values(places, chart, log=(False, False)) == pytest.approx(

@@ -1,0 +1,262 @@
+"""The glossary: one plain sentence for each name that a screen, a table or a figure shows.
+
+Its one home. The page takes hover text and its section from here, `docs/glossary.md` is made of it.
+"""
+
+import re
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+from markupsafe import Markup, escape
+
+from evaluation.reporting.names import ATTACK_NAMES, FAMILY_NAMES, ROBOT_NAMES
+
+_WORDS: Final = {
+    "ISAC": "Integrated sensing and communication: a radio network that also senses objects.",
+    "FID": "Fisher information density: how precisely the network can locate a point, 1/(m² s).",
+    "eta": "Threshold of FID noise, 1/(m² s): FID above it is brought down by added noise.",
+    "epsilon": "Distance in m below which a shared or rebuilt position counts as known.",
+    "mechanism": "A rule that changes positions before the network shares them.",
+    "level": "The strength of a mechanism: eta for FID noise, metres for most others.",
+    "release": "Times, positions and fresh pseudonyms that a recipient gets at a time.",
+    "pseudonym": "A random label of a track, new in every release.",
+    "adding": "How added noise combines with the sensing error: linear or independent.",
+    "linear": "Adding rule of the paper: the standard deviations of both errors add up.",
+    "independent": "Adding rule of two unrelated errors: their variances add up.",
+    "as shared": "Positions as the mechanism sends them, before any attack.",
+    "after attack": "Positions that an attack has rebuilt from a release.",
+    "law": "The direction of position errors: radial, isotropic or fixed_direction.",
+    "radial": "Error law: a random distance in a uniformly random direction.",
+    "isotropic": "Error law: the same normal error along both axes.",
+    "fixed_direction": "Error law: all errors of a track lie along one random direction.",
+    "white": "Fixed noise with independent adding and isotropic errors, as a reference.",
+    "interval": "95 % interval over people: 19 of 20 such intervals hold the true value.",
+    "chance": "Rank 1 of a random guess: one divided by the number of candidates.",
+    "candidates": "People among whom a linkage attack looks for the same person.",
+    "missed conflict": "A robot does not foresee that somebody comes inside the safety radius.",
+    "future conflict": "A conflict in which nobody is inside the safety radius yet.",
+    "false alarm": "A robot expects a conflict that does not happen.",
+    "handover": "Pseudonyms change after some seconds of silence; frame and clock stay true.",
+    "re-identified": "A linkage attack ranks the same person first among all candidates.",
+    "singling out": "Isolating the records of a person in a data set (Opinion 05/2014).",
+    "linkability": "Linking two records of the same person (Opinion 05/2014).",
+    "inference": "Deducing an attribute of a person, probably correctly (Opinion 05/2014).",
+    "front": "Levels that no other level of the run beats in cost and privacy together.",
+    "model world": "Simulated walks that follow the fitted motion, where the optimum is known.",
+    "optimum": "The exact best attack in a model world: no attack beats it on average.",
+    "ceiling": "An optimum that also knows the scale of every error; attacks need not reach it.",
+    "clusters": "People, or groups who walk together, that an interval is computed over.",
+    "control": "A linker that must stay at chance; if it does not, the task leaks otherwise.",
+    "shortcut": "A control that links people by something other than their walk.",
+    "joint matching": "All probes are matched to candidates at once, each candidate once.",
+    "rebuilt": "Computed from a release by a reconstruction attack.",
+    "true": "Where the person was, without any error.",
+    "shared": "What the network sent, as `as shared`.",
+}
+
+_MECHANISMS: Final = {
+    "raw": "Sensed positions, shared with nothing added.",
+    "clean": "True positions without any error: an upper limit for every attack.",
+    "fixed": "The same amount of noise on every position, level in m.",
+    "fid": "The paper's mechanism: noise where the FID exceeds eta.",
+    "ou": "Noise that changes slowly, over about 5 s, level in m.",
+    "ou_fid": "Slow noise where the FID exceeds eta.",
+    "laplace": "Planar Laplace noise on every position, level in m.",
+    "forecast": "The network's own filtered position, once a second, with noise, level in m.",
+    "correlated": "A control: noise as large as fixed noise, but similar from sample to sample.",
+    "offset": "A control: a whole track shifted by one distance in a random direction, in m.",
+    "thin": "A control: only every n-th sample is shared.",
+}
+
+_ATTACKS: Final = {
+    "identity": "No attack: the positions as shared.",
+    "moving_average": "Averages neighbouring positions.",
+    "savgol": "Fits a parabola to each stretch of positions (Savitzky-Golay).",
+    "kalman_rts": "Kalman smoother for steady walking with normal errors.",
+    "radial_rts": "Kalman smoother that reweights positions for radial errors.",
+    "ou_rts": "Smoother that models slowly changing noise beside the walk.",
+    "imm_rts": "Smoother that switches between walking on and turning or stopping.",
+    "gaussian_process": "Fits a smooth random curve to each track.",
+    "averaging": "Averages several releases of the same walk.",
+    "corrector": "Corrects the radial smoother by what it learnt on other people.",
+    "posterior": "Samples the walks that explain the shared positions best.",
+}
+
+_LINKERS: Final = {
+    "shape": "Compares two paths after the best shift and rotation.",
+    "profile": "Compares two profiles of speed and turning at the best time lag.",
+    "dtw": "Compares two profiles of speed and turning with stretched time.",
+    "behaviour": "Compares walking habits such as speed and its variation.",
+    "histogram": "Compares the distributions of speed and turning.",
+    "kinematic": "Extrapolates a walk across the gap and compares position and speed.",
+    "likelihood_ratio": "Weighs how likely one person walked both paths against two people.",
+    "mean_distance": "Mean distance of two walks over the instants of both.",
+    "fusion": "Combines the scores of all other linkers by what it learnt on other people.",
+}
+
+_TASKS: Final = {
+    "rerelease": "Link two logs of the same steps, without true frame or clock.",
+    "rerelease-framed": "Link two logs of the same steps, with true frame and clock.",
+    "split": "Link two windows of one walk that do not overlap.",
+    "handover-1s": "Link people across 1 s of silence.",
+    "handover-2s": "Link people across 2 s of silence.",
+    "handover-5s": "Link people across 5 s of silence.",
+    "new_traversal": "Link simulated people across two days.",
+    "cross_session": "Link real people across two recording sessions.",
+}
+
+_PREDICTORS: Final = {
+    "least_squares": "The paper's robot: a straight line through the last positions.",
+    "constant_position": "A robot that expects everybody to stand still.",
+    "kalman_cv": "A robot with a Kalman filter for steady walking.",
+    "kalman_cv:aware=true": "The same robot, and it knows the mechanism's noise.",
+    "kalman_ca": "A robot with a Kalman filter for steady acceleration.",
+    "kalman_imm": "A robot that switches between walking on and turning or stopping.",
+}
+
+_ADVERSARIES: Final = {
+    "blind": "Sees a release and knows nothing else.",
+    "informed": "Also knows the mechanism and learns from other people's true walks.",
+    "repeats": "Informed, and gets further releases of the same walks.",
+    "anchor": "Informed, and knows one true position of each walk.",
+    "companions": "Informed, and gets the tracks of people who walk along.",
+    "insider": "Informed, and knows the true frame and clock.",
+    "oracle": "Knows all of that and every standard deviation: a reference only.",
+}
+
+_METRICS: Final = {
+    "missed": "Share of conflicts that a robot misses.",
+    "missed future": "Share of future conflicts that a robot misses.",
+    "distance MAE": "Mean absolute error of the distance that a robot predicts, m.",
+    "robot's own PLR": "Share of positions that the robot's own filter knows within epsilon.",
+    "PLR": "Privacy leakage ratio: share of positions closer to the truth than epsilon.",
+    "AEL": "Average exposure length: how long positions leak without a break on average, s.",
+    "MEL": "Maximum exposure length: the longest unbroken leak of a track, averaged, s.",
+    "PLR, worst tenth": "PLR of the most exposed tenth of the people.",
+    "RMSE": "Root mean squared distance to the true positions, m.",
+    "RMSE ratio": "RMSE divided by that of a linear benchmark smoother.",
+    "PLR ratio": "PLR divided by that of a linear benchmark smoother.",
+    "PLR at 4/3 epsilon": "PLR with a distance limit one third larger.",
+    "median error": "Median distance to the true positions, m.",
+    "below the optimum": "How far the best attack stays below the optimum, in points.",
+    "optimal rank 1": "Rank 1 of the optimum in a model world.",
+    "optimal PLR": "PLR of the optimum in a model world.",
+    "PLR ceiling": "PLR of an attacker who also knows the scale of every error.",
+    "rank 1": "Share of people whose own other track comes first among the candidates.",
+    "rank 1 of 100": "Rank 1 among 100 candidates, comparable between runs.",
+    "rank 1, assigned": "Rank 1 if all probes are matched at once.",
+    "false links": "Share of probes without a partner for which a linker names somebody.",
+    "MRR": "Mean reciprocal rank of the right candidate.",
+    "AUC": "Chance that a pair of one person scores above a pair of two people.",
+    "EER": "Error rate at the threshold where both kinds of error are equal.",
+    "TPR at FPR 1 %": "Share of true pairs accepted while 1 % of false pairs are.",
+    "TPR at FPR 0.1 %": "Share of true pairs accepted while 0.1 % of false pairs are.",
+    "Cllr": "Cost of the scores as log likelihood ratios, bit; 0 is perfect.",
+    "Cllr_min": "Cllr after the best calibration, bit; 1 means no information.",
+    "1 - Cllr_min": "Information in the scores after the best calibration, bit.",
+    "D_sys": "Global linkability measure from 0 to 1 (Gomez-Barrero et al.).",
+    "D_sys, published program": "D_sys as the published program computes it.",
+    "D_sys, corrected": "D_sys minus its mean over shuffled pairs.",
+    "residual risk": "Rank 1 above chance, as a share of all that is possible above chance.",
+}
+
+GLOSSARY: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
+    {
+        "Words": _WORDS,
+        "Mechanisms": _MECHANISMS,
+        "Reconstruction attacks": _ATTACKS,
+        "Linkage attacks": _LINKERS,
+        "Linkage tasks": _TASKS,
+        "Robots": _PREDICTORS,
+        "Adversaries": _ADVERSARIES,
+        "Metrics": _METRICS,
+    }
+)
+"""By section: names as a file, table or figure has them, and what each is."""
+
+_PLAIN: Final[Mapping[str, str]] = MappingProxyType({**FAMILY_NAMES, **ATTACK_NAMES, **ROBOT_NAMES})
+"""By name in a file: the name that people read."""
+
+
+def plain_name(name: str) -> str:
+    """Return the name that people read for a name in a file; empty where both are the same."""
+    plain = _PLAIN.get(name, "")
+    return "" if plain == name else plain
+
+
+def _definitions() -> dict[str, str]:
+    """Return every known name, as in files and as people read it, with its sentence."""
+    own = {name: text for section in GLOSSARY.values() for name, text in section.items()}
+    return {plain: own[name] for name, plain in _PLAIN.items()} | own
+
+
+DEFINITIONS: Final[Mapping[str, str]] = MappingProxyType(_definitions())
+"""By name, as in files or as people read it: one sentence."""
+
+_COMMON: Final = frozenset(
+    {"true", "shared", "level", "law", "linear", "split", "shape", "profile", "control"}
+)
+"""Names that are everyday words as well: they get no hover text inside a sentence."""
+
+
+def _pattern() -> re.Pattern[str]:
+    """Return what matches any name that stands as a word of its own, the longest first."""
+    names = sorted(set(DEFINITIONS) - _COMMON, key=len, reverse=True)
+    return re.compile(rf"(?<![\w:])(?:{'|'.join(map(re.escape, names))})(?![\w:])")
+
+
+_NAMES: Final = _pattern()
+
+
+def definition(name: str) -> str:
+    """Return the sentence of a name; of a mechanism with a level or an attack that of its kind.
+
+    Parameters
+    ----------
+    name : str
+        A name as a file, a table or a figure has it: `fid`, `FID noise, eta 1`,
+        `rerelease/dtw@kalman_rts`, `radial_rts (informed)`.
+
+    Returns
+    -------
+    str
+        The sentence; empty for a name that the glossary does not have.
+    """
+    bare = name.strip()
+    linker = bare.rpartition("/")[2].partition("@")[0]
+    kinds = (bare.partition(" (")[0], bare.partition(",")[0], linker, re.split(r"[,: ]", linker)[0])
+    return next((DEFINITIONS[kind] for kind in (bare, *kinds) if kind in DEFINITIONS), "")
+
+
+def hinted(text: str) -> Markup:
+    """Return a text as HTML, each known name in it once with its sentence as hover text."""
+    seen: set[str] = set()
+
+    def marked(match: re.Match[str]) -> str:
+        name = match.group()
+        if name in seen:
+            return str(escape(name))
+        seen.add(name)
+        return f'<abbr title="{escape(DEFINITIONS[name])}">{escape(name)}</abbr>'
+
+    parts, end = [], 0
+    for match in _NAMES.finditer(text):
+        parts += [str(escape(text[end : match.start()])), marked(match)]
+        end = match.end()
+    return Markup("".join([*parts, str(escape(text[end:]))]))  # noqa: S704 - each part is escaped
+
+
+def glossary_page() -> str:
+    """Return `docs/glossary.md`: a table for each section."""
+    lines = [
+        "# Glossary",
+        "",
+        "Every name that a screen, a table or a figure shows. The page of a run has the same list.",
+        "`python -m evaluation.report --docs OUT` writes this file from",
+        "`evaluation/reporting/glossary.py`.",
+    ]
+    for section, entries in GLOSSARY.items():
+        lines += ["", f"## {section}", "", "| name | in words | is |", "|---|---|---|"]
+        lines += [f"| `{name}` | {plain_name(name)} | {text} |" for name, text in entries.items()]
+    return "\n".join(lines) + "\n"

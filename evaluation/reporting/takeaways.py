@@ -1,0 +1,118 @@
+"""One line for each picture of the page: what its numbers say."""
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+
+from evaluation.analysis.families import RAW
+from evaluation.analysis.frontier import front
+from evaluation.analysis.keys import Where
+from evaluation.reporting.amounts import bare_percent, whole
+from evaluation.reporting.charts import PERCENT, Point
+from evaluation.reporting.headline import Headline
+from evaluation.reporting.names import mechanism_name, robot_subject, task_phrase
+from evaluation.reporting.rows import family_of
+
+NEARLY_EQUAL: Final = 0.02  # Difference in PLR that counts as none.
+_RAW: Final[Where] = (RAW, None)
+
+
+def level_name(table: Headline, where: Where) -> str:
+    """Return the plain name of a level of a run."""
+    return mechanism_name(family_of(table.known, where[0]), where[1])
+
+
+def missed(table: Headline, where: Where) -> str:
+    """Return how many conflicts the first robot misses at a level, and with raw positions."""
+    if not table.robots:
+        return ""
+    robot = table.robots[0]
+    subject = robot_subject(robot.measure.consumer)
+    here, raw = table.at(where, robot), table.at(_RAW, robot)
+    if here is None:
+        return ""
+    beside = f", {bare_percent(raw)} with raw positions" if raw and where != _RAW else ""
+    name = level_name(table, where)
+    return f"With {name}, {subject} misses {bare_percent(here)} of conflicts{beside}."
+
+
+def known(table: Headline, where: Where) -> str:
+    """Return how much of the positions an attack knows at a level, beside what was sent."""
+    sent = table.at(where, table.shared)
+    if sent is None:
+        return ""
+    name, distance = level_name(table, where), f"{table.epsilon_m:g} m"
+    rebuilt = table.at(where, table.attacked) if table.attacked else None
+    if rebuilt is None:
+        return f"With {name}, {bare_percent(sent)} of positions are known to {distance}."
+    verb = "raises" if rebuilt.value > sent.value else "lowers"
+    return (
+        f"With {name}, an attack {verb} the positions known to {distance} from "
+        f"{bare_percent(sent)} to {bare_percent(rebuilt)}."
+    )
+
+
+def linked(table: Headline, where: Where) -> str:
+    """Return how many people the strongest linker re-identifies at a level, beside chance."""
+    first = next((task for task in table.linked if table.at(where, task)), None)
+    found = table.at(where, first) if first else None
+    if first is None or found is None:
+        return ""
+    phrase = task_phrase(first.measure.source.task)
+    beside = ""
+    if np.isfinite(first.chance):
+        beside = f"; chance is {whole(PERCENT * first.chance)} %"
+    return (
+        f"With {level_name(table, where)}, an attack re-identifies {bare_percent(found)} "
+        f"of people {phrase}{beside}."
+    )
+
+
+def unequal_pair(points: Sequence[Point]) -> str:
+    """Return by how much linkage (y) differs between two levels of nearly equal PLR (x).
+
+    Of all pairs whose PLR differs by at most two points it is the pair that differs most.
+    """
+    pairs = [
+        (abs(one.y.value - other.y.value), one, other)
+        for one, other in combinations(points, 2)
+        if abs(one.x.value - other.x.value) <= NEARLY_EQUAL
+    ]
+    if not pairs:
+        return "No two levels of this picture have nearly the same PLR as shared."
+    gap, one, other = max(pairs, key=lambda pair: pair[0])
+    return (
+        f"At nearly equal PLR, re-identification differs by {PERCENT * gap:.0f} points: "
+        f"{one.name} against {other.name}."
+    )
+
+
+def within_limit(points: Sequence[Point], limit: float) -> str:
+    """Return how many levels stay below a limit of y, and which of them costs least x."""
+    below = [point for point in points if point.y.value < limit]
+    bound = f"{PERCENT * limit:g} %"
+    if not below:
+        lowest = min(points, key=lambda point: point.y.value)
+        return (
+            f"No level keeps PLR after attack below {bound}; the lowest is "
+            f"{bare_percent(lowest.y)} with {lowest.name}."
+        )
+    cheapest = min(below, key=lambda point: point.x.value)
+    return (
+        f"{len(below)} of {len(points)} levels keep PLR after attack below {bound}; "
+        f"the cheapest is {cheapest.name}."
+    )
+
+
+def on_the_front(points: Sequence[Point], noun: str) -> str:
+    """Return how many levels no other beats, and which has the lowest y, called `noun`."""
+    values = np.array([(point.x.value, point.y.value) for point in points])
+    lowest = min(points, key=lambda point: point.y.value)
+    on_front = int(front(*values.T).sum())
+    share = f"All {on_front}" if on_front == len(points) else f"{on_front} of {len(points)}"
+    return (
+        f"{share} levels are on the front; the lowest {noun} is {bare_percent(lowest.y)}, "
+        f"with {lowest.name}."
+    )
