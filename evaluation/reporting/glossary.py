@@ -67,6 +67,7 @@ _MECHANISMS: Final = {
     "correlated": "A control: noise as large as fixed noise, but similar from sample to sample.",
     "offset": "A control: a whole track shifted by one distance in a random direction, in m.",
     "thin": "A control: only every n-th sample is shared.",
+    "window": "Only the last seconds of every track are shared; older samples are withheld.",
 }
 
 _ATTACKS: Final = {

@@ -20,7 +20,13 @@ if TYPE_CHECKING:
 
 WIDTH: Final = 100  # Columns.
 _KINDS: Final[tuple["Kind", ...]] = ("mechanisms", "predictors", "attacks")
-_LEVEL_UNITS: Final = {"eta": "1/(m^2 s)", "d_sigma": "m", "distance": "m", "every": "samples"}
+_LEVEL_UNITS: Final = {
+    "eta": "1/(m^2 s)",
+    "d_sigma": "m",
+    "distance": "m",
+    "every": "samples",
+    "seconds": "s",
+}
 """Units of levels whose names do not end in theirs."""
 _UNITS: Final = {
     "_mps": "m/s",

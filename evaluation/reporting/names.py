@@ -112,11 +112,14 @@ INDEPENDENT_MARK: Final = " *"
 INDEPENDENT_NOTE: Final = "* Noise is independent of the sensing error."
 
 
+_WITHOUT_LEVEL: Final = {"thin": "thinned samples", "window": "last seconds only"}
+"""Names of families where the level stands within."""
+
 ATTACK_NAMES: Final[Mapping[str, str]] = MappingProxyType(_ATTACKS)
 ROBOT_NAMES: Final[Mapping[str, str]] = MappingProxyType(_ROBOTS)
 FAMILY_NAMES: Final[Mapping[str, str]] = MappingProxyType(
     {
-        family: "thinned samples" if family == "thin" else pattern.partition(",")[0]
+        family: _WITHOUT_LEVEL.get(family, pattern.partition(",")[0])
         for family, pattern in _MECHANISMS.items()
     }
 )
