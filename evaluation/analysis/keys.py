@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from isac_track.intervals import Estimate
 
 INFORMED: Final = "informed"
-ORACLE: Final = "oracle"  # Adversary who is granted all: a reference, never the headline.
 Where: TypeAlias = "tuple[str, float | None]"  # Mechanism and level.
 Found: TypeAlias = "Mapping[Key, Estimate]"  # What is known of a run.
 _MOST_WRITTEN_OUT = 1e7

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from evaluation.analysis.families import Family
-from evaluation.analysis.keys import AS_SHARED, ORACLE, Found, Key, Measure, Source, Where
+from evaluation.analysis.keys import AS_SHARED, Found, Key, Measure, Source, Where
 from evaluation.analysis.metrics import EXPOSURE, MISSED_FUTURE, SUCCESS
 from evaluation.analysis.strongest import (
     GROUPS,
@@ -25,7 +25,7 @@ from evaluation.analysis.strongest import (
     strongest_of,
 )
 from evaluation.analysis.strongest_table import Strongest
-from evaluation.experiment.constants import IDENTITY
+from evaluation.experiment.constants import IDENTITY, ORACLE
 from evaluation.runs.cell_files import Summed
 from isac_track.intervals import Estimate, estimate_of
 

@@ -12,6 +12,7 @@ from evaluation.experiment.constants import (
     BLOCK_SCENES,
     BOUND,
     MODEL,
+    ORACLE,
     OTHER_LAW,
     OTHER_LAW_WORLD,
     WINDOWS,
@@ -113,6 +114,20 @@ class Axes:
     """Whether only the attacks of these adversaries read: on a few levels, after all others."""
     against_slow: frozenset[str] = frozenset()
     """SPECs of attacks that run only against mechanisms whose error changes slowly."""
+    skips_oracle: bool = False
+    """Whether the oracle attacks only where no lesser adversary can."""
+
+    def _adversaries_of(
+        self, granted: Mapping[str, frozenset[Knowledge]]
+    ) -> list[tuple[str, frozenset[Knowledge]]]:
+        """Return the adversaries that an attack runs for, with what each is granted.
+
+        The oracle is a reference. A run may leave it out where a lesser adversary can attack.
+        """
+        is_left_out = self.skips_oracle and len(granted) > 1
+        return [
+            (name, known) for name, known in granted.items() if name != ORACLE or not is_left_out
+        ]
 
     @property
     def consumers(self) -> tuple[Consumer, ...]:
@@ -120,7 +135,9 @@ class Axes:
         attacks = tuple(
             Consumer("attack", plugin, knowledge=adversary, granted=granted)
             for plugin in self.attacks
-            for adversary, granted in grants(plugin.instance, asked=self.adversaries).items()
+            for adversary, granted in self._adversaries_of(
+                grants(plugin.instance, asked=self.adversaries)
+            )
             if not self.trial or adversary in self.adversaries
         )
         if self.trial:
@@ -189,7 +206,9 @@ class Axes:
                 replace(one, knowledge=adversary, granted=granted, task=task.name)
                 for where, one in self.links
                 if where is task
-                for adversary, granted in _granted(one, task, self.adversaries).items()
+                for adversary, granted in self._adversaries_of(
+                    _granted(one, task, self.adversaries)
+                )
             ),
         )
 
@@ -255,6 +274,7 @@ def axes(settings: Settings) -> Axes:
         *(mechanisms, predictors, attacks, pairs, ceiling),
         utility=frozenset(utility),
         adversaries=_adversaries(settings, preset),
+        skips_oracle=preset.skips_oracle and ORACLE not in settings.adversaries,
         horizons_s=settings.stages.conflict.horizons_s if utility else (),
         worlds=worlds,
         slow_in_worlds=settings.preset == "audit",
@@ -309,7 +329,10 @@ def jobs_of(crossed: Axes, settings: Settings) -> int:
         return min(settings.jobs, max(most_workers(crossed, settings), 2))
     n_levels = len(crossed.mechanisms)
     n_links = sum(len(crossed.readers(task)) - 1 for task in crossed.tasks)
-    if settings.n_scenes * n_levels < WORTH_WORKERS and n_levels * n_links < WORTH_WORKERS_LINKED:
+    if (
+        settings.n_utility_scenes * n_levels < WORTH_WORKERS
+        and n_levels * n_links < WORTH_WORKERS_LINKED
+    ):
         return 1
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return min(cores or 1, MOST_DEFAULT_JOBS)

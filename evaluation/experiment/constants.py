@@ -3,6 +3,8 @@
 from typing import Final
 
 SHARED = "shared"  # Consumer of the descriptors as shared.
+ORACLE: Final = "oracle"
+"""Adversary who is granted all: a reference, never the headline."""
 IDENTITY = "identity"  # The attack that reproduces what was shared.
 WINDOWS = "windows"  # Consumer of the same of a linkage task, window by window, after the task.
 OTHER_LAW: Final = "isotropic"  # Error law under which the preset's `other_law` is computed as well

@@ -11,15 +11,7 @@ import pandas as pd
 
 from attacks.tasks.controls import CONTROLS
 from evaluation.analysis.families import CLEAN, LEVEL_UNITS, families_in
-from evaluation.analysis.keys import (
-    AS_SHARED,
-    ORACLE,
-    Source,
-    is_attack,
-    rows_of,
-    where_text,
-    worlds_of,
-)
+from evaluation.analysis.keys import AS_SHARED, Source, is_attack, rows_of, where_text, worlds_of
 from evaluation.analysis.linkability import INVALID, REMARKS, LinkedTask, remarks
 from evaluation.analysis.metrics import (
     DESCRIPTORS,
@@ -33,7 +25,7 @@ from evaluation.analysis.metrics import (
     UTILITY,
 )
 from evaluation.analysis.strongest import most_knowing
-from evaluation.experiment.constants import horizon_of
+from evaluation.experiment.constants import ORACLE, horizon_of
 from evaluation.experiment.presets import IDENTITY, SHARED
 from evaluation.reporting import rows as picked
 from evaluation.reporting import table as make

@@ -10,10 +10,11 @@ import numpy as np
 import pandas as pd
 
 from evaluation.analysis.families import FID, FIXED, RAW
-from evaluation.analysis.keys import AS_SHARED, ORACLE, Source, is_attack
+from evaluation.analysis.keys import AS_SHARED, Source, is_attack
 from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE
 from evaluation.analysis.paper import DATASET, PREDICTOR, PUBLISHED
 from evaluation.analysis.strongest import most_knowing
+from evaluation.experiment.constants import ORACLE
 from evaluation.experiment.presets import IDENTITY, SHARED
 from evaluation.reporting import rows as picked
 from evaluation.reporting.charts import (
