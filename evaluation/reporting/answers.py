@@ -38,6 +38,10 @@ _LEADS: Final = (rules.DOES_NOT, rules.TRACKS, rules.BETWEEN, rules.NOT_TESTABLE
 """Decisions of the items on descriptors: the first that any item has is the answer."""
 
 
+_RULE_NOISE: Final = {"linear": "noise as in the paper", "independent": "independent noise"}
+"""Adding rules, in brackets."""
+
+
 @dataclass(frozen=True, slots=True)
 class Answer:
     """A question about a run, and the answer of the run."""
@@ -224,10 +228,10 @@ def _links_sentence(table: Headline, where: Where, *, start: str) -> str:
         return "Not tested: the run has no linkage task with a linkage attack."
     (lead, rank1), *further = numbers
     phrase = task_phrase(lead.measure.source.task)
-    sentence = f"{start}an attack re-identifies {percent(rank1)} of people {phrase}"
+    sentence = f"{start}{phrase} {percent(rank1)} of people are re-identified"
     for column, later in further:
         phrase = task_phrase(column.measure.source.task).removesuffix(" of silence")
-        sentence += f", {percent(later)} {phrase}"
+        sentence += f", {phrase} {bare_percent(later)}"
     other = _other_rule(table, where, [column for column, _ in numbers])
     return " ".join([sentence_case(f"{sentence}."), *other])
 
@@ -281,16 +285,14 @@ def _descriptors_sentence(items: Sequence[Mapping[str, Any]]) -> str:
     lead = _leading_item(own)
     same = [item for item in own if item["decision"] == lead["decision"]]
     names = list(dict.fromkeys(descriptor_name(item["descriptor"]) for item in same))
-    sentences = [_decision_sentence(lead, names)]
-    rules_of = list(dict.fromkeys(item["adding"] for item in own))
-    for adding in rules_of:
-        under = [item for item in own if item["adding"] == adding]
-        if not any(item["decision"] == lead["decision"] for item in under):
-            sentences.append(f"With {adding_phrase(adding)} this is not shown.")
-    return " ".join(sentences)
+    under = list(dict.fromkeys(item["adding"] for item in own))
+    shown = list(dict.fromkeys(item["adding"] for item in same))
+    # Where the adding rules disagree, the sentence says under which the decision holds.
+    where = f" ({_RULE_NOISE[shown[0]]})" if len(shown) < len(under) else ""
+    return _decision_sentence(lead, names, where=where)
 
 
-def _decision_sentence(item: Mapping[str, Any], names: Sequence[str]) -> str:
+def _decision_sentence(item: Mapping[str, Any], names: Sequence[str], *, where: str) -> str:
     """Return the decision of an item in words, with by how much linkage differs."""
     low, high = (whole(PERCENT * (item[name] or 0.0)) for name in ("spread_low", "spread_high"))
     several = len(names) > 1
@@ -304,24 +306,24 @@ def _decision_sentence(item: Mapping[str, Any], names: Sequence[str]) -> str:
         case rules.DOES_NOT if (item["spread_low"] or 0.0) <= rules.SUCCESS_MARGIN:
             return (
                 f"{subject} {says_not} how linkable people are: linkage falls where the {head} "
-                "hardly changes."
+                f"hardly changes{where}."
             )
         case rules.DOES_NOT:
             return (
                 f"{subject} {says_not} how linkable people are: at equal values, linkage differs "
-                f"by at least {low} of 100 people."
+                f"by at least {low} points{where}."
             )
         case rules.TRACKS:
             return (
                 f"{subject} {says} how linkable people are: at equal values, linkage differs by "
-                f"{low} to {high} of 100 people."
+                f"{low} to {high} points{where}."
             )
         case rules.BETWEEN:
             needed = item.get("n_needed")
             more = f" {people_needed(needed)}" if needed else ""
             return (
                 f"The run cannot say whether the {head} tells how linkable people are. At equal "
-                f"values, linkage differs by {low} to {high} of 100 people.{more}"
+                f"values, linkage differs by {low} to {high} points{where}.{more}"
             )
     # The reason in short: the details have it in full.
     why = item["why"].partition(": ")[0].partition(", not surely")[0]

@@ -49,7 +49,7 @@ from isac_track.linkability import LEVEL
 LINES: Final = 24
 TABLES: Final = "tables.txt"
 _MOST_ROWS: Final = 8
-_LEAST_ROWS: Final = 3
+_LEAST_ROWS: Final = 5
 _SHORTEST: Final = 2  # A topic and a sentence.
 _LABEL_WIDTH: Final = 27
 _CORNER: Final = ("± half of a 95 % interval", "what is shared")
@@ -198,7 +198,8 @@ def screen_levels(
     """Return at most `most` levels, in the order of the run.
 
     Raw positions and the `named` levels come first, then one level of each mechanism of the paper,
-    one of each other mechanism, and the further levels that the paper gives numbers for.
+    one of each other mechanism, and the further levels that the paper gives numbers for. Noise that
+    is independent of the sensing error comes last where the same noise stands without it.
     """
     without_level = [where for where in known if where[1] is None]
     lead: dict[str, Where] = {}
@@ -206,7 +207,15 @@ def screen_levels(
         if (table.known[where[0]].name, where[1]) in HEADLINE:
             lead.setdefault(where[0], where)
     others, _ = levels_of(table)
-    wanted = dict.fromkeys([*without_level, *named, *lead.values(), *others])
+    wanted = list(dict.fromkeys([*without_level, *named, *lead.values(), *others]))
+    known_names = {(table.known[where[0]].name, where[1]): where for where in reversed(wanted)}
+    first = [*without_level, *named]
+    # Sorting keeps the order of equals.
+    wanted.sort(
+        key=lambda where: (
+            where not in first and known_names[table.known[where[0]].name, where[1]] != where
+        )
+    )
     chosen = [where for where in wanted if where in known][:most]
     return sorted(chosen, key=lambda where: _order(table, where))
 
@@ -356,6 +365,6 @@ def _paper_lines(manifest: Mapping[str, Any]) -> list[str]:
     hint = paper_hint(manifest)
     if hint is None:
         return []
-    label = f"All levels, {cost_text(hint.seconds)}"
+    label = f"Sweep, {cost_text(hint.seconds).removeprefix('about ')}"
     line = f"{label}: {hint.command}"
     return [line] if len(line) <= WIDTH else [f"{label}:", f"  {hint.command}"]

@@ -148,14 +148,14 @@ def headline(
     able = own.loc[own["metric"] == MISSED_RATE, "consumer"].unique().tolist()
     known_to = f"known to {epsilon_m:g} m"
     best, wheres = attacks.get(""), dict.fromkeys(key.where for key in numbers)
+    against = _own_strongest(numbers, known, attacks)
+    if attacked is not None and not attacked.empty:
+        # The worst tenth is cross-fitted over releases already, and has no row of its own there.
+        worst = {key: number for key, number in against.items() if key.metric == WORST_TENTH}
+        against = worst | _cross_fitted(attacked, attacks)
     return Headline(
         known=known,
-        numbers=numbers
-        | (
-            _own_strongest(numbers, known, attacks)
-            if attacked is None or attacked.empty
-            else _cross_fitted(attacked, attacks)
-        ),
+        numbers=numbers | against,
         other_law=estimates(rows[world == OTHER_LAW_WORLD]),
         gaps=gaps(summary),
         robots=_robots(able),

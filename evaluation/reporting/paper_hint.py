@@ -12,6 +12,7 @@ _TIMES: Final = 4.0
 """Cost of `paper` over that of `quick`, roughly: never measured side by side on an idle machine."""
 _WITH_VALUE: Final = ("--preset", "--out")
 _FLAGS: Final = ("--fresh",)
+_USUAL_SEED: Final = " --seed 0"
 
 
 class PaperHint(NamedTuple):
@@ -28,7 +29,8 @@ def paper_hint(manifest: Mapping[str, Any]) -> PaperHint | None:
     """
     if manifest["settings"]["preset"] != DEFAULT:
         return None
-    words = iter(shlex.split(command(manifest)))
+    again = command(manifest).removesuffix(_USUAL_SEED)
+    words = iter(shlex.split(again))
     options = []
     for word in words:
         option, equals, _ = word.partition("=")

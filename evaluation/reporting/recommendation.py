@@ -44,6 +44,7 @@ from isac_track.privacy import WIDE_TIMES
 
 _MOST_NAMED: Final = 2  # Levels that a sentence names.
 _MANY_TIMES: Final = 9.5  # From here on, how many times as many is told without decimals.
+_FEW_TIMES: Final = 1.1
 _FALSE_ALARMS: Final = "false_alarm"
 _WHY: Final[Mapping[Unknown, str]] = {
     "no horizon": "conflicts within {horizon} were not judged: add "
@@ -375,7 +376,9 @@ def _excess(check: Check, answer: Recommendation, epsilon_m: float) -> str:
     """Return what exceeds a limit, up to the upper end of its interval."""
     name, _, task = check.name.partition("/")
     upper = check.measured.ci_high
-    share = f"up to {whole(PERCENT * upper)} %"
+    rounded = whole(PERCENT * upper)
+    is_close = rounded == whole(PERCENT * check.limit)
+    share = f"just over {rounded} %" if is_close else f"up to {rounded} %"
     if name == LINKED:
         return f"an attack keeps {share} of the raw re-identification {task_phrase(answer.task)}"
     if name == SUCCESS:
@@ -410,6 +413,8 @@ def _more_data(check: Check) -> str:
         return f"about {n_scenes:,.0f} scenes would decide it"
     if not times < MOST_PEOPLE:
         return "no realistic number of people would decide it"
+    if times < _FEW_TIMES:
+        return "a few more people would decide it"
     amount = f"{times:,.0f}" if times >= _MANY_TIMES else f"{times:.2g}"
     return f"about {amount} times as many people would decide it"
 

@@ -21,7 +21,7 @@ from helpers.summaries import RAW as PLANTED_RAW
 from evaluation.analysis.keys import Source
 from evaluation.reporting.amounts import whole
 from evaluation.reporting.answers import answers, headline_of
-from evaluation.reporting.headline import headline_table
+from evaluation.reporting.headline import headline, headline_table
 from evaluation.reporting.rows import spoken
 
 SHARE = re.compile(r"(\d+|<1) %(?: ±(\d+|<1))?")
@@ -63,7 +63,7 @@ def test_every_number_of_an_answer_is_in_the_tables(name):
     shares = {pair for answer in said for pair in SHARE.findall(answer.sentence)}
     assert {pair for pair in shares if pair[0] not in LIMITS} <= held(run)
     assert shares or name == "nothing"
-    (percent,) = re.findall(r"by at least (\d+) of 100 people", said[3].sentence) or [None]
+    (percent,) = re.findall(r"by at least (\d+) points", said[3].sentence) or [None]
     items = run.verdict.get("items", ())
     spreads = {f"{100 * i['spread_low']:.0f}" for i in items if i["section"] == "validity"}
     assert percent in (spreads or {None})
@@ -261,3 +261,26 @@ def test_the_worst_off_tenth_stands_beside_the_mean_or_says_why_it_does_not(n):
     expected = "the most exposed tenth of 55 people" if n > 20 else "it takes 20 people"
     assert expected in note
     assert "at least 8 releases" in note
+
+
+def test_the_worst_tenth_under_slow_noise_is_that_of_the_attack_that_is_strongest_there():
+    rows = [
+        ("raw", np.nan, "raw", "radial_rts", "plr", 0.9),
+        ("ou", 0.4, "ou", "radial_rts", "plr", 0.2),
+        ("ou", 0.4, "ou", "radial_rts", "plr_worst_tenth", 0.25),
+        ("ou", 0.4, "ou", "ou_rts", "plr", 0.3),
+        ("ou", 0.4, "ou", "ou_rts", "plr_worst_tenth", 0.6),
+    ]
+    names = ["mechanism", "level", "family", "consumer", "metric", "value"]
+    summary = pd.DataFrame(rows, columns=names).assign(
+        dataset="walks", knowledge="informed", adding="", n=40, unit="fraction"
+    )
+    summary["ci_low"], summary["ci_high"] = summary["value"] - 0.02, summary["value"] + 0.02
+    attacked = summary[(summary["consumer"] == "ou_rts") & (summary["metric"] == "plr")]
+    attacked = attacked.assign(task="", adversary="one release")
+    for given in (None, attacked):
+        first = headline(summary, attacks={"": Source("radial_rts", "informed")}, attacked=given)
+        assert first.worst is not None
+        worst = first.at(("ou", 0.4), first.worst)
+        assert worst is not None
+        assert worst.value == 0.6
