@@ -27,6 +27,7 @@ from evaluation.reporting.my_plugin import plugin_doubts, plugin_lines
 from evaluation.reporting.names import (
     INDEPENDENT_MARK,
     dataset_title,
+    mechanism_name,
     short_mechanism_name,
     shortcut_name,
 )
@@ -152,6 +153,37 @@ def first_table(run: Results) -> Table:
     return make.built("first", "", levels, heads)
 
 
+def short_table(table: Headline) -> Table:
+    """Return the first table for the README: shares in % with half of their 95 % interval.
+
+    It has no run at hand: its robot is the one that misses least.
+    """
+    robot = min(table.future or table.robots, key=lambda shown: _mean_missed(table, shown))
+    columns = [column for _, some in screen_columns(table, robot) for column in some]
+    known = [where for where in table.wheres if any(table.at(where, one) for one in columns)]
+    levels = screen_levels(table, known, most=_MOST_ROWS, named=[reference(table)])
+    heads = ["misses (%)", "as sent (%)", "attacked (%)"]
+    heads += [f"{column.name.removeprefix('after ')} (%)" for column in columns[len(heads) :]]
+    cells = [
+        Column(head, partial(_short_cell, table, column))
+        for head, column in zip(heads, columns, strict=True)
+    ]
+    names = make.said(
+        "shared", lambda where: mechanism_name(family_of(table.known, where[0]), where[1])
+    )
+    return make.built("screen", "", levels, [names, *cells])
+
+
+def _short_cell(table: Headline, column: Shown, where: Where) -> make.Cell:
+    return make.word(percent_cell(table.at(where, column)))
+
+
+def _mean_missed(table: Headline, robot: Shown) -> float:
+    missed = [table.at(where, robot) for where in table.wheres]
+    values = [rate.value for rate in missed if rate is not None]
+    return sum(values) / len(values) if values else math.inf
+
+
 def _estimated(table: Headline, column: Shown, where: Where) -> make.Cell:
     return make.estimated(column.measure.metric, table.at(where, column))
 
@@ -207,17 +239,17 @@ def screen_levels(
         if (table.known[where[0]].name, where[1]) in HEADLINE:
             lead.setdefault(where[0], where)
     others, _ = levels_of(table)
-    wanted = list(dict.fromkeys([*without_level, *named, *lead.values(), *others]))
-    known_names = {(table.known[where[0]].name, where[1]): where for where in reversed(wanted)}
-    first = [*without_level, *named]
+    every = dict.fromkeys([*without_level, *named, *lead.values(), *others])
+    wanted = [where for where in every if where in known]
+    first = {(table.known[where[0]].name, where[1]): where for where in reversed(wanted)}
+    always = [*without_level, *named]
     # Sorting keeps the order of equals.
     wanted.sort(
         key=lambda where: (
-            where not in first and known_names[table.known[where[0]].name, where[1]] != where
+            where not in always and first[table.known[where[0]].name, where[1]] != where
         )
     )
-    chosen = [where for where in wanted if where in known][:most]
-    return sorted(chosen, key=lambda where: _order(table, where))
+    return sorted(wanted[:most], key=lambda where: _order(table, where))
 
 
 def _order(table: Headline, where: Where) -> tuple[int, str, float, str]:

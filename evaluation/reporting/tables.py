@@ -27,8 +27,8 @@ from evaluation.reporting import result_tables as measured
 from evaluation.reporting.announcements import changed_settings
 from evaluation.reporting.answers import answers, headline_of
 from evaluation.reporting.bounds import bound_table, linked_bound_table
-from evaluation.reporting.first_screen import TABLES, data_line, doubts, first_screen
-from evaluation.reporting.headline import headline, headline_table
+from evaluation.reporting.first_screen import TABLES, data_line, doubts, first_screen, short_table
+from evaluation.reporting.headline import Headline, headline, headline_table
 from evaluation.reporting.markup import latex, markdown
 from evaluation.reporting.my_plugin import plugin_lines
 from evaluation.reporting.names import mechanism_name
@@ -173,7 +173,11 @@ def _linkage(summary: pd.DataFrame) -> Table:
     return built("linkage", "Rank 1 (%) of every linker; 95 % intervals", records.values(), columns)
 
 
-_FIRST: Final = "headline"  # The first table of a run, in a block.
+_FIRST: Final[dict[str, Callable[[Headline], Table]]] = {
+    "headline": headline_table,
+    "screen": short_table,
+}
+"""First tables of a run by the name in a block: they take all error laws and strongest attacks."""
 _STRONGEST: Final = "-strongest"  # Of the name of a file: the numbers of the strongest attacks.
 DOCS: Final[dict[str, Callable[[pd.DataFrame], Table]]] = {  # By the name in a block.
     "sweep": lambda summary: measured.sweep_tables(summary)[0],
@@ -227,13 +231,13 @@ def filled(text: str, *, results: Path) -> str:
     def block(match: re.Match[str]) -> str:
         start, name, run, end = match.groups()
         path = results / f"{run}.csv"
-        if name not in (_FIRST, *DOCS) or not path.is_file():
-            known = ", ".join((_FIRST, *DOCS))
+        if name not in (*_FIRST, *DOCS) or not path.is_file():
+            known = ", ".join((*_FIRST, *DOCS))
             raise DataError(f"no table {name!r} of {path}; known: {known}")
         rows = pd.read_csv(path, keep_default_na=True)
-        if name == _FIRST:  # it alone shows more than one error law, and strongest attacks
+        if name in _FIRST:
             attacked = pd.read_csv(path.with_stem(path.stem + _STRONGEST))
-            return f"{start}{markdown(headline_table(headline(rows, attacked=attacked)))}{end}"
+            return f"{start}{markdown(_FIRST[name](headline(rows, attacked=attacked)))}{end}"
         return f"{start}{markdown(DOCS[name](rows[worlds_of(rows) == '']))}{end}"
 
     return _BLOCK.sub(block, text)

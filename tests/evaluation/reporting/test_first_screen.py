@@ -78,9 +78,15 @@ def test_raw_comes_first_then_a_level_of_every_mechanism_of_the_paper():
     start = lines.index(next(line for line in lines if line.startswith("what is shared"))) + 1
     rows = [line.split("  ")[0] for line in lines[start:]]
     assert rows[0] == "raw positions"
-    assert {"FID noise, eta 1", "FID noise, eta 1 *", "fixed noise, 0.7 m"} <= {*rows[1:7]}
-    marked = [line for line in lines if line.startswith("* noise independent of")]
-    assert len(marked) == 1
+    assert {"FID noise, eta 1", "fixed noise, 0.7 m"} <= {*rows[1:7]}
+    # The same noise under the other adding rule comes only after all that.
+    assert "FID noise, eta 1 *" not in rows
+
+
+def test_a_mark_of_independent_noise_is_explained_once():
+    lines = first_screen(make_run(at=levels(rules=(":adding=independent",), others=())))
+    assert any(line.startswith("FID noise, eta 1 *") for line in lines)
+    assert sum(line.startswith("* noise independent of") for line in lines) == 1
 
 
 def test_what_simulates_says_so_first_and_doubts_are_counted():
