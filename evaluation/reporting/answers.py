@@ -148,8 +148,10 @@ def _robot_sentence(
         name, n_loses, n_levels = next(
             (row for row in beaten if row[0] == robot.measure.consumer), beaten[0]
         )
-        loser = sentence_case(robot_subject(name))
-        sentences.append(f"{loser} loses to standing still at {n_loses} of {n_levels} levels.")
+        sentences.append(
+            f"At {n_loses} of {n_levels} levels, expecting people to stand beats "
+            f"{robot_subject(name)}."
+        )
     return " ".join(sentences)
 
 
@@ -188,7 +190,7 @@ def _leak_sentence(table: Headline, where: Where, *, start: str) -> str:
     if shared is None:
         return "Not tested: the run has no descriptors."
     known = sentence_case(
-        f"{start}{percent(shared)} of positions are exact to {table.epsilon_m:g} m as sent"
+        f"{start}{percent(shared)} of positions are known to {table.epsilon_m:g} m as sent"
     )
     attacked = table.at(where, table.attacked) if table.attacked else None
     if table.attacked is None or attacked is None:

@@ -28,6 +28,7 @@ from evaluation.reporting.names import (
     INDEPENDENT_MARK,
     dataset_title,
     mechanism_name,
+    robot_name,
     short_mechanism_name,
     shortcut_name,
 )
@@ -54,6 +55,7 @@ _LEAST_ROWS: Final = 5
 _SHORTEST: Final = 2  # A topic and a sentence.
 _LABEL_WIDTH: Final = 27
 _CORNER: Final = ("± half of a 95 % interval", "what is shared")
+_ROBOT_WIDTH: Final = 12  # Characters of a name over a column.
 _MOST_LINKED: Final = 2  # Tasks that have a column.
 _MUCH: Final = 0.2  # Of the mean speed of all tracks: by so much those used differ worth a doubt.
 _SLACK: Final = 0.05  # Of missed conflicts, above what raw costs: what the next question allows.
@@ -162,8 +164,12 @@ def short_table(table: Headline) -> Table:
     columns = [column for _, some in screen_columns(table, robot) for column in some]
     known = [where for where in table.wheres if any(table.at(where, one) for one in columns)]
     levels = screen_levels(table, known, most=_MOST_ROWS, named=[reference(table)])
-    heads = ["misses (%)", "as sent (%)", "attacked (%)"]
-    heads += [f"{column.name.removeprefix('after ')} (%)" for column in columns[len(heads) :]]
+    heads = [
+        f"{robot_name(robot.measure.consumer)} misses (%)",
+        "known as sent (%)",
+        "attacked (%)",
+    ]
+    heads += [f"linked {column.name} (%)" for column in columns[len(heads) :]]
     cells = [
         Column(head, partial(_short_cell, table, column))
         for head, column in zip(heads, columns, strict=True)
@@ -212,7 +218,9 @@ def screen_columns(table: Headline, robot: Shown | None) -> list[tuple[Group, li
     groups = []
     if robot is not None:
         head = "future, %" if robot.is_later else "all, %"
-        groups.append((Group("robot misses", (head,)), [robot]))
+        name = robot_name(robot.measure.consumer)
+        subject = name if len(name) <= _ROBOT_WIDTH else "robot"
+        groups.append((Group(f"{subject} misses", (head,)), [robot]))
     known = [column for column in (table.shared, table.attacked) if column is not None]
     heads = tuple(column.name for column in known)
     groups.append((Group(f"{table.shared.above}, %", heads), known))
@@ -265,7 +273,7 @@ def _chance_row(columns: Sequence[Shown]) -> list[list[str]]:
     sizes = [column.candidates for column in columns if math.isfinite(column.candidates)]
     if not any(math.isfinite(column.chance) for column in columns):
         return []
-    among = f" 1 of {min(sizes):.0f}" if sizes else ""
+    among = f" among {min(sizes):.0f}" if sizes else ""
     if len({round(size) for size in sizes}) > 1:
         among += f" to {max(sizes):.0f}"
     chances = [
@@ -294,7 +302,7 @@ def doubts(run: Results, table: Headline) -> list[str]:
         f"{counted(n_controls, 'positive control')} of the descriptors failed"
         if n_controls
         else "",
-        f"{counted(n_weak, 'sign')} of a weak reconstruction attack" if n_weak else "",
+        f"{counted(n_weak, 'sign')} that an attack is too weak" if n_weak else "",
         _invalid_text(run),
         _control_text(run),
         f"not linked: {listed(skipped)}" if skipped else "",

@@ -141,9 +141,11 @@ def _brief_cost(answer: Recommendation, offer: Offer) -> str:
     """Return the cost of a level without its conflicts: the table above names them."""
     if not answer.robot:
         return cost_sentence(answer, offer)
-    raw = f" (raw positions: {bare_percent(answer.raw.cost)})" if answer.raw else ""
-    subject = sentence_case(chosen_robot(answer))
-    return f"{subject} then misses {percent(offer.cost)} at equal false alarms{raw}."
+    raw = f" (raw: {bare_percent(answer.raw.cost)})" if answer.raw else ""
+    return (
+        f"At no more false alarms than with raw positions, {chosen_robot(answer)} then misses "
+        f"{percent(offer.cost)}{raw}."
+    )
 
 
 def chosen_robot(answer: Recommendation) -> str:
@@ -380,7 +382,7 @@ def _excess(check: Check, answer: Recommendation, epsilon_m: float) -> str:
     is_close = rounded == whole(PERCENT * check.limit)
     share = f"just over {rounded} %" if is_close else f"up to {rounded} %"
     if name == LINKED:
-        return f"an attack keeps {share} of the raw re-identification {task_phrase(answer.task)}"
+        return f"an attack may keep {share} of the raw re-identification {task_phrase(answer.task)}"
     if name == SUCCESS:
         return f"an attack re-identifies {share} of people {task_phrase(task)}"
     if name == MISSED:
