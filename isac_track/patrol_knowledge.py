@@ -78,15 +78,23 @@ class Known:
         return int(self.known.sum(axis=(1, 2)).argmax())
 
 
-def known_places(network: Network, disclosure: Disclosure, *, epsilon_m: float) -> Known:
+def map_of_others(patrol: Patrol, *, epsilon_m: float) -> Floats:
+    """Return where an adversary without a log guesses each person to be, (N, 2) m."""
+    grid = patrol.grid
+    return map_guesses(grid.xy, grid.offsets, group=grid.group, epsilon_m=epsilon_m)
+
+
+def known_places(
+    network: Network, disclosure: Disclosure, *, guesses: Floats, epsilon_m: float
+) -> Known:
     """Count what the log of each fleet tells an adversary with true identities.
 
-    A person without an entry is guessed from the map of all others. An instant counts as
-    disclosed if the nearest scan of the person was sent.
+    A person without an entry is where `guesses`, (N, 2) m, have her: those of the map
+    (`map_of_others`). An instant counts as disclosed if the nearest scan of the person was
+    sent.
     """
     patrol = network.patrol
     grid = patrol.grid
-    guesses = map_guesses(grid.xy, grid.offsets, group=grid.group, epsilon_m=epsilon_m)
     guess = np.repeat(guesses, np.diff(grid.offsets), axis=0)
     by_log: dict[bytes, FleetKnown] = {}  # Of this call alone: fleets often hold equal logs.
     fleets = []

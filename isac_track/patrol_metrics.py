@@ -30,6 +30,7 @@ from isac_track.patrol_utility import (
     withheld_conflicts,
 )
 from isac_track.patrols import query_scans
+from isac_track.policies.samples import Everything
 from isac_track.protocols import Policy, Predictor
 from isac_track.types import Floats, Ints
 
@@ -65,12 +66,18 @@ def robot_task(
 
 
 def is_by_construction(network: Network, policy: Policy, predictor: Predictor) -> bool:
-    """Return whether a policy decides by the very forecast that the robot makes.
+    """Return whether `withheld_share` follows from how policy and robot are built.
 
-    Then `withheld_share` follows from how both are built, and is no finding.
+    It does under `everything`, and where a policy decides by the very forecast that the
+    robot makes: by the same predictor, from the same positions of the same history. Then
+    the share is no finding.
     """
+    if isinstance(policy, Everything):
+        return True
     if not getattr(policy, "forecasts", False) or predictor != network.forecaster:
         return False
+    if getattr(policy, "window_s", None) is not None:
+        return False  # The robot reads less history than the network.
     is_on_shared = policy.form == "state" or getattr(policy, "select_on", "raw") == "shared"
     return is_on_shared or np.array_equal(network.release.xy, network.sensed.xy)
 

@@ -12,6 +12,7 @@ from isac_track.patrol_knowledge import (
     Log,
     fleet_log,
     known_places,
+    map_of_others,
     nearest_samples,
     state_positions,
 )
@@ -29,7 +30,9 @@ CROSSING = straight_walks((0, 20, (-10.05, 0), (1, 0)))
 
 
 def known_of(network, policy, *, epsilon_m=EPSILON_M):
-    return known_places(network, disclose(network, policy), epsilon_m=epsilon_m)
+    guesses = map_of_others(network.patrol, epsilon_m=epsilon_m)
+    disclosure = disclose(network, policy)
+    return known_places(network, disclosure, guesses=guesses, epsilon_m=epsilon_m)
 
 
 def shares(known):
@@ -212,7 +215,8 @@ class TestCounts:
         settings = SETTINGS.changed({"patrol.segment_s": 12.0, "patrol.robots": 3})
         network = network_of(make_patrol(tracks, settings=settings, seed=0))
         disclosure = disclose(network, Near(2.5))
-        known = known_places(network, disclosure, epsilon_m=EPSILON_M)
+        guesses = np.zeros((len(network.patrol.people), 2))
+        known = known_places(network, disclosure, guesses=guesses, epsilon_m=EPSILON_M)
         nearest = nearest_samples(network.patrol)
         for fleet in range(3):
             sent = np.any(

@@ -277,12 +277,15 @@ class TestPolicies:
 
     def test_by_construction_needs_the_same_forecaster_and_the_same_positions(self, crowd):
         noisy = network_of(crowd.patrol, Fid(1.0))
-        assert is_by_construction(crowd, Ahead(1.0), KalmanCV())
-        assert not is_by_construction(crowd, Ahead(1.0), KalmanCV(q=0.1))
+        ahead, on_shared = Ahead(1.0, None), Ahead(1.0, None, select_on="shared")
+        assert is_by_construction(crowd, ahead, KalmanCV())
+        assert not is_by_construction(crowd, ahead, KalmanCV(q=0.1))
+        assert not is_by_construction(crowd, Ahead(1.0), KalmanCV())  # It reads 1.3 s only.
         assert not is_by_construction(crowd, Near(1.0), KalmanCV())
-        assert not is_by_construction(noisy, Ahead(1.0), KalmanCV())
-        assert is_by_construction(noisy, Ahead(1.0, select_on="shared"), KalmanCV())
+        assert not is_by_construction(noisy, ahead, KalmanCV())
+        assert is_by_construction(noisy, on_shared, KalmanCV())
         assert is_by_construction(noisy, State(), KalmanCV())
+        assert is_by_construction(noisy, Everything(), LeastSquares())
 
     def test_everything_withholds_nothing(self, crowd):
         everything = disclose(crowd, Everything())
