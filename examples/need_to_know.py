@@ -16,7 +16,7 @@ from isac_track.config import StageSettings
 from isac_track.errors import IsacTrackError
 from isac_track.intervals import Estimate
 from isac_track.patrol_answers import disclose, share_patrol
-from isac_track.patrol_knowledge import ESTIMATORS, known_places, map_of_others
+from isac_track.patrol_knowledge import ESTIMATORS, guesses_from_map, known_places
 from isac_track.patrol_metrics import (
     is_by_construction,
     knowledge_metrics,
@@ -70,7 +70,7 @@ class Row:
 def compare(tracks, *, mechanisms, policies, predictors, settings, seed):
     """Yield the rows of a recording: those of the log, then those of each robot."""
     patrol = make_patrol(placed(tracks, settings=settings), settings=settings, seed=seed)
-    guesses = map_of_others(patrol, epsilon_m=settings.privacy.epsilon_m)
+    guesses = guesses_from_map(patrol, epsilon_m=settings.privacy.epsilon_m)
     for mechanism in mechanisms:
         network = share_patrol(
             patrol,

@@ -154,19 +154,14 @@ def disclose(network: Network, policy: Policy, *, name: str = "") -> Disclosure:
     that of the policy in messages.
     """
     name = name or type(policy).__name__
-    runs: list[tuple[Ints, Ints, Ints, Ints]] = []
+    select_on: SelectOn = getattr(policy, "select_on", "raw")
+    runs = []
     for number in range(network.patrol.query_scan.size):
         scene = _scene(network, number)
         for robot in range(network.patrol.n_robots):
             selected = _selected(policy, _query(network, scene, robot), name=name)
-            person, first, end = _runs_of(selected, scene.offsets)
-            start = scene.start[person]
-            runs.append(
-                (np.full(person.size, robot), scene.presence[person], first + start, end + start)
-            )
-    select_on: SelectOn = getattr(policy, "select_on", "raw")
-    robots, presences, firsts, ends = (np.concatenate(part) for part in zip(*runs, strict=True))
-    return Disclosure(policy.form, select_on, robots, presences, firsts, ends)
+            runs.append(_answer_runs(selected, scene, robot))
+    return Disclosure(policy.form, select_on, *np.concatenate(runs, axis=1))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -175,7 +170,7 @@ class _Scene:
 
     number: int
     presence: Ints  # (P,)
-    start: Ints  # (P,) added to a sample's place in the query gives its place in the patrol.
+    shift: Ints  # (P,) from a sample's number in the query to that in the patrol.
     t: Floats
     offsets: Ints
     raw: View
@@ -228,16 +223,20 @@ def _selected(policy: Policy, query: Query, *, name: str) -> Bools:
     return mask
 
 
-def _runs_of(selected: Bools, offsets: Ints) -> tuple[Ints, Ints, Ints]:
-    """Return person, first sample and end of each run of selected samples, (A,) each.
+def _answer_runs(selected: Bools, scene: _Scene, robot: int) -> Ints:
+    """Return robot, presence, first sample and end of each run of selected samples, (4, A).
 
-    No run reaches from one person to the next. A person with several gaps has several runs.
+    No run reaches from one person to the next. A person with gaps has several runs.
     """
     starts, ends = selected.copy(), selected.copy()
     starts[1:] &= ~selected[:-1]
     ends[:-1] &= ~selected[1:]
-    starts[offsets[:-1]] = selected[offsets[:-1]]
-    ends[offsets[1:] - 1] = selected[offsets[1:] - 1]
-    first = np.flatnonzero(starts)
-    person = np.searchsorted(offsets, first, side="right") - 1
-    return person, first, np.flatnonzero(ends) + 1
+    first_samples, last_samples = scene.offsets[:-1], scene.offsets[1:] - 1
+    starts[first_samples] = selected[first_samples]
+    ends[last_samples] = selected[last_samples]
+    first, end = np.flatnonzero(starts), np.flatnonzero(ends) + 1
+    person = np.searchsorted(scene.offsets, first, side="right") - 1
+    shift = scene.shift[person]
+    return np.stack(
+        [np.full(person.size, robot), scene.presence[person], first + shift, end + shift]
+    )

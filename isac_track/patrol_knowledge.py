@@ -78,7 +78,7 @@ class Known:
         return int(self.known.sum(axis=(1, 2)).argmax())
 
 
-def map_of_others(patrol: Patrol, *, epsilon_m: float) -> Floats:
+def guesses_from_map(patrol: Patrol, *, epsilon_m: float) -> Floats:
     """Return where an adversary without a log guesses each person to be, (N, 2) m."""
     grid = patrol.grid
     return map_guesses(grid.xy, grid.offsets, group=grid.group, epsilon_m=epsilon_m)
@@ -90,7 +90,7 @@ def known_places(
     """Count what the log of each fleet tells an adversary with true identities.
 
     A person without an entry is where `guesses`, (N, 2) m, have her: those of the map
-    (`map_of_others`). An instant counts as disclosed if the nearest scan of the person was
+    (`guesses_from_map`). An instant counts as disclosed if the nearest scan of the person was
     sent.
     """
     patrol = network.patrol

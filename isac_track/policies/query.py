@@ -53,7 +53,7 @@ class Query:
         """Time since each sample, (M,) s."""
         return np.asarray(self.t.max(initial=-np.inf) - self.t)
 
-    def samples_of(self, people: Bools, *, window_s: float | None = None) -> Bools:
+    def recent_samples(self, people: Bools, *, window_s: float | None = None) -> Bools:
         """Return the samples of some people, (P,) -> (M,), of the last `window_s` seconds.
 
         Without a window all their samples are meant.

@@ -49,7 +49,7 @@ class Window:
     def select(self, query: Query) -> Bools:
         """Return the samples of the last seconds, (M,)."""
         everybody = np.ones(query.n_people, dtype=bool)
-        return query.samples_of(everybody, window_s=self.seconds)
+        return query.recent_samples(everybody, window_s=self.seconds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ class Near:
     def select(self, query: Query) -> Bools:
         """Return the samples of those near, (M,)."""
         near = query.near_robot(radius_m=self.metres, select_on=self.select_on)
-        return query.samples_of(near, window_s=self.window_s)
+        return query.recent_samples(near, window_s=self.window_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,7 @@ class Ahead:
         ahead = query.forecast_near_route(
             margin_m=self.metres, horizon_s=self.horizon_s, stds=self.stds, select_on=self.select_on
         )
-        return query.samples_of(ahead, window_s=self.window_s)
+        return query.recent_samples(ahead, window_s=self.window_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,4 +121,4 @@ class RandomPeople:
     def select(self, query: Query) -> Bools:
         """Return the samples of those drawn, (M,)."""
         drawn = query.rng.random(query.n_people) < self.share
-        return query.samples_of(drawn, window_s=self.window_s)
+        return query.recent_samples(drawn, window_s=self.window_s)

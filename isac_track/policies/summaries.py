@@ -39,7 +39,7 @@ class State:
             people = query.forecast_near_route(
                 margin_m=self.metres, horizon_s=self.horizon_s, select_on=self.select_on
             )
-        return query.samples_of(people, window_s=0.0)
+        return query.recent_samples(people, window_s=0.0)
 
 
 @dataclass(frozen=True, slots=True)

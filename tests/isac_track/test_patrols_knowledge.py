@@ -11,8 +11,8 @@ from isac_track.patrol_knowledge import (
     ESTIMATORS,
     Log,
     fleet_log,
+    guesses_from_map,
     known_places,
-    map_of_others,
     nearest_samples,
     state_positions,
 )
@@ -30,7 +30,7 @@ CROSSING = straight_walks((0, 20, (-10.05, 0), (1, 0)))
 
 
 def known_of(network, policy, *, epsilon_m=EPSILON_M):
-    guesses = map_of_others(network.patrol, epsilon_m=epsilon_m)
+    guesses = guesses_from_map(network.patrol, epsilon_m=epsilon_m)
     disclosure = disclose(network, policy)
     return known_places(network, disclosure, guesses=guesses, epsilon_m=epsilon_m)
 
