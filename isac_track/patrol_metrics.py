@@ -31,6 +31,7 @@ from isac_track.patrol_utility import (
 )
 from isac_track.patrols import query_scans
 from isac_track.policies.samples import Everything
+from isac_track.policies.summaries import State
 from isac_track.protocols import Policy, Predictor
 from isac_track.types import Floats, Ints
 
@@ -78,7 +79,9 @@ def is_by_construction(network: Network, policy: Policy, predictor: Predictor) -
         return False
     if getattr(policy, "window_s", None) is not None:
         return False  # The robot reads less history than the network.
-    is_on_shared = policy.form == "state" or getattr(policy, "select_on", "raw") == "shared"
+    if isinstance(policy, State) and policy.metres is None:
+        return True
+    is_on_shared = getattr(policy, "select_on", "raw") == "shared"
     return is_on_shared or np.array_equal(network.release.xy, network.sensed.xy)
 
 

@@ -285,6 +285,8 @@ class TestPolicies:
         assert not is_by_construction(noisy, ahead, KalmanCV())
         assert is_by_construction(noisy, on_shared, KalmanCV())
         assert is_by_construction(noisy, State(), KalmanCV())
+        assert is_by_construction(crowd, State(2.0), KalmanCV())
+        assert not is_by_construction(noisy, State(2.0), KalmanCV())  # It selects on raw.
         assert is_by_construction(noisy, Everything(), LeastSquares())
 
     def test_everything_withholds_nothing(self, crowd):
