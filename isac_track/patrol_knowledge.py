@@ -19,11 +19,12 @@ from isac_track.patrol_utility import scans_left
 from isac_track.patrols import Patrol
 from isac_track.types import Bools, Floats, Ints, squared_lengths
 
-ESTIMATORS: Final = ("smooth", "radial", "interpolate", "hold", "extrapolate")
+ESTIMATORS: Final = ("smooth", "radial", "radial_smooth", "interpolate", "hold", "extrapolate")
 """Ways to state a position between the entries of a log:
 
 - `smooth`: Rauch-Tung-Striebel at constant velocity, entries and instants together.
 - `radial`: lines between the entries, after a smoother for errors of the radial law.
+- `radial_smooth`: as `smooth`, of what that smoother returns.
 - `interpolate`: lines between the entries.
 - `hold`: the last entry; before the first, that.
 - `extrapolate`: the Kalman filter moves on at constant velocity.
@@ -216,10 +217,10 @@ def state_positions(log: Log, patrol: Patrol, *, estimator: str, otherwise: Floa
     row = np.flatnonzero(np.repeat(in_log, sizes))
     person = np.repeat(np.cumsum(in_log) - 1, sizes)[row]
     offsets = np.append(log.offsets[:-1][in_log], log.offsets[-1])
-    if estimator == "radial":
+    if estimator in ("radial", "radial_smooth"):
         log = _smoothed(log, offsets)
     gaps = Gaps(log, offsets, patrol.grid.t[row], person)
-    if estimator in ("smooth", "extrapolate"):
+    if estimator in ("smooth", "radial_smooth", "extrapolate"):
         stated[row] = _filtered(gaps, is_causal=estimator == "extrapolate")
     else:
         stated[row] = gaps.joined(is_held=estimator == "hold")

@@ -91,7 +91,7 @@ class TestOneCrossing:
         known = known_of(network, Flag())
         assert not known.seen.any()
         assert not known.disclosed.any()
-        np.testing.assert_array_equal(known.known[:, :, 0], [known.known_by_map] * 5)
+        np.testing.assert_array_equal(known.known[:, :, 0], [known.known_by_map] * len(ESTIMATORS))
 
     def test_a_robot_that_meets_nobody_learns_what_the_map_says(self):
         network = clean_network(patrol_past(CROSSING, (0, 50)))
