@@ -80,6 +80,7 @@ _ORDERED = (
     ("resample.rate_min_hz", "resample.rate_max_hz"),
     ("scenes.ring_min_m", "scenes.ring_max_m"),
     ("linkage.handover_least_s", "linkage.handover_window_s"),
+    ("patrol.scan_s", "patrol.query_s"),
 )
 """Of either pair the second may not be below the first."""
 
@@ -199,6 +200,19 @@ class LinkageSettings(_Stage):
 
 
 @dataclass(frozen=True, slots=True)
+class PatrolSettings(_Stage):
+    """Robots that walk through a whole recording and ask the network about people."""
+
+    robots: int = _number(1, 1, 100)  # robots of a fleet, which pools its answers in one log
+    fleets: int = _number(20, 1, 1000)  # fleets with routes of their own; an interval needs 20
+    query_s: float = _number(1.0, 1e-3, 3600.0)  # time between two queries of a robot
+    scan_s: float = _number(0.0836, 1e-3, 60.0)  # reading: interval of the clock of all people
+    segment_s: float = _number(inf, 1.0, 1e6, or_inf=True)
+    """length of the part of a recording that is walked, from its start; inf: all of it"""
+    grid_s: float = _number(0.1, 1e-3, 60.0)  # step of the instants at which a place may be known
+
+
+@dataclass(frozen=True, slots=True)
 class StageSettings:
     """Everything that changes numbers and is not an axis of the matrix."""
 
@@ -209,6 +223,7 @@ class StageSettings:
     privacy: PrivacySettings = field(default_factory=PrivacySettings)
     attacks: AttackSettings = field(default_factory=AttackSettings)
     linkage: LinkageSettings = field(default_factory=LinkageSettings)
+    patrol: PatrolSettings = field(default_factory=PatrolSettings)
 
     def __post_init__(self) -> None:
         values = self.flat()

@@ -26,7 +26,13 @@ from typing import Any, Literal, TypeAlias, Union
 from isac_track.command_line import may_be_ctrl_c
 from isac_track.errors import IsacTrackError, PluginError, SettingsError, did_you_mean, quoted, told
 
-Kind: TypeAlias = Literal["mechanisms", "predictors", "attacks"]
+Kind: TypeAlias = Literal["mechanisms", "predictors", "attacks", "policies"]
+_SINGULAR: dict[Kind, str] = {
+    "mechanisms": "mechanism",
+    "predictors": "predictor",
+    "attacks": "attack",
+    "policies": "policy",
+}
 
 _BUILT_IN: dict[Kind, dict[str, str]] = {
     "predictors": {
@@ -58,6 +64,15 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
         "mean_distance": "attacks.linkage.mean_distance:MeanDistance",
         "fusion": "attacks.linkage.fusion:Fusion",
     },
+    "policies": {
+        "everything": "isac_track.policies.samples:Everything",
+        "window": "isac_track.policies.samples:Window",
+        "near": "isac_track.policies.samples:Near",
+        "ahead": "isac_track.policies.samples:Ahead",
+        "random": "isac_track.policies.samples:RandomPeople",
+        "state": "isac_track.policies.summaries:State",
+        "flag": "isac_track.policies.summaries:Flag",
+    },
 }
 _MECHANISMS = (
     "isac_track.sharing",
@@ -66,7 +81,13 @@ _MECHANISMS = (
     "isac_track.withholding",
 )
 """Modules with a table ``MECHANISMS``: one that is added there is known here."""
-_METHOD: dict[Kind, str] = {"attacks": "fit", "mechanisms": "share", "predictors": "predict"}
+_METHOD: dict[Kind, str] = {
+    "attacks": "fit",
+    "mechanisms": "share",
+    "predictors": "predict",
+    "policies": "select",
+}
+_WITH_LEVEL: tuple[Kind, ...] = ("mechanisms", "policies")  # Their first number is a level.
 _MOST_LEVELS = 1000
 _WHOLE_LIMIT = 10**12  # Names show 12 digits.
 _PATH = re.compile(r"([A-Za-z]:(?=[\\/]|[^:,=]*\.py\b)|[\\/]|\.[\\/]|[^:,=]*\\)[^:]*")
@@ -76,10 +97,11 @@ _CLASS_NAME = re.compile(r"([A-Z]\w*)(?::|$)")  # Behind a path; a value begins 
 
 @dataclass(frozen=True, slots=True)
 class Plugin:
-    """One configured plug-in: a mechanism at one level, a predictor or an attack."""
+    """One configured plug-in: a mechanism or policy at one level, a predictor or an attack."""
 
     name: str  # As in the result columns: family and non-default parameters, without the level.
-    level: float | None  # Level of a mechanism; None where it has none or it is not a number.
+    level: float | None
+    """Level of a mechanism or policy; None where it has none or it is not a number."""
     spec: str  # Canonical SPEC that gives this very plug-in again.
     origin: str  # ``module:Class``
     instance: Any  # The frozen object.
@@ -292,7 +314,7 @@ def _load(kind: Kind, name: str) -> tuple[type, str]:
     """Return the class that a name means and its ``module:Class``, or what is wrong with it."""
     known = names(kind)
     origin = name if ":" in name else known.get(name)
-    singular = kind.removesuffix("s")
+    singular = _SINGULAR[kind]
     if origin is None:
         raise SettingsError(f"unknown {singular} {quoted(name)}{_nearest(name, known)}")
     module_name, _, attribute = origin.partition(":")
@@ -427,7 +449,7 @@ def configured(kind: Kind, name: str, cls: type, origin: str, changes: dict[str,
     for position, item in enumerate(_parameters(cls)):
         value = getattr(instance, item.name)
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        if position == 0 and kind == "mechanisms" and is_number:
+        if position == 0 and kind in _WITH_LEVEL and is_number:
             level = float(value)
         elif item.name in changes and value != item.default:
             parameters.append(f"{item.name}={_text(value)}")
@@ -453,6 +475,16 @@ def claims_protection(mechanism: object, origin: str) -> bool:
     return protects
 
 
+def check_form(policy: object, origin: str) -> None:
+    """Raise PluginError for a policy whose answers have no known form."""
+    from isac_track.policies.query import Form  # noqa: PLC0415 - a list of names needs no numpy
+
+    form = _declared(policy, origin, "form")
+    if form not in (known := typing.get_args(Form)):
+        wanted = ", ".join(known)
+        raise PluginError(f"{origin}.form must be one of {wanted}, got {quoted(form)}")
+
+
 def check_declared(kind: Kind, instance: object, origin: str) -> str:
     """Return a mechanism's adding rule, else nothing; PluginError for what is declared wrongly."""
     from isac_track.protocols import kind_of  # noqa: PLC0415 - a list of names needs no numpy
@@ -464,6 +496,9 @@ def check_declared(kind: Kind, instance: object, origin: str) -> str:
         # A rule for an error that is not there is none.
         adding = declared("adding") if declared("adds_error", default=True) else ""
         return adding if isinstance(adding, str) and adding in typing.get_args(Adding) else ""
+    if kind == "policies":
+        check_form(instance, origin)
+        return ""
     for attribute in ("requires", "uses") if kind == "attacks" else ("requires",):
         needs = declared(attribute)
         if not isinstance(needs, frozenset) or not all(isinstance(one, Knowledge) for one in needs):

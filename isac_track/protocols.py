@@ -9,13 +9,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.random import Generator
 
 from isac_track.errors import KnowledgeDenied
 from isac_track.types import (
+    Bools,
     Floats,
     Ints,
     Knowledge,
@@ -25,6 +26,9 @@ from isac_track.types import (
     Sensed,
     read_only,
 )
+
+if TYPE_CHECKING:
+    from isac_track.policies.query import Form, Query
 
 Reconstructor: TypeAlias = "Callable[[Release], Reconstruction]"
 """What turns a release into a reconstruction, sample for sample."""
@@ -80,6 +84,22 @@ def knowing(predictor: Predictor, mechanism: Mechanism) -> Any:  # noqa: ANN401 
     """Return a predictor as it is where a mechanism shares: one that is aware knows it."""
     told = getattr(predictor, "knowing", None)
     return predictor if told is None else told(mechanism)
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """Decides what the answer to a robot's query discloses.
+
+    A class attribute ``protects = False`` says that it claims no protection; ``forecasts =
+    True`` that it decides by the network's forecast, which a robot may share.
+    """
+
+    @property
+    def form(self) -> Form:
+        """What is sent: ``samples``, or in their place a ``state`` or a ``flag``."""
+
+    def select(self, query: Query) -> Bools:
+        """Return which samples of the query are sent, (M,)."""
 
 
 class Adversary(Protocol):

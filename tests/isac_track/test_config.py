@@ -77,7 +77,7 @@ def test_a_wrong_setting_says_what_is_wrong(changes, message):
         StageSettings().changed(changes)
 
 
-INFINITE = ("sensing.decorrelation_m",)
+INFINITE = ("sensing.decorrelation_m", "patrol.segment_s")
 ABSURD = [1e9, -1e300, 10**400, -(10**9999), "1e400", "inf", "nan"]
 
 

@@ -28,6 +28,8 @@ COUNTED = {
     "attacks.repeats": "repeats|(further )?releases",
     "linkage.handover_instants": "instants",
     "linkage.most_people": "people",
+    "patrol.robots": "robots",
+    "patrol.fleets": "fleets",
 }
 """Nouns after the number of a setting without a unit."""
 OWN = {  # What cannot be half as large again, or takes more people than are there.
@@ -37,6 +39,7 @@ OWN = {  # What cannot be half as large again, or takes more people than are the
     "linkage.most_people": 40,
     "linkage.trait_strength": 1.0,  # of the simulated crowd alone
     "conflict.horizons_s": "2.5",
+    "patrol.segment_s": 150.0,
 }
 DERIVED = {"0.93 s": "the horizon", "50 % of it": "of two releases the same steps"}
 

@@ -1,0 +1,191 @@
+"""What robots need to know: disclosure policies compared on patrols through a recording.
+
+    python examples/need_to_know.py --dataset plaza
+    python examples/need_to_know.py --dataset students03 --policy ahead:1..2/3 --mechanism raw
+
+Prints what a log discloses and lets an adversary know, then what each robot misses, with
+95 % intervals over people and routes. docs/need-to-know.md explains every column.
+"""
+# ruff: noqa: T201 - a comparison is printed
+
+import argparse
+from dataclasses import dataclass
+
+from isac_track import datasets
+from isac_track.config import StageSettings
+from isac_track.errors import IsacTrackError
+from isac_track.intervals import Estimate
+from isac_track.patrol_answers import disclose, share_patrol
+from isac_track.patrol_knowledge import ESTIMATORS, guesses_from_map, known_places
+from isac_track.patrol_metrics import (
+    is_by_construction,
+    knowledge_metrics,
+    robot_task,
+    utility_metrics,
+)
+from isac_track.patrols import horizon_scans, make_patrol
+from isac_track.place import placed
+from isac_track.plugins import Plugin, parse
+from isac_track.policies.samples import Everything
+from predictors.kalman import KalmanCV
+
+POLICIES = (
+    "everything",
+    "window:1.3",
+    "window:4",
+    "near:4.5",
+    "near:3.5",
+    "ahead:2",
+    "ahead:1.2",
+    "ahead:2,window_s=4,horizon_s=4.1",
+    "state",
+    "state:2",
+    "flag",
+    "random:0.2",
+)
+MECHANISMS, PREDICTORS = ("raw", "fid:1"), ("least_squares", "kalman_cv")
+KNOWLEDGE = ("disclosed_share", "known_share", "known_undisclosed", "people_seen", "plr_walk")
+UTILITY = (
+    "missed_conflict_rate",
+    "missed_future_rate",
+    "missed_encounter_rate",
+    "withheld_share",
+    "false_alarms_per_min",
+)
+PER_MINUTE = ("false_alarms_per_min",)
+
+
+@dataclass(frozen=True)
+class Row:
+    """The metrics of a policy with a mechanism; of a robot at a horizon, or of the log."""
+
+    mechanism: str
+    policy: str
+    metrics: dict[str, Estimate]
+    predictor: str = ""
+    horizon_s: float = 0.0
+    note: str = ""  # Estimator of the adversary; or that `withheld_share` is by construction.
+
+
+def compare(tracks, *, mechanisms, policies, predictors, settings, seed):
+    """Yield the rows of a recording: those of the log, then those of each robot."""
+    patrol = make_patrol(placed(tracks, settings=settings), settings=settings, seed=seed)
+    guesses = guesses_from_map(patrol, epsilon_m=settings.privacy.epsilon_m)
+    for mechanism in mechanisms:
+        network = share_patrol(
+            patrol,
+            mechanism=mechanism.instance,
+            forecaster=KalmanCV(),
+            settings=settings,
+            seed=seed,
+        )
+        everything = disclose(network, Everything())
+        tasks = {
+            predictor.spec: robot_task(
+                network, everything, predictor=predictor.instance, settings=settings
+            )
+            for predictor in predictors
+        }
+        for policy in policies:
+            disclosure = disclose(network, policy.instance, name=policy.spec)
+            known = known_places(
+                network, disclosure, guesses=guesses, epsilon_m=settings.privacy.epsilon_m
+            )
+            yield Row(
+                mechanism.spec,
+                policy.spec,
+                knowledge_metrics(known, group=patrol.people.group, seed=seed),
+                note=ESTIMATORS[known.best],
+            )
+            for predictor, task in tasks.items():
+                is_built_in = is_by_construction(network, policy.instance, task.predictor)
+                for horizon in horizon_scans(settings):
+                    yield Row(
+                        mechanism.spec,
+                        policy.spec,
+                        utility_metrics(task, disclosure, horizon=horizon, seed=seed),
+                        predictor=predictor,
+                        horizon_s=horizon * settings.patrol.scan_s,
+                        note="by construction" if is_built_in else "",
+                    )
+
+
+def written(name, estimate):
+    """A number with its interval, as percent unless it is a count per minute."""
+    scale, digits = (1.0, 2) if name in PER_MINUTE else (100.0, 1)
+    value, low, high = (
+        f"{scale * number:.{digits}f}"
+        for number in (estimate.value, estimate.ci_low, estimate.ci_high)
+    )
+    return value if low == "nan" else f"{value} [{low}, {high}]"
+
+
+def table(rows, names, *, note):
+    """The lines of a markdown table."""
+    heads = ["mechanism", "policy", *names, note]
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    for row in rows:
+        numbers = [written(name, row.metrics[name]) for name in names]
+        lines.append("| " + " | ".join([row.mechanism, row.policy, *numbers, row.note]) + " |")
+    return lines
+
+
+def report(rows, *, settings):
+    """Yield the lines of all tables."""
+    epsilon_m = settings.privacy.epsilon_m
+    logs = [row for row in rows if not row.predictor]
+    by_map = written("known_by_map", logs[0].metrics["known_by_map"])
+    n = logs[0].metrics["known_share"].n
+    yield f"Log of a fleet, in % of person-time (people_seen, plr_walk: of people; n = {n})."
+    yield f"Known: within {epsilon_m:g} m, true identities. Known by the map alone: {by_map} %."
+    yield ""
+    yield from table(logs, KNOWLEDGE, note="estimator")
+    tasks = dict.fromkeys((row.predictor, row.horizon_s) for row in rows if row.predictor)
+    for predictor, horizon_s in tasks:
+        ours = [row for row in rows if (row.predictor, row.horizon_s) == (predictor, horizon_s)]
+        n = ours[0].metrics["missed_future_rate"].n
+        yield ""
+        yield f"Robot {predictor}, horizon {horizon_s:.2f} s, in % (n = {n} clusters of people)."
+        yield ""
+        yield from table(ours, UTILITY, note="note")
+
+
+def options(words):
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--dataset", default="plaza")
+    parser.add_argument("--seed", type=int, default=0)
+    for name, usual in (("mechanism", MECHANISMS), ("policy", POLICIES), ("predictor", PREDICTORS)):
+        parser.add_argument(f"--{name}", action="append", metavar="SPEC", help=" ".join(usual))
+    parser.add_argument("--set", action="append", default=[], metavar="STAGE.KEY=VALUE")
+    return parser.parse_args(words)
+
+
+def plugins_named(kind, specs) -> list[Plugin]:
+    return [plugin for spec in specs for plugin in parse(kind, spec)]
+
+
+def main(words=None):
+    given = options(words)
+    try:
+        changes = dict(change.partition("=")[::2] for change in given.set)
+        settings = StageSettings().changed(changes)
+        dataset = datasets.load(given.dataset)
+        rows = list(
+            compare(
+                dataset.tracks,
+                mechanisms=plugins_named("mechanisms", given.mechanism or MECHANISMS),
+                policies=plugins_named("policies", given.policy or POLICIES),
+                predictors=plugins_named("predictors", given.predictor or PREDICTORS),
+                settings=settings,
+                seed=given.seed,
+            )
+        )
+    except IsacTrackError as error:
+        raise SystemExit(f"error: {error}") from None
+    patrol = settings.patrol
+    print(f"{dataset.name}: {patrol.fleets} fleets of {patrol.robots} robot(s)")
+    print("\n".join(report(rows, settings=settings)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,87 @@
+"""The query of a robot, as a disclosure policy sees it."""
+
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.random import Generator
+
+from isac_track.types import Bools, Floats, Ints, Prediction, squared_lengths
+
+Form: TypeAlias = Literal["samples", "state", "flag"]
+"""Form of an answer: samples of walks, a filtered state for each person, or yes and no."""
+SelectOn: TypeAlias = Literal["raw", "shared"]
+"""Which positions a selection rests on: those sensed, or those that the mechanism shares."""
+_ROUNDING_S = 1e-9
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class View:
+    """Positions of the people of a query, and the network's forecast from them."""
+
+    xy: Floats  # (M, 2) m
+    forecast: Prediction  # Of P people at the H instants ``query.ahead_s`` after now.
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Query:
+    """The network's view when a robot asks: P people present now, M samples in all.
+
+    Person p owns the samples ``offsets[p]:offsets[p + 1]``; the last of them is of now.
+    It holds nothing of the truth and no identity.
+    """
+
+    t: Floats  # (M,) s, times of the samples.
+    offsets: Ints  # (P + 1,)
+    raw: View  # As sensed.
+    shared: View  # As the mechanism shares it.
+    robot_xy: Floats  # (H, 2) m, the robot's route at `ahead_s`; first its place now.
+    ahead_s: Floats  # (H,) s after now; the first is 0.
+    rng: Generator  # A stream of this robot and query alone.
+
+    def view(self, select_on: SelectOn) -> View:
+        """Return the positions that a selection rests on."""
+        return self.raw if select_on == "raw" else self.shared
+
+    @property
+    def n_people(self) -> int:
+        """Number of people present."""
+        return self.offsets.size - 1
+
+    @property
+    def age_s(self) -> Floats:
+        """Time since each sample, (M,) s."""
+        return np.asarray(self.t.max(initial=-np.inf) - self.t)
+
+    def recent_samples(self, people: Bools, *, window_s: float | None = None) -> Bools:
+        """Return the samples of some people, (P,) -> (M,), of the last `window_s` seconds.
+
+        Without a window all their samples are meant.
+        """
+        chosen: Bools = np.repeat(people, np.diff(self.offsets))
+        return chosen if window_s is None else chosen & (self.age_s <= window_s + _ROUNDING_S)
+
+    def near_robot(self, *, radius_m: float, select_on: SelectOn) -> Bools:
+        """Return who stands less than `radius_m` from the robot now, (P,)."""
+        last = self.view(select_on).xy[self.offsets[1:] - 1]
+        return np.asarray(squared_lengths(last - self.robot_xy[0]) < radius_m**2)
+
+    def forecast_near_route(
+        self, *, margin_m: float, horizon_s: float, stds: float = 0.0, select_on: SelectOn
+    ) -> Bools:
+        """Return who is forecast within a margin of the robot's route, (P,).
+
+        Distances are time-aligned, up to `horizon_s`. The margin grows by `stds` standard
+        deviations of the forecast, per axis. ValueError if it shall grow but the forecast
+        has no covariance.
+        """
+        forecast = self.view(select_on).forecast
+        n_steps = int((self.ahead_s <= horizon_s + _ROUNDING_S).sum())
+        gap = forecast.mean[:, :n_steps] - self.robot_xy[:n_steps]
+        reach_m: Floats = np.full(gap.shape[:2], margin_m)
+        if stds > 0.0:
+            if forecast.cov is None:
+                raise ValueError("stds needs a network forecast with a covariance")
+            variance = np.trace(forecast.cov[:, :n_steps], axis1=-2, axis2=-1) / 2.0
+            reach_m += stds * np.sqrt(variance)
+        return np.asarray((squared_lengths(gap) < reach_m**2).any(axis=1))

@@ -1,0 +1,97 @@
+"""The example that compares policies: a small run, its table, and what it refuses."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import isac_track
+from isac_track.config import StageSettings
+from isac_track.plugins import parse
+
+EXAMPLE = Path(isac_track.__file__).parents[1] / "examples" / "need_to_know.py"
+FEW = {"patrol.fleets": 2, "patrol.segment_s": 8.0}
+
+
+@pytest.fixture(scope="module")
+def example():
+    spec = importlib.util.spec_from_file_location("need_to_know", EXAMPLE)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def rows_of(example, tracks, *, policies, mechanisms=("raw",), predictors=("least_squares",)):
+    return list(
+        example.compare(
+            tracks,
+            mechanisms=example.plugins_named("mechanisms", mechanisms),
+            policies=example.plugins_named("policies", policies),
+            predictors=example.plugins_named("predictors", predictors),
+            settings=StageSettings().changed(FEW),
+            seed=0,
+        )
+    )
+
+
+def numbers(row):
+    return {name: (estimate.value, estimate.n) for name, estimate in row.metrics.items()}
+
+
+def test_a_row_depends_on_no_other_policy_mechanism_or_robot(example, tracks):
+    alone = rows_of(example, tracks, policies=["random:0.5"])
+    among = rows_of(
+        example,
+        tracks,
+        policies=["ahead:2", "random:0.5", "everything"],
+        mechanisms=["fid:1", "raw"],
+        predictors=["kalman_cv", "least_squares"],
+    )
+    assert len(alone) == 3  # The log, and two horizons of a robot.
+    for row in alone:
+        (same,) = (
+            other
+            for other in among
+            if (other.mechanism, other.policy) == (row.mechanism, row.policy)
+            and (other.predictor, other.horizon_s) == (row.predictor, row.horizon_s)
+        )
+        np.testing.assert_equal(numbers(same), numbers(row))
+
+
+def test_prints_a_row_for_every_policy_mechanism_robot_and_horizon(example, capsys, csv_recording):
+    words = ["--dataset", str(csv_recording), "--policy", "near:3", "--policy", "flag"]
+    words += ["--set", "patrol.fleets=2", "--set", "patrol.segment_s=8"]
+    example.main(words)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].endswith("2 fleets of 1 robot(s)")
+    for policy in ("near:3", "flag"):
+        for mechanism in ("raw", "fid:1"):
+            rows = [line for line in lines if line.startswith(f"| {mechanism} | {policy} |")]
+            assert len(rows) == 1 + 2 * 2
+    assert sum(line.startswith("Robot kalman_cv, horizon") for line in lines) == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--policy", "neer:3"], "unknown policy 'neer'; did you mean 'near'"),
+        (["--policy", "near:-3"], "metres must be positive"),
+        (["--mechanism", "window:1"], "a policy selects samples"),
+        (["--set", "patrol.robots=0"], "patrol.robots must lie within 1 to 100"),
+    ],
+)
+def test_a_mistake_is_one_clear_line(example, csv_recording, words, message):
+    with pytest.raises(SystemExit) as ended:
+        example.main(["--dataset", str(csv_recording), "--set", "patrol.segment_s=8", *words])
+    assert message in str(ended.value)
+    assert "\n" not in str(ended.value)
+
+
+def test_the_usual_names_exist(example):
+    for kind, specs in (
+        ("policies", example.POLICIES),
+        ("mechanisms", example.MECHANISMS),
+        ("predictors", example.PREDICTORS),
+    ):
+        assert [plugin.spec for spec in specs for plugin in parse(kind, spec)] == list(specs)
