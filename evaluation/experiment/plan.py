@@ -16,8 +16,9 @@ from evaluation.experiment.constants import BLOCK_SCENES
 from evaluation.experiment.presets import BREAKER, PRESETS
 from evaluation.experiment.settings import Settings, check_threads
 from isac_track import datasets, plugins
+from isac_track.config import PatrolSettings
 from isac_track.datasets import Dataset, crowd
-from isac_track.errors import DataError, PluginError, told
+from isac_track.errors import DataError, PluginError, SettingsError, told
 from isac_track.place import placed
 from isac_track.plugins import Plugin
 from isac_track.scenes import Cut, cut, with_horizons
@@ -87,6 +88,7 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     Raises IsacTrackError for anything that a user can mend.
     """
     check_threads()
+    _check_patrols(settings)
     crossed = axes(settings)
     how = {name: getattr(settings, name) for name in _HOW_TO_READ}
     dataset = dataset or datasets.load(settings.dataset, **how)
@@ -189,6 +191,14 @@ def asked_of_file(settings: Settings) -> dict[str, Any]:
     usual = Settings()
     asked = {name: getattr(settings, name) for name in _ASKED}
     return {name: value for name, value in asked.items() if value != getattr(usual, name)}
+
+
+def _check_patrols(settings: Settings) -> None:
+    """Raise SettingsError for settings of patrols: a run does not read them."""
+    if settings.stages.patrol != PatrolSettings():
+        raise SettingsError(
+            "patrol.* settings change nothing in a run: examples/need_to_know.py reads them"
+        )
 
 
 def _units(
