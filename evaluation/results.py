@@ -45,6 +45,7 @@ from evaluation.reporting.announcements import plan_lines
 from evaluation.reporting.answers import answers
 from evaluation.reporting.figures import figure
 from evaluation.reporting.finished import load
+from evaluation.reporting.first_screen import first_table
 from evaluation.reporting.progress import progress_bar
 from evaluation.reporting.rows import Results
 from evaluation.reporting.tables import write_tex, write_text
@@ -254,6 +255,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
     Otherwise as `rebuild`, which locks the folder and checks its cells first.
     """
     results, looked = _results(out)
+    results = replace(results, first_table=first_table(results))
     with aside(partial(_as_csv, [getattr(results, of) for of in FRAMES])) as tables:
         write_whole(out / "flags.json", weak_attacks.to_json(results.flags, looked))
         write_whole(out / "verdict.json", verdict.to_bytes(results.verdict))

@@ -9,6 +9,7 @@ import pandas as pd
 from evaluation.analysis.keys import keys_of
 from evaluation.analysis.metrics import ASSIGNED, EXPOSURE, SUCCESS
 from evaluation.analysis.strongest import strongest
+from evaluation.reporting.first_screen import first_table
 from evaluation.reporting.rows import Results
 from evaluation.runs.files import FRAMES, made_of
 from evaluation.runs.manifest import read_manifest
@@ -37,4 +38,6 @@ def load(out: Path | str) -> Results:
     # Their values alone are asked for, and what makes estimates takes long to import.
     known: Any = dict(zip(keys_of(rows), map(_Known, rows["value"]), strict=True))
     best = strongest(known, results.families)
-    return replace(results, strongest={task: source.attack for task, source in best.items()})
+    strongest_of = {task: source.attack for task, source in best.items()}
+    results = replace(results, strongest=strongest_of)
+    return replace(results, first_table=first_table(results))

@@ -60,7 +60,7 @@ _MECHANISMS: Final = {
     "clean": "True positions without any error: an upper limit for every attack.",
     "fixed": "The same amount of noise on every position, level in m.",
     "fid": "The paper's mechanism: noise where the FID exceeds eta.",
-    "ou": "Noise that changes slowly, over about 5 s, level in m.",
+    "ou": "Noise that changes slowly, over some seconds (tau_s), level in m.",
     "ou_fid": "Slow noise where the FID exceeds eta.",
     "laplace": "Planar Laplace noise on every position, level in m.",
     "forecast": "The network's own filtered position, once a second, with noise, level in m.",

@@ -74,6 +74,7 @@ class Results:
     """The share of conflicts in which somebody is inside by a time, at every horizon."""
     attacked: pd.DataFrame = field(default_factory=pd.DataFrame)
     """Numbers of the strongest attack against each mechanism, cross-fitted: `strongest.csv`."""
+    first_table: Table | None = None  # The table of the first screen, for a notebook.
     gallery: pd.DataFrame | None = None  # As in `gallery.parquet`; None without, and of `load`.
 
     @property
@@ -85,20 +86,21 @@ class Results:
         """Return what run it is, and the table of the first screen in lines."""
         from evaluation.reporting.terminal import aligned  # noqa: PLC0415 - see `load`
 
-        table = self._first_table()
-        rows = [[cell.full for cell in row] for row in table.rows]
-        heads = [column.head for column in table.columns]
+        table = self.first_table
+        rows = [[cell.full for cell in row] for row in table.rows] if table else []
+        heads = [column.head for column in table.columns] if table else []
         return "\n".join(
             [f"<{self._title()}>", *(aligned([heads, *rows], left={0}) if rows else [])]
         )
 
     def _repr_html_(self) -> str:
         """Return the table of the first screen, and the sentences below it."""
-        table = self._first_table()
-        heads = "".join(f"<th>{escape(column.head)}</th>" for column in table.columns)
+        table = self.first_table
+        columns, records = (table.columns, table.rows) if table else ([], [])
+        heads = "".join(f"<th>{escape(column.head)}</th>" for column in columns)
         rows = "".join(
             f"<tr>{''.join(f'<td>{escape(cell.full)}</td>' for cell in row)}</tr>"
-            for row in table.rows
+            for row in records
         )
         grid = f"<table><thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table>"
         said = "".join(f"<li>{escape(str(one))}</li>" for one in self.verdict.get("answer", ()))
@@ -113,11 +115,6 @@ class Results:
         failed = f", {len(self.failed)} cells failed" * bool(len(self.failed))
         told = f"{what}, {scenes_text(identity)}, seed {identity['seed']}, {n_levels} levels"
         return f"Results {self.out}: {told}{failed}"
-
-    def _first_table(self) -> Table:
-        from evaluation.reporting.first_screen import first_table  # noqa: PLC0415 - see `load`
-
-        return first_table(self)
 
     def recommendation(self, question: Question | None = None) -> Recommendation:
         """Return which levels may be shared, by default as the first screen asks.

@@ -432,6 +432,7 @@ def read_gallery(out: Path) -> pd.DataFrame | None:
     with _readable(path):
         # Not pq.read_table: a system that has no more threads to give would end the process.
         file = pq.ParquetFile(io.BytesIO(content_of(path)))
-        table = file.read(columns=SAMPLE_COLUMNS, use_threads=False)
+        # A column that is missing is not an error of `read`.
+        table = file.read(use_threads=False).select(SAMPLE_COLUMNS)
         found: pd.DataFrame = table.to_pandas(use_threads=False)
         return found

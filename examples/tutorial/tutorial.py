@@ -34,6 +34,7 @@ MINE = "geometric_median:GeometricMedian"
 results = evaluation.run(
     evaluation.Settings(
         dataset="walks.csv",
+        preset="paper",
         scenes=60,  # for a look; the preset has 500
         mechanisms=("raw", "fid:1000", "fid:1e5", "fixed:0.3", "fixed:1", "offset:0.3"),
         predictors=("least_squares",),

@@ -57,6 +57,7 @@ MECHANISMS = [
         *("fixed:0.5,adding=independent,law=isotropic", "fid:100", "fid:1000,adding=independent"),
         *("correlated:0.5", "correlated:0.5,tau_s=9,adding=independent"),
         *("ou:1", "ou:1,tau_s=0.5,reuse=session", "ou_fid:100", "laplace:0.7", "forecast:0.3"),
+        *("window:0.7", "window:0.7,d_sigma=0.5"),
     )
 ]
 

@@ -34,7 +34,7 @@ def test_a_dry_run_writes_nothing_and_a_run_ends_in_a_table(small, tmp_path, ran
     assert f"Tables: {tmp_path / 'run' / 'tables.txt'}" in shown.out
     assert "12 of 12 tracks used, 8 scenes; 1 cells" in shown.err
     value = pd.read_csv(tmp_path / "run" / "summary.csv").set_index("metric")["value"]["plr"]
-    assert f"{100 * value:.1f}" in shown.out
+    assert f" {100 * value:.0f} " in shown.out
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,7 @@ def test_results_show_as_the_first_table(cells):
     first, heads, *rows = shown.data["text/plain"].splitlines()
     assert first.startswith("<Results shown: plaza (simulated people), 40 scenes")
     assert "missed" in heads
-    assert [row.split()[0] for row in rows][:2] == ["raw", "fixed:1"]
+    assert [" ".join(row.split()[:2]) for row in rows][:2] == ["raw positions", "fixed noise,"]
 
 
 def test_a_data_set_and_its_tracks_are_a_line(cells):

@@ -20,12 +20,12 @@ def test_what_was_made_of_a_recording_is_told_at_once_in_tables_and_on_the_page(
     words += ["--predictor", "none", "--attack", "none", "--task", "none", "--out", out]
     assert matrix.main([*map(str, words), "--verbose"]) == 0
     said = " ".join(capsys.readouterr().err.split())
-    mended = "1 gaps bridged, 1 tracks split at a long gap, 1 single samples dropped"
-    longest, helps = ", ".join(["29.6"] * 4), "--set resample.min_duration_s=17.6 takes 20 or more"
+    mended = "1 gap bridged, 1 track split at a long gap, 1 single sample dropped"
+    helps = f"the longest last {', '.join(['29.6'] * 4)} s; --set resample.min_duration_s=17.6"
     for text in (
         "walks.csv: positions in mm, as --unit says; converted to m",
-        f"walks: {mended}, 22 tracks too short for a scene",
-        f"5 tracks in scenes are too few to decide by; the longest last {longest} s; {helps}",
+        f"walks: {mended} and 22 tracks too short for a scene",
+        f"5 usable tracks: too few to decide anything ({helps} takes 20 or more)",
     ):
         assert text in said
         for name in ("tables.txt", "report.html"):

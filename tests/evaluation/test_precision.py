@@ -56,7 +56,7 @@ def test_a_precision_that_250_scenes_reach_takes_250(precise):
         (["--precision", "0"], "between 0 and 0.5"),
         (["--precision", "nan"], "between 0 and 0.5"),
         (["--precision", "0.01", "--scenes", "40"], "leave out --scenes"),
-        (["--precision", "0.1", "--predictor", "none"], "name a --predictor"),
+        (["--precision", "0.1", "--predictor", "none"], "add --predictor"),
         (["--precision", "0.1", "--dry-run"], "leave out --dry-run"),
     ],
 )

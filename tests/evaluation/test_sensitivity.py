@@ -253,7 +253,7 @@ class TestRun:
             assert re.search(r"\d+ (same|not decided)", line)
         # The last sentence counts every item but the base's.
         others = pd.read_csv(tried / "sensitivity.csv").query("variant != 'base'")
-        said = re.search(r"\d+ items decided alike.*", " ".join(shown.out.split()))[0]
+        said = re.search(r"\d+ items have the same decision.*", " ".join(shown.out.split()))[0]
         counted = re.findall(r"(\d+) (?:items|not decided|changed sign|lost|gained|miss)", said)
         assert sum(map(int, counted)) == len(others)
 

@@ -249,6 +249,7 @@ def test_a_module_whose_name_is_not_in_the_source_is_imported_in_few_places():
         "evaluation/reporting/figures/figure.py",
         "evaluation/runs/dask.py",
         "evaluation/runs/workers.py",
+        "isac_track/compiling.py",
         "isac_track/kalman/__init__.py",
         "isac_track/plugins.py",
         "isac_track/testing/__main__.py",

@@ -53,7 +53,9 @@ def test_in_worlds_of_the_fitted_motion_attacks_stand_beside_the_optimum(
     assert len(bound_table(found).rows) == 2
     assert [one.where for one in gaps(found.summary)] == [("fixed", 0.5)] * 2
     assert {one.attack.consumer for one in gaps(found.summary)} == {"kalman_rts"}
-    assert gap_text(gaps(found.summary), ("fixed", 0.5)).startswith("in the model world at most ")
+    assert gap_text(gaps(found.summary), ("fixed", 0.5)).startswith(
+        "In the model world the closest attack lacks at most "
+    )
 
 
 def test_linkers_stand_beside_the_optimal_ratio_where_errors_are_gaussian(tmp_path, monkeypatch):
@@ -83,12 +85,14 @@ def test_linkers_stand_beside_the_optimal_ratio_where_errors_are_gaussian(tmp_pa
     closest = min(
         of.loc["rerelease/shape", who, "rank1_gap"]["value"] for who in ("blind", "informed")
     )
-    assert said == f"in the model world {max(100 * closest, 0):.1f} of 100 people below the optimum"
+    assert said == (
+        f"In the model world the closest attack lacks {max(100 * closest, 0):.1f} of 100 people "
+        "of the optimum."
+    )
     table = linked_bound_table(found)
     assert len(table.rows) == 1
-    assert (found.out / "report.html").read_text(encoding="utf-8").count(
-        f"<summary>{table.title}"
-    ) == 1
+    page = (found.out / "report.html").read_text(encoding="utf-8")
+    assert page.count(f'aria-label="Table: {table.title}"') == 1
     # What a person sees of the recording has none of it.
     assert set(found.linkability["consumer"]) >= {"rerelease/shape"}
     assert not found.linkability["consumer"].str.contains("bound").any()

@@ -508,6 +508,11 @@ class TestRuns:
         assert matrix.main([str(word) for word in words]) == 2
 
 
+def paper(**options):
+    """Settings of the widest preset that is run by name alone."""
+    return Settings(preset="paper", **options)
+
+
 class TestAxes:
     @pytest.mark.parametrize(
         ("given", "message"),
@@ -531,11 +536,11 @@ class TestAxes:
 
     @pytest.mark.parametrize("name", sorted(ADVERSARIES.keys() - USUAL))
     def test_who_is_asked_for_by_name_alone_does_something(self, name):
-        rows = {one.knowledge for one in axes(Settings(adversaries=(name,))).consumers}
+        rows = {one.knowledge for one in axes(paper(adversaries=(name,))).consumers}
         assert rows == {"", *USUAL, name}
 
     def test_who_is_in_every_run_adds_nothing_to_it_when_asked_for(self):
-        assert axes(Settings(adversaries=USUAL)).consumers == axes(Settings()).consumers
+        assert axes(paper(adversaries=USUAL)).consumers == axes(paper()).consumers
 
     def test_who_links_where(self):
         for attack, task, spec in (
@@ -545,8 +550,19 @@ class TestAxes:
             found = axes(Settings(attacks=(attack,), tasks=(task,)))
             assert [(where.name, one.spec) for where, one in found.links] == [(task, spec)]
 
-    def test_the_default_has_every_task_and_every_linker_and_nothing_is_linked_without_tasks(self):
-        found = axes(Settings())
+    def test_preset_quick_leaves_out_the_oracle_where_a_lesser_adversary_can_attack(self):
+        crossed = axes(Settings(preset="quick", attacks=("radial_rts", "averaging")))
+        rows = {(one.spec, one.knowledge) for one in crossed.consumers if one.kind == "attack"}
+        assert {knowledge for spec, knowledge in rows if spec == "radial_rts"} == {
+            "blind",
+            "informed",
+        }
+        assert ("averaging", "oracle") in rows
+        asked = axes(Settings(preset="quick", adversaries=("oracle",))).consumers
+        assert "oracle" in {one.knowledge for one in asked}
+
+    def test_paper_has_every_task_and_every_linker_and_nothing_is_linked_without_tasks(self):
+        found = axes(paper())
         assert {task.name for task in found.tasks} == TASKS.keys()
         linkers = {one.plugin.name for _, one in found.links}
         known = {"shape", "profile", "dtw", "behaviour", "histogram", "kinematic"}

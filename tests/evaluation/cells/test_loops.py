@@ -32,7 +32,7 @@ def test_a_quick_run_calls_no_loop_that_is_not_compiled_ahead(csv_recording, tmp
 
 def test_the_slowest_to_compile_begin():
     names = [name.partition(":")[2] for name in loops_of(cells_of(axes(Settings())))]
-    assert names[:3] == ["read_scores", "ratios", "least_costs"]
+    assert names[:3] == ["read_scores", "ratios", "described"]
     assert len(set(names)) == len(names)
 
 

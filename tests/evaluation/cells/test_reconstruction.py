@@ -439,7 +439,7 @@ def test_of_one_group_an_attack_that_learns_is_refused_and_the_others_run(tracks
     block = World(crowd, n_scenes=N_SCENES).attacked()
     (fold,) = (fold for fold, half in enumerate(block.halves) if half.size)
     assert block.training[fold] is None
-    with pytest.raises(DataError, match=r"'kalman_rts' learns .* leave the attack out"):
+    with pytest.raises(DataError, match=r"'kalman_rts' needs other people .* leave the attack out"):
         computed(crowd, "kalman_rts")
     found = computed(crowd, "identity", "averaging")
     for key in (("raw", "identity", "blind"), ("raw", "averaging", "oracle")):

@@ -130,7 +130,7 @@ class TestWhatItSays:
          "--seed=3 --dataset walks.csv"),
         # A run from Python names all that is not usual.
         (["/lib/ipykernel_launcher.py", "-f", "x"], {"privacy.epsilon_m": 0.5},
-         ("--dataset students03 --seed 3 --mechanism raw --mechanism fid:1 --predictor "
+         ("--preset paper --dataset students03 --seed 3 --mechanism raw --mechanism fid:1 --predictor "
           "least_squares --attack none --task rerelease --set privacy.epsilon_m=0.5")),
     ],
 )  # fmt: skip

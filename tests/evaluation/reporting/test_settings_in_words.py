@@ -89,7 +89,9 @@ def texts(tmp_path_factory):
     # How long the lines below a walk are, the gap in a task's name, and the horizon that a question
     # to the run is about (and the option that adds it), no setting says.
     texts["page"] = re.sub(r'<svg class="track".*?</svg>', "", texts["page"])
-    not_settings = r"(?i)after\s2\ss\b|within\s3\ss\b|--set\s+conflict\.horizons_s=3\b"
+    not_settings = (
+        r"(?i)(after|across|of)\s[125]\ss\b|within\s3\ss\b|--set\s+conflict\.horizons_s=3\b"
+    )
     return {name: re.sub(not_settings, "", text) for name, text in texts.items()}
 
 

@@ -341,10 +341,10 @@ class TestWhatIsRefused:
             ({"executor": "dask"}, "needs --scheduler ADDRESS"),
             ({"scheduler": "tcp://a:1"}, "goes with --executor dask"),
             ({"executor": "slurm"}, "local or dask, got 'slurm'"),
-            ({"executor": "dask", "scheduler": "tcp://a:1", "jobs": 2}, "--jobs is of"),
+            ({"executor": "dask", "scheduler": "tcp://a:1", "jobs": 2}, "--jobs is for"),
             (
                 {"executor": "dask", "scheduler": "tcp://a:1", "cell_timeout_s": 2},
-                "--cell-timeout is of",
+                "--cell-timeout is for",
             ),
         ],
     )
