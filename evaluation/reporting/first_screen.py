@@ -169,7 +169,8 @@ def short_table(table: Headline) -> Table:
         "known as sent (%)",
         "attacked (%)",
     ]
-    heads += [f"linked {column.name} (%)" for column in columns[len(heads) :]]
+    linked = [f"{column.name.removeprefix('after ')} (%)" for column in columns[len(heads) :]]
+    heads += [f"linked, {head}" if n == 0 else head for n, head in enumerate(linked)]
     cells = [
         Column(head, partial(_short_cell, table, column))
         for head, column in zip(heads, columns, strict=True)

@@ -130,8 +130,8 @@ class TestWhatItSays:
          "--seed=3 --dataset walks.csv"),
         # A run from Python names all that is not usual.
         (["/lib/ipykernel_launcher.py", "-f", "x"], {"privacy.epsilon_m": 0.5},
-         ("--preset paper --dataset students03 --seed 3 --mechanism raw --mechanism fid:1 --predictor "
-          "least_squares --attack none --task rerelease --set privacy.epsilon_m=0.5")),
+         ("--preset paper --dataset students03 --seed 3 --mechanism raw --mechanism fid:1 "
+          "--predictor least_squares --attack none --task rerelease --set privacy.epsilon_m=0.5")),
     ],
 )  # fmt: skip
 def test_the_command_is_the_one_given_with_data_set_and_seed(given, stages, told):
