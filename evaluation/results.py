@@ -255,7 +255,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
     Otherwise as `rebuild`, which locks the folder and checks its cells first.
     """
     results, looked = _results(out)
-    results = replace(results, first_table=first_table(results))
+    results = replace(results, first_table_of=first_table)
     with aside(partial(_as_csv, [getattr(results, of) for of in FRAMES])) as tables:
         write_whole(out / "flags.json", weak_attacks.to_json(results.flags, looked))
         write_whole(out / "verdict.json", verdict.to_bytes(results.verdict))

@@ -9,8 +9,8 @@ import pandas as pd
 from evaluation.analysis.keys import keys_of
 from evaluation.analysis.metrics import ASSIGNED, EXPOSURE, SUCCESS
 from evaluation.analysis.strongest import strongest
-from evaluation.reporting.first_screen import first_table
 from evaluation.reporting.rows import Results
+from evaluation.reporting.table import Table
 from evaluation.runs.files import FRAMES, made_of
 from evaluation.runs.manifest import read_manifest
 
@@ -40,4 +40,11 @@ def load(out: Path | str) -> Results:
     best = strongest(known, results.families)
     strongest_of = {task: source.attack for task, source in best.items()}
     results = replace(results, strongest=strongest_of)
-    return replace(results, first_table=first_table(results))
+    return replace(results, first_table_of=_first_table)
+
+
+def _first_table(results: Results) -> Table:
+    # What makes it takes long to import, and is needed only by who looks at it.
+    from evaluation.reporting.first_screen import first_table  # noqa: PLC0415 - as said
+
+    return first_table(results)

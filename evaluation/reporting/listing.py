@@ -100,9 +100,9 @@ SETTINGS: Final = {
     "patrol.robots": "robots of a fleet (examples/need_to_know.py alone)",
     "patrol.fleets": "fleets with routes of their own (the same)",
     "patrol.query_s": "time between two queries of a robot (the same)",
-    "patrol.scan_s": "interval of the clock on which all people are sensed (the same)",
+    "patrol.scan_s": "interval of the clock of all people (the same)",
     "patrol.segment_s": "length of the recording that is walked (the same)",
-    "patrol.grid_s": "step of the instants at which a place may be known (the same)",
+    "patrol.grid_s": "step of the instants that are judged (the same)",
 }
 """What a stage setting is. One that is not here is listed by its name, value and unit."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from html import escape
@@ -74,7 +74,8 @@ class Results:
     """The share of conflicts in which somebody is inside by a time, at every horizon."""
     attacked: pd.DataFrame = field(default_factory=pd.DataFrame)
     """Numbers of the strongest attack against each mechanism, cross-fitted: `strongest.csv`."""
-    first_table: Table | None = None  # The table of the first screen, for a notebook.
+    first_table_of: Callable[[Results], Table] | None = None
+    """What makes the table of the first screen, for a notebook."""
     gallery: pd.DataFrame | None = None  # As in `gallery.parquet`; None without, and of `load`.
 
     @property
@@ -86,7 +87,7 @@ class Results:
         """Return what run it is, and the table of the first screen in lines."""
         from evaluation.reporting.terminal import aligned  # noqa: PLC0415 - see `load`
 
-        table = self.first_table
+        table = self.first_table_of(self) if self.first_table_of else None
         rows = [[cell.full for cell in row] for row in table.rows] if table else []
         heads = [column.head for column in table.columns] if table else []
         return "\n".join(
@@ -95,7 +96,7 @@ class Results:
 
     def _repr_html_(self) -> str:
         """Return the table of the first screen, and the sentences below it."""
-        table = self.first_table
+        table = self.first_table_of(self) if self.first_table_of else None
         columns, records = (table.columns, table.rows) if table else ([], [])
         heads = "".join(f"<th>{escape(column.head)}</th>" for column in columns)
         rows = "".join(

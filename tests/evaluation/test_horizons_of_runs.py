@@ -249,7 +249,8 @@ class TestStandingStill:
             {"robot": "kalman_cv", "horizon_s": 3.0, "levels": 6, "loses": []},
         ]
         shown = answers(replace(run, verdict=run.verdict | {"robots": robots}))[0].sentence
-        assert shown.endswith("The paper's straight line loses to standing still at 2 of 6 levels.")
+        beaten = "At 2 of 6 levels, expecting people to stand beats the paper's straight line."
+        assert shown.endswith(beaten)
         assert "of future conflicts (raw positions: " in shown
         alone = answers(replace(made["alone"], verdict={}))[0].sentence
         assert "future" not in alone
@@ -280,7 +281,7 @@ def test_the_screen_has_six_columns_at_most(n_linked):
     assert best.measure.consumer == "kalman_cv"
     assert best.is_later
     pairs = screen_columns(wide, best)
-    assert [group.title for group, _ in pairs][:2] == ["robot misses", "known to 0.3 m, %"]
+    assert [group.title for group, _ in pairs][:2] == ["Kalman misses", "known to 0.3 m, %"]
     assert all(len(group.heads) == len(columns) for group, columns in pairs)
     assert sum(len(columns) for _, columns in pairs) == 3 + min(n_linked, 2)
 

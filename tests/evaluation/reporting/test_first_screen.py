@@ -106,7 +106,7 @@ def test_what_simulates_says_so_first_and_doubts_are_counted():
     assert re.search(r"Doubts: .* \d more: tables.txt\.", text)
     told = doubts(run, headline_of(run))
     assert told[1:4] == [
-        "1 sign of a weak reconstruction attack",
+        "1 sign that an attack is too weak",
         "6 of 96 linkage results invalid (track length)",
         "not linked: split",
     ]
