@@ -124,7 +124,7 @@ _QUICK = Preset(
         *_PROTECTING,
     ),
     predictors=("least_squares", "kalman_cv", BASELINE),
-    # The strongest of each kind in `paper`, at every level that adds noise.
+    # The strongest of each kind, by re-releases and handovers of Students03 and plaza.
     attacks=("radial_rts", "kinematic@radial_rts", "likelihood_ratio:one_to_one=true"),
     against_slow=("ou_rts",),
     adversaries=BREAKERS,
