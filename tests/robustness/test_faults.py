@@ -143,9 +143,9 @@ def hanging(place):
     """How to start a run that hangs, and wait until it does."""
     flag, started = place / "files" / "held", []
 
-    def hang(out):
+    def hang(out, *, jobs=2):
         flag.unlink(missing_ok=True)
-        started.append(begin(place, out, "--mechanism", "faulty:ShareHolds:0.5"))
+        started.append(begin(place, out, "--mechanism", "faulty:ShareHolds:0.5", jobs=jobs))
         wait_for(flag.exists, most_s=60)
         return started[-1]
 
@@ -173,7 +173,7 @@ class TestInterrupted:
             pass
 
     def test_a_worker_that_lets_no_thread_run_ends_with_its_parent(self, place, hanging):
-        process = hanging(place / "orphaned")
+        process = hanging(place / "orphaned", jobs=1)
         assert len(in_session(process.pid)) >= 2
         process.kill()
         process.wait()
