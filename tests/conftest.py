@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from helpers.commands import Ended
 from helpers.recordings import tracks_of, write_csv
-from helpers.small_runs import one_process
+from helpers.small_runs import cut_once, one_process, without_pictures
 
 from isac_track import datasets
 from isac_track.rng import stream
@@ -117,7 +117,14 @@ def _one_process():
         yield
 
 
+@pytest.fixture(scope="module", name="cut_once")
+def _cut_once():
+    with cut_once():
+        yield
+
+
 @pytest.fixture
-def undrawn(monkeypatch):
-    """Runs draw no pictures: they take most of the time of a small one."""
-    monkeypatch.setattr("evaluation.results._draw", lambda *_, **__: None)
+def undrawn():
+    """Runs draw no pictures."""
+    with without_pictures():
+        yield

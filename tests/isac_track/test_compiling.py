@@ -97,9 +97,7 @@ def test_loops_of_a_damaged_cache_compute_the_same(damaged):
     assert second == (0, RIGHT * len(CASES), "")
 
 
-@pytest.mark.parametrize(
-    "name", CASES, ids=[f"{damage}-{kind}" for damage, kind in CASES.values()]
-)
+@pytest.mark.parametrize("name", CASES, ids=[f"{damage}-{kind}" for damage, kind in CASES.values()])
 def test_a_damaged_cache_is_compiled_again(name, damaged):
     folder, first, _ = damaged
     (line,) = [line for line in first.err.splitlines() if f"small_loop.{name}-" in line]

@@ -22,7 +22,7 @@ from helpers.commands import (
     start,
 )
 from helpers.processes import ROOT, wait_for
-from helpers.small_runs import write_walks
+from helpers.small_runs import without_pictures, write_walks
 
 from evaluation import matrix, report
 from evaluation.results import rebuild
@@ -110,8 +110,7 @@ def begin(place, out, *options, **axes):
 
 def here(place, out, **axes):
     """Run what has many scenes to the end in this process."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("evaluation.results._draw", lambda *_, **__: None)
+    with without_pictures():
         assert matrix.main(words(place, out, scenes=SCENES, **axes)) == 0
 
 

@@ -15,6 +15,8 @@ from evaluation.experiment.settings import Settings
 from evaluation.runs import duration
 from evaluation.runs.duration import expected_s, in_words, measured_rates, name_of
 
+pytestmark = pytest.mark.usefixtures("cut_once")
+
 BROKEN = """
 from dataclasses import dataclass
 from typing import ClassVar
