@@ -1,11 +1,17 @@
 """Tracks to test on: small made-up ones everywhere, the real recording where it is at hand."""
 
 # ruff: noqa: E402 - what is said to numpy is said before it is there
+import gc
 import os
+import sys
 
 # Tests run side by side, and threads of BLAS that fight over the cores take twice their time.
 for library in ("OPENBLAS", "MKL", "OMP"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+
+# Bytecode that is not written is compiled again in each of the processes that tests start.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 import signal
 from pathlib import Path
@@ -14,7 +20,7 @@ import numpy as np
 import pytest
 from helpers.commands import Ended
 from helpers.recordings import tracks_of, write_csv
-from helpers.small_runs import one_process
+from helpers.small_runs import cut_once, one_process, without_pictures
 
 from isac_track import datasets
 from isac_track.rng import stream
@@ -39,6 +45,17 @@ def pytest_cmdline_main(config):
     is_one_of_them = "PYTEST_XDIST_WORKER" in os.environ
     if is_whole and not is_one_of_them and getattr(option, "numprocesses", 0) is None:
         option.numprocesses, option.dist, option.loadscopereorder = 2, "loadfile", False
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """Import and collect without garbage collection; all of it stays until the end."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+        gc.freeze()
 
 
 def pytest_collection_modifyitems(items):
@@ -100,7 +117,14 @@ def _one_process():
         yield
 
 
+@pytest.fixture(scope="module", name="cut_once")
+def _cut_once():
+    with cut_once():
+        yield
+
+
 @pytest.fixture
-def undrawn(monkeypatch):
-    """Runs draw no pictures: they take most of the time of a small one."""
-    monkeypatch.setattr("evaluation.results._draw", lambda *_, **__: None)
+def undrawn():
+    """Runs draw no pictures."""
+    with without_pictures():
+        yield

@@ -34,7 +34,7 @@ def test_the_plugin_guide_runs_as_it_stands(tmp_path, monkeypatch, csv_recording
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     for number, command in enumerate(commands):
-        words = f"{command} --scenes 8 --task none --out run{number}".split()
+        words = f"{command} --scenes 8 --task none --attack kalman_rts --out run{number}".split()
         assert matrix.main([*words, "--dataset", str(csv_recording)]) == 0
         assert (tmp_path / f"run{number}" / "summary.csv").is_file()
     shown = capsys.readouterr().out

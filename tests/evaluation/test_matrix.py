@@ -6,6 +6,7 @@ import pandas as pd
 import pytest
 from helpers import commands
 from helpers.commands import assert_refused
+from helpers.small_runs import write_walks
 
 from evaluation import matrix
 from evaluation.experiment.axes import axes
@@ -164,8 +165,10 @@ def test_the_default_is_a_preset_of_few_levels_with_at_least_one_of_each_kind():
 
 def test_a_folder_of_another_preset_is_refused_in_one_line(tmp_path, ran):
     out = tmp_path / "run"
-    few = ["--scenes", "8", "--mechanism", "raw", "--task", "none", "--dataset", "plaza"]
-    assert ran(matrix, "--preset", "smoke", *few, "--out", out).code == 0
+    walks = write_walks(tmp_path / "walks.csv")
+    few = ["--scenes", "8", "--mechanism", "raw", "--task", "none", "--dataset", walks]
+    few += ["--attack", "none", "--predictor", "least_squares"]
+    assert ran(matrix, "--preset", "smoke", *few, "--out", out, "--no-pictures").code == 0
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
     ended = ran(matrix, *few, "--out", out)
     assert_refused(ended, f"{out} holds a run of --preset smoke, not of quick; use --fresh")

@@ -12,14 +12,17 @@ from evaluation import matrix
 from evaluation.results import sized
 from isac_track.errors import SettingsError
 
+pytestmark = pytest.mark.usefixtures("cut_once")
+
 FEW = {"preset": "smoke", "dataset": "plaza", "mechanisms": ["raw", "fixed:1"], "attacks": []}
 LITTLE = FEW | {"predictors": ["constant_position"], "tasks": [], "jobs": 1}
+QUIET = {"progress": False, "pictures": False}
 
 
 @pytest.fixture(scope="module")
 def precise(tmp_path_factory):
     out = tmp_path_factory.mktemp("precise") / "run"
-    return evaluation.run(**LITTLE, precision=0.05, out=out, progress=False), out
+    return evaluation.run(**LITTLE, precision=0.05, out=out, **QUIET), out
 
 
 def test_the_number_of_scenes_follows_from_the_widest_interval_of_the_pilot(precise):
@@ -39,7 +42,7 @@ def test_the_number_of_scenes_follows_from_the_widest_interval_of_the_pilot(prec
 def test_a_finished_pilot_is_read_and_says_the_same(precise):
     results, out = precise
     before = (out.with_name("run-pilot") / "manifest.json").stat().st_mtime_ns
-    again = evaluation.run(**LITTLE, precision=0.05, out=out, progress=False)
+    again = evaluation.run(**LITTLE, precision=0.05, out=out, **QUIET)
     assert (out.with_name("run-pilot") / "manifest.json").stat().st_mtime_ns == before
     pd.testing.assert_frame_equal(again.summary, results.summary)
 

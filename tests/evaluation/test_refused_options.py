@@ -194,15 +194,17 @@ def test_a_folder_of_ones_own_with_our_name_is_one_line(tmp_path):
     assert "isac-track matrix" in ended.out
 
 
-@pytest.mark.parametrize("words", ["None", "[]"])
-def test_a_program_without_words(words, tmp_path):
+def test_a_program_without_words(tmp_path):
+    """Whether it has no list of words, or an empty one."""
     write_walks(tmp_path / "walks.csv", n_people=24)
-    code = f"import sys; sys.argv = {words}\n"
+    code = "import sys; sys.argv = None\n"
     code += "import evaluation\n"
-    code += "one = evaluation.run(preset='smoke', dataset='walks.csv', scenes=8, jobs=1, tasks=[], "
-    code += "attacks=[], predictors=[], mechanisms=['raw'], pictures=False, progress=False)\n"
-    code += "print(len(one.summary) > 0)"
-    assert run(tmp_path, "-c", code).out == "True\n"
+    code += "axes = dict(tasks=[], attacks=[], predictors=[], mechanisms=['raw'])\n"
+    code += "for sys.argv in (None, []):\n"
+    code += "    run = evaluation.run(preset='smoke', dataset='walks.csv', scenes=8, jobs=1,\n"
+    code += "        out=f'run{sys.argv}', pictures=False, progress=False, **axes)\n"
+    code += "    print(len(run.summary) > 0)"
+    assert run(tmp_path, "-c", code).out == "True\nTrue\n"
 
 
 def test_a_low_recursion_limit_is_one_line(tmp_path):

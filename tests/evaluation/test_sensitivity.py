@@ -48,6 +48,21 @@ def out(finished, tmp_path):
 
 
 @pytest.fixture(scope="module")
+def little(tmp_path_factory):
+    """A run of few levels and scenes, for what happens beside the numbers; kept as it is."""
+    folder = tmp_path_factory.mktemp("little")
+    axes = {"mechanisms": ("raw", "fixed:0.2", "fixed:1"), "attacks": ("kalman_rts",)}
+    evaluation.run(smoke(write_walks(folder / "walks.csv"), folder / "run", **axes), pictures=False)
+    return folder / "run"
+
+
+@pytest.fixture
+def small(little, tmp_path):
+    """A copy to write into, without any variant."""
+    return shutil.copytree(little, tmp_path / "run")
+
+
+@pytest.fixture(scope="module")
 def tried(finished, tmp_path_factory):
     """The run after some of its variants."""
     folder = shutil.copytree(finished, tmp_path_factory.mktemp("tried") / "run")
@@ -344,30 +359,30 @@ class TestErrors:
         assert_refused(ran(sensitivity, *(word.format(out=out) for word in words)), message)
         assert not (out / "sensitivity.csv").exists()
 
-    def test_a_variant_that_fails_is_told_and_the_rest_goes_on(self, out, ran, monkeypatch):
-        monkeypatch.setenv("ISAC_TRACK_DATA", str(out / "nothing"))
-        monkeypatch.setenv("ISAC_TRACK_CACHE", str(out / "nothing"))
+    def test_a_variant_that_fails_is_told_and_the_rest_goes_on(self, small, ran, monkeypatch):
+        monkeypatch.setenv("ISAC_TRACK_DATA", str(small / "nothing"))
+        monkeypatch.setenv("ISAC_TRACK_CACHE", str(small / "nothing"))
         words = ["--scenes=8", "--variant=recording=zara01", "--variant=predictor=kalman_cv"]
-        code, _, errors = ran(sensitivity, out, "--jobs=1", *words)
+        code, _, errors = ran(sensitivity, small, "--jobs=1", *words)
         assert code == 3
         assert "failed: recording=zara01: zara01: obsmat.txt not found" in errors
         assert "datasets fetch zara01" in errors
-        rows = pd.read_csv(out / "sensitivity.csv")
+        rows = pd.read_csv(small / "sensitivity.csv")
         assert set(rows["variant"]) == {BASE, "predictor=kalman_cv"}
 
-    def test_a_variant_of_other_scenes_is_not_overwritten_unless_asked(self, out, ran):
-        words = [sensitivity, out, "--jobs=1", "--variant=base", "--scenes"]
+    def test_a_variant_of_other_scenes_is_not_overwritten_unless_asked(self, small, ran):
+        words = [sensitivity, small, "--jobs=1", "--variant=base", "--scenes"]
         assert ran(*words, 8).code == 0
         assert_refused(ran(*words, 10), "holds another run (scenes 8 -> 10)")
         assert ran(*words, 10, "--fresh").code == 0
-        assert read_manifest(folder_of(out, BASE))["settings"]["scenes"] == 10
+        assert read_manifest(folder_of(small, BASE))["settings"]["scenes"] == 10
 
-    def test_an_interrupted_run_says_how_to_continue(self, out, ran, monkeypatch):
+    def test_an_interrupted_run_says_how_to_continue(self, small, ran, monkeypatch):
         def interrupted():
             raise KeyboardInterrupt
 
         monkeypatch.setattr(sensitivity, "check_interrupt", interrupted)
-        code, _, errors = ran(sensitivity, out, "--jobs=1", "--scenes=8", "--variant=base")
+        code, _, errors = ran(sensitivity, small, "--jobs=1", "--scenes=8", "--variant=base")
         assert code == 130
         assert "the same command continues" in errors
-        assert read_manifest(folder_of(out, BASE))["state"] == "finished"
+        assert read_manifest(folder_of(small, BASE))["state"] == "finished"

@@ -5,7 +5,7 @@ import math
 import pandas as pd
 import pytest
 from helpers.commands import assert_refused
-from helpers.small_runs import write_walks
+from helpers.small_runs import without_pictures, write_walks
 
 from evaluation import study
 from evaluation.analysis import pooled
@@ -16,6 +16,8 @@ from evaluation.runs.manifest import read_manifest
 from isac_track import datasets
 from isac_track.config import StageSettings
 from isac_track.datasets import load
+
+pytestmark = pytest.mark.usefixtures("cut_once")
 
 LITTLE = {
     "preset": "smoke",
@@ -36,7 +38,8 @@ def answered(tmp_path_factory):
     asked = [
         ("radial", Settings(**LITTLE, seed=seed, out=out / f"plaza-{seed}")) for seed in (0, 1)
     ]
-    return *answer(asked, out=out), out, asked
+    with without_pictures():
+        return *answer(asked, out=out), out, asked
 
 
 def test_the_table_has_a_row_a_seed_and_their_mean_and_pools_nothing_simulated(answered):
@@ -83,6 +86,7 @@ def test_who_has_fewer_than_100_candidates_is_compared_with_nobody(answered):
     assert (told.pooled, told.sentence[:12]) == (None, "Not compared")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_what_is_finished_is_read_again(answered, capsys, monkeypatch):
     of, _, out, asked = answered
     read = []

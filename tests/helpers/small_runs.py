@@ -1,5 +1,6 @@
 """Recordings as files, and settings, for runs that take seconds."""
 
+import hashlib
 from contextlib import contextmanager
 
 import numpy as np
@@ -10,6 +11,7 @@ from evaluation.experiment.settings import Settings
 from evaluation.runs.workers import spread
 from isac_track.config import StageSettings
 from isac_track.rng import stream
+from isac_track.scenes import cut
 
 
 def smoke(dataset, out=None, *, scenes=12, **changes):
@@ -34,6 +36,31 @@ def one_process():
         for name in ("execute", "trials"):
             patch.setattr(f"evaluation.runs.{name}.spread", here)
         patch.setattr("evaluation.matrix._n_workers", lambda _: 0)
+        yield
+
+
+@contextmanager
+def without_pictures():
+    """Runs draw no pictures: they take most of the time of a small one."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("evaluation.results._draw", lambda *_, **__: None)
+        yield
+
+
+@contextmanager
+def cut_once():
+    """Plans of one recording, settings and seed share its tracks as cut: plaza takes a second."""
+    known = {}
+
+    def cut_or_recalled(tracks, *, settings, seed):
+        content = hashlib.sha256(tracks.xy.tobytes() + tracks.t.tobytes()).digest()
+        key = content, settings, seed
+        if key not in known:
+            known[key] = cut(tracks, settings=settings, seed=seed)
+        return known[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("evaluation.experiment.plan.cut", cut_or_recalled)
         yield
 
 

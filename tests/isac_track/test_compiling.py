@@ -1,4 +1,4 @@
-"""Compiled loops and their cache, each case in a cache folder of its own and a fresh process."""
+"""Compiled loops and their cache, in a cache folder of its own and fresh processes."""
 
 import shutil
 from itertools import product
@@ -6,19 +6,19 @@ from itertools import product
 import pytest
 from helpers.commands import run
 
-LOOP = """\
-from isac_track.compiling import compiled, read, written
-
+HEAD = "from isac_track.compiling import compiled, read, written\n"
+LOOP = """
 @compiled(read(1), written(1))
-def double(values, out):
+def {name}(values, out):
     for place in range(values.size):
         out[place] = 2.0 * values[place]
 """
 CALL = """\
 import numpy as np, small_loop
-out = np.zeros(3)
-small_loop.double(np.arange(3.0), out)
-print(out.tolist())
+for name in {names}:
+    out = np.zeros(3)
+    getattr(small_loop, name)(np.arange(3.0), out)
+    print(out.tolist())
 """
 RIGHT = "[0.0, 2.0, 4.0]\n"
 
@@ -38,12 +38,21 @@ DAMAGES = {
 }
 
 
+CASES = {
+    f"loop_{number}": case
+    for number, case in enumerate([*product(DAMAGES, (".nbi", ".nbc")), ("empty", ".sha256")])
+}
+"""A loop for each damage, by its name."""
+
+
 @pytest.fixture(scope="module")
 def compiled_once(tmp_path_factory):
     folder = tmp_path_factory.mktemp("loops")
-    (folder / "small_loop.py").write_text(LOOP)
-    assert called(folder).err.count("compiling filters, once") == 1
-    assert called(folder) == (0, RIGHT, "")  # from the cache, and nothing is said
+    loops = (LOOP.format(name=name) for name in ("double", *CASES))
+    (folder / "small_loop.py").write_text(HEAD + "".join(loops))
+    assert called(folder, "double", *CASES).err.count("compiling filters, once") == 1
+    # From the cache, and nothing is said.
+    assert called(folder, "double", *CASES) == (0, RIGHT * (1 + len(CASES)), "")
     shutil.copytree(folder / "cache", folder / "whole")
     return folder
 
@@ -56,29 +65,44 @@ def filled(compiled_once):
     return compiled_once
 
 
-def called(folder):
+def called(folder, *names):
+    """Call loops, each once, in a process of its own."""
     changed = {"NUMBA_CACHE_DIR": str(folder / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
-    code = f"import sys; sys.path.insert(0, {str(folder)!r})\n{CALL}"
+    code = CALL.format(names=names or ("double",))
+    code = f"import sys; sys.path.insert(0, {str(folder)!r})\n{code}"
     return run(folder, "-c", code, changed=changed)
 
 
-def cached(folder, kind):
-    (path,) = (folder / "cache").rglob(f"*{kind}")
+def cached(folder, kind, *, name="double"):
+    """The file that the cache holds of a loop."""
+    (path,) = (folder / "cache").rglob(f"*.{name}-*{kind}")
     return path
 
 
-CASES = [*product(DAMAGES, (".nbi", ".nbc")), ("empty", ".sha256")]
+@pytest.fixture(scope="module")
+def damaged(compiled_once):
+    """Where each loop's cache lies, and what a process says that calls all once it is damaged."""
+    shutil.rmtree(compiled_once / "cache")
+    shutil.copytree(compiled_once / "whole", compiled_once / "cache")
+    for name, (damage, kind) in CASES.items():
+        path = cached(compiled_once, kind, name=name)
+        path.write_bytes(DAMAGES[damage](path.read_bytes()))
+    first, second = (called(compiled_once, *CASES) for _ in range(2))
+    return cached(compiled_once, ".nbi").parent, first, second
 
 
-@pytest.mark.parametrize(("damage", "kind"), CASES)
-def test_a_damaged_cache_is_compiled_again(damage, kind, filled):
-    path = cached(filled, kind)
-    path.write_bytes(DAMAGES[damage](path.read_bytes()))
-    ended = called(filled)
-    assert ended[:2] == (0, RIGHT), ended
-    name = cached(filled, ".nbi").stem
-    assert f"{path.parent} holds a damaged compiled filter, {name}; it" in ended.err
-    assert called(filled) == (0, RIGHT, "")
+def test_loops_of_a_damaged_cache_compute_the_same(damaged):
+    _, first, second = damaged
+    assert first[:2] == (0, RIGHT * len(CASES)), first
+    assert second == (0, RIGHT * len(CASES), "")
+
+
+@pytest.mark.parametrize("name", CASES, ids=[f"{damage}-{kind}" for damage, kind in CASES.values()])
+def test_a_damaged_cache_is_compiled_again(name, damaged):
+    folder, first, _ = damaged
+    (line,) = [line for line in first.err.splitlines() if f"small_loop.{name}-" in line]
+    assert line.startswith(f"isac-track: {folder} holds a damaged compiled filter, ")
+    assert line.endswith("; it is compiled again")
 
 
 def test_only_the_files_of_the_damaged_loop_go(filled):

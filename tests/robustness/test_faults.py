@@ -22,7 +22,7 @@ from helpers.commands import (
     start,
 )
 from helpers.processes import ROOT, wait_for
-from helpers.small_runs import write_walks
+from helpers.small_runs import without_pictures, write_walks
 
 from evaluation import matrix, report
 from evaluation.results import rebuild
@@ -110,8 +110,7 @@ def begin(place, out, *options, **axes):
 
 def here(place, out, **axes):
     """Run what has many scenes to the end in this process."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("evaluation.results._draw", lambda *_, **__: None)
+    with without_pictures():
         assert matrix.main(words(place, out, scenes=SCENES, **axes)) == 0
 
 
@@ -143,9 +142,9 @@ def hanging(place):
     """How to start a run that hangs, and wait until it does."""
     flag, started = place / "files" / "held", []
 
-    def hang(out):
+    def hang(out, *, jobs=2):
         flag.unlink(missing_ok=True)
-        started.append(begin(place, out, "--mechanism", "faulty:ShareHolds:0.5"))
+        started.append(begin(place, out, "--mechanism", "faulty:ShareHolds:0.5", jobs=jobs))
         wait_for(flag.exists, most_s=60)
         return started[-1]
 
@@ -173,7 +172,7 @@ class TestInterrupted:
             pass
 
     def test_a_worker_that_lets_no_thread_run_ends_with_its_parent(self, place, hanging):
-        process = hanging(place / "orphaned")
+        process = hanging(place / "orphaned", jobs=1)
         assert len(in_session(process.pid)) >= 2
         process.kill()
         process.wait()

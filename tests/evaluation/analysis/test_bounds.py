@@ -26,12 +26,10 @@ def test_in_worlds_of_the_fitted_motion_attacks_stand_beside_the_optimum(
     axes |= {"predictors": (), "protections": ()}
     model = replace(PRESETS["paper"], utility_scenes=4, model=("fixed:0.5",), **axes)
     monkeypatch.setitem(PRESETS, DEFAULT, model)
-    found = run(Settings(dataset=str(csv_recording), jobs=1, out=tmp_path / "model"))
-    alone = run(
-        Settings(
-            dataset=str(csv_recording), jobs=1, mechanisms=("raw", "fixed:0.5"), out=tmp_path / "a"
-        )
-    )
+    usual = Settings(dataset=str(csv_recording), jobs=1, out=tmp_path / "model")
+    found = run(usual, pictures=False)
+    plain = replace(usual, mechanisms=("raw", "fixed:0.5"), out=tmp_path / "a")
+    alone = run(plain, pictures=False)
     own = found.summary[found.summary["dataset"] == found.dataset].reset_index(drop=True)
     pd.testing.assert_frame_equal(own, alone.summary, check_exact=True)
     keys = ["dataset", "consumer", "knowledge", "metric"]

@@ -95,6 +95,7 @@ def test_reading_writes_nothing_and_imports_nothing_slow(made):
     assert {path: path.stat().st_mtime_ns for path in made.run.out.rglob("*")} == before
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(
     ("spoil", "told"),
     [

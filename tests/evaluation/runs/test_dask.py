@@ -383,7 +383,8 @@ class TestADeathAtAnUnknownPlace:
 def test_a_piece_for_a_cluster_is_behind_one_reconstruction_and_no_cell_is_lost(tmp_path):
     attacks = ("shape", "shape@kalman_rts", "kalman_rts")
     axes = {"attacks": attacks, "tasks": ("rerelease",), "mechanisms": ("raw", "fixed:0.7")}
-    ready = plan(smoke("plaza", tmp_path / "run", **axes))
+    walks = write_walks(tmp_path / "walks.csv")
+    ready = plan(smoke(walks, tmp_path / "run", **axes))
     works = deque(pieces_of(ready.units, ready))
     before = sorted(place_of(cell) for work in works for cell in cells_of(work))
     cut_for_cluster(works)

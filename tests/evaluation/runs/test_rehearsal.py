@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 from helpers.commands import FEW, assert_refused
 from helpers.processes import ROOT
+from helpers.small_runs import write_walks
 
 from evaluation import matrix
 from evaluation.experiment.plan import plan
@@ -14,7 +15,8 @@ from evaluation.experiment.settings import Settings
 from evaluation.runs import duration
 from evaluation.runs.duration import expected_s, in_words, measured_rates, name_of
 
-DRY = (*FEW, "--dataset", "plaza", "--dry-run")
+pytestmark = pytest.mark.usefixtures("cut_once")
+
 BROKEN = """
 from dataclasses import dataclass
 from typing import ClassVar
@@ -35,6 +37,18 @@ def usual():
     return plan(Settings(preset="smoke", dataset="plaza", jobs=2))
 
 
+@pytest.fixture(scope="module")
+def walks(tmp_path_factory):
+    """A recording that is laid out sooner than the simulated plaza."""
+    return write_walks(tmp_path_factory.mktemp("walks") / "walks.csv")
+
+
+@pytest.fixture
+def dry(walks):
+    """The words of a dry run."""
+    return (*FEW, "--dataset", walks, "--dry-run")
+
+
 @pytest.fixture
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -45,32 +59,32 @@ def everything_in(folder):
     return sorted(path.name for path in folder.rglob("*"))
 
 
-def test_it_leaves_no_trace_and_says_how_long(here, ran):
-    ended = ran(matrix, *DRY)
+def test_it_leaves_no_trace_and_says_how_long(here, dry, ran):
+    ended = ran(matrix, *dry)
     assert ended.code == 0
     assert re.search(r"about \d+ s on 1 core", ended.err)
     assert everything_in(here) == []
 
 
-def test_a_folder_of_another_run_is_refused(here, ran):
-    words = [word for word in DRY if word != "--dry-run"]
+def test_a_folder_of_another_run_is_refused(here, dry, ran):
+    words = [word for word in dry if word != "--dry-run"]
     done = ran(matrix, *words, "--scenes", "8", "--no-pictures", "--out", "run")
     assert done.code == 0
     before = everything_in(here)
-    assert_refused(ran(matrix, *DRY, "--out", "run"), "holds another run (scenes 8 -> 40)")
-    assert ran(matrix, *DRY, "--out", "run", "--fresh").code == 0
+    assert_refused(ran(matrix, *dry, "--out", "run"), "holds another run (scenes 8 -> 40)")
+    assert ran(matrix, *dry, "--out", "run", "--fresh").code == 0
     assert everything_in(here) == before
 
 
 @pytest.mark.usefixtures("here")
-def test_a_place_where_nothing_can_be_written_is_refused(ran):
-    assert_refused(ran(matrix, *DRY, "--out", "/proc/run"), "choose another --out")
+def test_a_place_where_nothing_can_be_written_is_refused(dry, ran):
+    assert_refused(ran(matrix, *dry, "--out", "/proc/run"), "choose another --out")
 
 
-def test_a_plugin_that_fails_is_refused(here, ran, monkeypatch):
+def test_a_plugin_that_fails_is_refused(here, walks, ran, monkeypatch):
     monkeypatch.syspath_prepend(here)
     (here / "broken_in_fit.py").write_text(BROKEN, encoding="utf-8")
-    words = ["--preset", "smoke", "--dataset", "plaza", "--task", "none", "--mechanism", "raw"]
+    words = ["--preset", "smoke", "--dataset", walks, "--task", "none", "--mechanism", "raw"]
     words += ["--attack", "broken_in_fit:Broken", "--dry-run"]
     ended = ran(matrix, *words)
     assert_refused(ended, "it never worked", "found by a call on a few made-up people")
@@ -89,8 +103,8 @@ def test_a_plugin_that_fails_is_refused(here, ran, monkeypatch):
         (("--mechanism", "rw"), "did you mean 'raw'?"),
     ],
 )
-def test_what_the_recording_cannot_do_is_refused(ran, words, says):
-    command = ("--preset", "smoke", "--dataset", "plaza", "--dry-run", *words)
+def test_what_the_recording_cannot_do_is_refused(walks, ran, words, says):
+    command = ("--preset", "smoke", "--dataset", walks, "--dry-run", *words)
     assert_refused(ran(matrix, *command), says)
 
 
