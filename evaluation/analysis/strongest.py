@@ -98,13 +98,24 @@ def ranking_levels(wheres: Iterable[Where], known: Mapping[str, Family]) -> list
     return [where for where in each if _chooses(where, known, families)]
 
 
-def rule_of(found: Found, linker: Source) -> str:
-    """Return by which of `RULES` a linker names more mates, on average over all levels."""
-    rates: dict[str, list[float]] = {rule: [] for rule in RULES}
+def rules_of(found: Found) -> dict[Source, str]:
+    """Return by which of `RULES` each linker names more mates, on average over all levels.
+
+    A linker without a known rate at any level is left out.
+    """
+    rates: dict[Source, dict[str, list[float]]] = {}
     for key, estimate in found.items():
-        if key.measure.source == linker and key.metric in rates and np.isfinite(estimate.value):
-            rates[key.metric].append(estimate.value)
-    return max(RULES, key=lambda rule: float(np.mean(rates[rule])) if rates[rule] else -1.0)
+        if key.metric in RULES and np.isfinite(estimate.value):
+            of_linker = rates.setdefault(key.measure.source, {})
+            of_linker.setdefault(key.metric, []).append(estimate.value)
+    means = {
+        linker: {rule: float(np.mean(values)) for rule, values in by_rule.items()}
+        for linker, by_rule in rates.items()
+    }
+    return {
+        linker: max(RULES, key=lambda rule: by_rule.get(rule, -1.0))
+        for linker, by_rule in means.items()
+    }
 
 
 def success_of(found: Found, linker: Source) -> str:

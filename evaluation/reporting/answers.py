@@ -18,7 +18,7 @@ from evaluation.reporting.amounts import (
     whole,
 )
 from evaluation.reporting.bounds import gap_text
-from evaluation.reporting.headline import Headline, Shown, headline
+from evaluation.reporting.headline import Headline, Shown
 from evaluation.reporting.names import (
     adding_phrase,
     attack_name,
@@ -89,13 +89,7 @@ def answers(
 
 def headline_of(run: Results) -> Headline:
     """Return the first table of a run."""
-    return headline(
-        run.summary,
-        attacks=run.strongest,
-        linkability=run.linkability,
-        attacked=run.attacked,
-        epsilon_m=float(run.manifest["settings"]["stages"]["privacy.epsilon_m"]),
-    )
+    return run.headline
 
 
 def reference(table: Headline) -> Where:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from evaluation.analysis.bounds import Gap, gaps
+from evaluation.analysis.bounds import Gap
 from evaluation.analysis.keys import Where
 from evaluation.analysis.metrics import CEILING, EXPOSURE, GAP, METRICS, RANK_GAP, SUCCESS
 from evaluation.experiment.constants import MODEL, OTHER_LAW, OTHER_LAW_WORLD
@@ -75,7 +75,7 @@ def _table(run: Results, title: str, columns: Sequence[Column], *, note: str) ->
     name = "bounds-linked" if note == _RATIO else "bounds"
     records = [
         one._asdict() | dict(zip(("mechanism", "level"), one.where, strict=True))
-        for one in gaps(run.summary)
+        for one in run.headline.gaps
         if bool(one.attack.task) == (note == _RATIO)
     ]
     columns = [*mechanism_columns(run.families), *columns]

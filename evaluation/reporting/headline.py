@@ -22,7 +22,7 @@ from evaluation.analysis.metrics import (
     SUCCESS_OF_100,
     WORST_TENTH,
 )
-from evaluation.analysis.strongest import against_each, by_task, rule_of, strongest
+from evaluation.analysis.strongest import against_each, by_task, rules_of, strongest
 from evaluation.analysis.strongest_table import ONE_RELEASE
 from evaluation.analysis.worst_off import LEAST_PEOPLE, LEAST_RELEASES
 from evaluation.experiment.constants import OTHER_LAW_WORLD, horizon_of, horizon_world
@@ -199,6 +199,7 @@ def _own_strongest(
     """
     # The headline is chosen over raw, fixed noise and FID: others it would flatter.
     own: dict[Key, Estimate] = {}
+    rules = rules_of(numbers)
     for by, metrics in ((EXPOSURE, (EXPOSURE, WORST_TENTH)), (SUCCESS, (SUCCESS, SUCCESS_OF_100))):
         for task, blocks in by_task(numbers, metric=by).items():
             if task not in attacks:
@@ -207,7 +208,7 @@ def _own_strongest(
             for where, metric in product(blocks, metrics):
                 is_usual = known[where[0]].family in (*SWEPT, CLEAN)
                 source = headline if is_usual else best.get(where[0], headline)
-                rule = rule_of(numbers, source) if metric == SUCCESS else metric
+                rule = rules.get(source, SUCCESS) if metric == SUCCESS else metric
                 if (key := source.measure(rule).at(*where)) in numbers:
                     own[headline.measure(metric).at(*where)] = numbers[key]
     return own
@@ -225,7 +226,7 @@ def _linked(
     values = {
         key.measure: number.value for key, number in numbers.items() if math.isfinite(number.value)
     }
-    columns = []
+    rules, columns = rules_of(numbers), []
     for task in [name for name in TASKS if name in attacks] or [task for task in attacks if task][
         :3
     ]:
@@ -236,7 +237,7 @@ def _linked(
             if linkability is not None:
                 rows = linkability.loc[linkability["consumer"] == source.consumer, "gallery_mean"]
                 sizes = rows.dropna().to_list() or sizes
-            measure, is_joint = source.measure(SUCCESS), rule_of(numbers, source) == ASSIGNED
+            measure, is_joint = source.measure(SUCCESS), rules.get(source) == ASSIGNED
             size = float(np.mean(sizes))
             column = Shown(_LINKED, head, measure, chance, size, is_joint=is_joint)
         columns.append(column)

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from evaluation.analysis.linkability import LinkedTask
+    from evaluation.reporting.headline import Headline
     from evaluation.reporting.table import Table
     from evaluation.verdict.what_to_share import Question, Recommendation
     from isac_track.intervals import Estimate
@@ -122,12 +123,27 @@ class Results:
 
         It is what `evaluation.design` answers: levels that hold, what each costs, who breaks it.
         """
-        from evaluation.verdict.what_to_share import default_question, recommend  # noqa: PLC0415 - see `load`
+        from evaluation.verdict.what_to_share import recommend  # noqa: PLC0415 - see `load`
 
+        if question is None:
+            return self._usual_recommendation
+        return recommend(self.levels, question, dataset=self.dataset, scenes=self._n_scenes)
+
+    @cached_property
+    def _usual_recommendation(self) -> Recommendation:
+        """The answer to what the first screen asks: a report reads it about twenty times.
+
+        Like the other cached properties it lives as long as these results do.
+        """
+        from evaluation.verdict.what_to_share import default_question  # noqa: PLC0415 - see `load`
+
+        return self.recommendation(default_question(self.families))
+
+    @property
+    def _n_scenes(self) -> tuple[int, int]:
+        """How many scenes were attacked, and how many robots were in."""
         identity = self.manifest["identity"]
-        scenes = identity["scenes"], identity.get("scenes_utility", identity["scenes"])
-        asked = default_question(self.families) if question is None else question
-        return recommend(self.levels, asked, dataset=self.dataset, scenes=scenes)
+        return identity["scenes"], identity.get("scenes_utility", identity["scenes"])
 
     def frame(
         self, metric: str, *, after: str = "", task: str = "", robot: str = ""
@@ -267,6 +283,19 @@ class Results:
             name: replace(one, protects=said[name].protects) if name in said else one
             for name, one in families_in(self.summary).items()
         }
+
+    @cached_property
+    def headline(self) -> Headline:
+        """The numbers of the first table, which terminal, tables and page read."""
+        from evaluation.reporting.headline import headline  # noqa: PLC0415 - see `load`
+
+        return headline(
+            self.summary,
+            attacks=self.strongest,
+            linkability=self.linkability,
+            attacked=self.attacked,
+            epsilon_m=float(self.manifest["settings"]["stages"]["privacy.epsilon_m"]),
+        )
 
     @cached_property
     def tasks(self) -> list[LinkedTask]:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
-from evaluation.analysis.bounds import Gap, gaps
+from evaluation.analysis.bounds import Gap
 from evaluation.reporting.bounds import law_of
 from evaluation.reporting.charts import PERCENT, Look, rows_chart
 from evaluation.reporting.figures.figure import Figure
@@ -20,7 +20,7 @@ _MARKS: Final[dict[str, tuple[Look, Callable[[Gap], Estimate | None]]]] = {
 
 def figures(run: Results) -> Iterator[Figure]:
     """Yield a panel for each model world, its levels as rows."""
-    known = [one for one in gaps(run.summary) if not one.attack.task]
+    known = [one for one in run.headline.gaps if not one.attack.task]
     panels, key = [], dict[str, Look]()
     for world in dict.fromkeys(one.world for one in known):
         of = [one for one in known if one.world == world]

@@ -5,7 +5,13 @@ import pytest
 from helpers.mechanisms import families_of
 
 from evaluation.analysis.keys import Source
-from evaluation.analysis.strongest import cross_fitted, first_half, rule_of, strongest, strongest_of
+from evaluation.analysis.strongest import (
+    cross_fitted,
+    first_half,
+    rules_of,
+    strongest,
+    strongest_of,
+)
 from evaluation.runs.cell_files import Summed
 from isac_track.intervals import Estimate, cluster_weights
 
@@ -122,4 +128,4 @@ def test_a_linker_counts_by_the_better_way_to_name_mates():
         assert (of_all.value, of_100.value) == pytest.approx((0.8, 0.3))
     found = {key: Estimate(one.sums[0].mean()) for key, one in sums.items()}
     assert strongest(found, known) == {"rerelease": DTW}
-    assert rule_of(found, DTW) == "rank1_assigned"
+    assert rules_of(found)[DTW] == "rank1_assigned"
