@@ -13,6 +13,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Final
 
 import numpy as np
 
@@ -26,6 +27,8 @@ REACH = 10
 of it."""
 FEWEST = 3  # Candidates of the smallest gallery that a rate is read of.
 _SCALINGS, _SCALED = 100, 1e-6
+_AT_A_TIME: Final = 20  # Of these by factors, before a sweep of logarithms.
+_LEAST_SUM: Final = 1e-250  # Smaller sums would leave the range of numbers.
 _STEPS = 60
 _ENDS = np.log([1e-6, 1e9])
 
@@ -194,14 +197,41 @@ def soft_matches(scores: Floats) -> Floats:
     _check_finite(scores)
     if scores.shape[0] != scores.shape[1]:
         raise ValueError(f"as many candidates as probes are needed, got {scores.shape}")
-    log_p = scores
-    for _ in range(_SCALINGS):
+    log_p, n_sweeps, is_scaled = scores, 0, False
+    while n_sweeps < _SCALINGS and not is_scaled:
         of_rows = log_sum_exp(log_p, axis=1)
         log_p = log_p - of_rows
         log_p -= log_sum_exp(log_p, axis=0)
-        if np.abs(of_rows).max() < _SCALED:
-            break
+        n_sweeps += 1
+        is_scaled = bool(np.abs(of_rows).max() < _SCALED)
+        if not is_scaled:
+            most = min(_AT_A_TIME, _SCALINGS - n_sweeps)
+            log_p, n_more, is_scaled = _scaled_by_factors(log_p, most=most)
+            n_sweeps += n_more
     return log_p
+
+
+def _scaled_by_factors(log_p: Floats, *, most: int) -> tuple[Floats, int, bool]:
+    """Return a matrix after at most so many sweeps, their number, and whether rows were 1.
+
+    Factors of rows and columns take a fraction of the time of logarithms of sums. They stop
+    before a sum leaves the range of numbers: the caller's next sweep is of logarithms.
+    """
+    p = np.exp(log_p)
+    rows, columns = np.ones(len(p)), np.ones(len(p))
+    n_sweeps, is_scaled = 0, False
+    while n_sweeps < most and not is_scaled:
+        by_rows = p @ columns
+        if by_rows.min() < _LEAST_SUM:
+            break
+        next_rows = 1.0 / by_rows
+        by_columns = next_rows @ p
+        if by_columns.min() < _LEAST_SUM:
+            break
+        is_scaled = bool(np.abs(np.log(rows * by_rows)).max() < _SCALED)
+        rows, columns = next_rows, 1.0 / by_columns
+        n_sweeps += 1
+    return log_p + np.log(rows)[:, None] + np.log(columns), n_sweeps, is_scaled
 
 
 def chance(searches: Sequence[Search]) -> float:

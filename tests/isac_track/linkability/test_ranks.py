@@ -153,6 +153,18 @@ class TestSoftMatches:
         alone = factor - factor[:1] - factor[:, :1] + factor[0, 0]
         assert alone == pytest.approx(np.zeros((9, 9)), abs=1e-9)
 
+    @pytest.mark.parametrize("spread", [0.1, 4.0, 40.0, 400.0])
+    def test_it_is_what_sweeps_of_logarithms_give(self, spread):
+        scores = stream(1, "test", "soft").normal(0.0, spread, (30, 30))
+        log_p = scores
+        for _ in range(100):
+            of_rows = logsumexp(log_p, axis=1, keepdims=True)
+            log_p = log_p - of_rows
+            log_p = log_p - logsumexp(log_p, axis=0, keepdims=True)
+            if np.abs(of_rows).max() < 1e-6:
+                break
+        np.testing.assert_allclose(soft_matches(scores), log_p, rtol=1e-9, atol=1e-9)
+
     def test_it_finds_more_mates_than_each_probe_by_itself_as_the_exact_marginals_do(self):
         hits = np.zeros(3)
         for number in range(300):
