@@ -297,7 +297,7 @@ def axes(settings: Settings) -> Axes:
 
 def _adversaries(settings: Settings, preset: Preset) -> tuple[str, ...]:
     """Return who attacks beside the usual adversaries: as asked, and the preset's own."""
-    own = preset.adversaries if settings.attacks is None else ()
+    own = () if settings.choice("attacks").replaces else preset.adversaries
     return tuple(dict.fromkeys((*settings.adversaries, *own)))
 
 
