@@ -48,7 +48,7 @@ from isac_track.privacy import WIDE_TIMES
 _NUMBERS: Final = (EXPOSURE, WIDE, MEDIAN, "ael", "mel")
 _LINES: Final = 12  # Of the short answer.
 _HEADS, _LEAST_ROWS = 2, 2  # Of its table, in lines.
-_NAME_WIDTH: Final = 27  # Characters of a level in it.
+_NAME_WIDTH: Final = 28  # Characters of a level in it.
 _ENDS: Final = ("value", "ci_low", "ci_high")
 
 
