@@ -153,7 +153,7 @@ def first_table(run: Results) -> Table:
     named = [reference(table), *recommended_levels(run)]
     levels = screen_levels(table, known, most=_MOST_ROWS, named=named)
     heads = [Column(column.title, partial(_estimated, table, column), "%") for column in columns]
-    heads.insert(0, make.said("what is shared", partial(_label, table)))
+    heads.insert(0, make.said("what is shared", table.name))
     return make.built("first", "", levels, heads)
 
 
