@@ -54,7 +54,7 @@ def _cells_cpu_s(manifest: Mapping[str, Any]) -> float:
     """Return about how many CPU seconds the cells of preset `paper` take on the data of a run."""
     identity = manifest["identity"]
     scenes = identity.get("scenes_utility", identity["scenes"])
-    samples = scenes * identity["scenes.agents"] * manifest["history"]["points"]
+    samples = float(scenes * identity["scenes.agents"] * manifest["history"]["points"])
     tasks = (manifest.get("linkage") or {}).get("tasks", {})
     cpu_s = _SCENES_S * samples / 1e6 + (_TRAVERSAL_S if tasks else 0.0)
     for task, million_pairs_s in (("rerelease", _RERELEASE_S), ("handover-1s", _HANDOVER_S)):
