@@ -134,7 +134,7 @@ def _new(name: str, *, kind: str, into: Path) -> int:
     commands = {
         "install": f"pip install -e {shown}",
         "pytest": f"pytest {shown.removeprefix('./')}",
-        "matrix": f"python -m evaluation.matrix --preset smoke --{noun} +{name}",
+        "matrix": f"python -m evaluation.matrix --{noun} +{name}",
     }
     is_what = f"{kind} attack" if noun == "attack" else noun
     words = KINDS[kind] | commands | {"is": is_what, "name": name, "class_name": class_name}

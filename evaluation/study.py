@@ -7,7 +7,8 @@ import argparse
 import sys
 import warnings
 from collections.abc import Sequence
-from itertools import product
+from itertools import groupby, product
+from operator import attrgetter
 from pathlib import Path
 
 from evaluation.experiment.presets import DEFAULT, PRESETS
@@ -92,14 +93,17 @@ def _study(options: argparse.Namespace) -> int:
         out = options.out / f"{Path(dataset).stem}-{options.preset}-{seed}-{law}"
         stages = StageSettings().changed(changed | {_LAW: law})
         asked.append((law, Settings(dataset=dataset, seed=seed, stages=stages, out=out, **same)))
+    from evaluation.analysis.pooled import QUESTIONS  # noqa: PLC0415 - as said
     from evaluation.results import study  # noqa: PLC0415 - --help answers at once
     from evaluation.runs.execute import FailedCellsWarning  # noqa: PLC0415 - as said
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FailedCellsWarning)  # told by the code
         of, n_failed = study(asked, out=options.out)
-    for one in of:
-        print(f"{one.question}, {one.adding}, {one.law}: {one.sentence}")
+    for question, answers in groupby(of, key=attrgetter("question")):
+        print(QUESTIONS[question])
+        for answer in answers:
+            print(f"  {answer.adding} adding, {answer.law} error: {answer.sentence}")
     print(f"Page: {options.out / 'study.html'}; numbers: {options.out / 'study.csv'}")
     return FAILED_CELLS if n_failed else DONE
 

@@ -51,15 +51,15 @@ HORIZON_S: Final = 3.0  # At which robots are asked about conflicts that are sti
 OWN_GALLERY: Final = "_own_gallery"
 """Ends a question about people too few for a gallery of 100: the measure of no other recording."""
 QUESTIONS: Final = {  # In the order of the first screen; all in fractions.
-    "robot_loses": "What the robot loses: missed conflicts at fid:1 less those at raw",
+    "robot_loses": "What the robot loses: missed conflicts with FID noise, eta 1, less raw",
     "robot_loses_future": (
-        f"What the robot loses {HORIZON_S:g} s ahead: missed future conflicts at fid:1 less raw"
+        f"What the robot loses {HORIZON_S:g} s ahead: missed future conflicts, FID less raw"
     ),
-    "left_after_attack": "What an attack wins back: PLR at fid:1 after it, less PLR as shared",
-    "people_linked": "Can people be linked: rank 1 of 100 at fid:1 in a re-release, less chance",
-    f"people_linked{OWN_GALLERY}": "Of fewer: rank 1 at fid:1 among themselves, less chance",
-    "descriptors_tell": "Do the descriptors tell: how far rank 1 of 100 differs at equal PLR",
-    f"descriptors_tell{OWN_GALLERY}": "Of fewer: how far rank 1 among themselves differs so",
+    "left_after_attack": "What an attack wins back: PLR after it less PLR as shared, FID noise",
+    "people_linked": "Can people be linked: rank 1 among 100 in a re-release, less chance",
+    f"people_linked{OWN_GALLERY}": "Small recordings: rank 1 among their people, less chance",
+    "descriptors_tell": "Do the descriptors tell: how far rank 1 among 100 differs at equal PLR",
+    f"descriptors_tell{OWN_GALLERY}": "Small recordings: how far their rank 1 differs at equal PLR",
     "fid_against_fixed": "FID against fixed noise at equal missed conflicts: PLR after attack",
     "fid_against_fixed_future": (
         f"The same at equal missed future conflicts, {HORIZON_S:g} s ahead: PLR after attack"
@@ -223,17 +223,22 @@ class Answered:
         """Signs, least and largest of the real recordings."""
         of = list(self.rows)[: self.real]
         if not of:
-            return "No real recording tells."
+            return "No real recording has enough people for this."
         if self.question.endswith(OWN_GALLERY):
-            return "Not compared, and never pooled: galleries of different sizes."
-        k, values = len(of), [one["value"] for one in of]
-        same = max(sum(one > 0 for one in values), sum(one < 0 for one in values))
+            return "Neither compared nor pooled: the galleries differ in size."
+        values = [row["value"] for row in of]
+        has_sign = self.question != "descriptors_tell"  # A spread is 0 where PLR tells.
+        is_sure = has_sign and all(row["ci_low"] > 0 or row["ci_high"] < 0 for row in of)
+        if len(of) == 1:
+            sure = "; significant at 5 %" if is_sure else ""
+            return f"One real recording, {of[0]['recording']}: {100 * values[0]:+.1f} points{sure}."
+        same = max(sum(value > 0 for value in values), sum(value < 0 for value in values))
+        told = f"Same sign in {same} of {len(of)} real recordings"
+        if not has_sign:
+            told = "0 where PLR tells, and never below"
+        elif is_sure and same == len(of):
+            told += "; each is significant at 5 %"
         least, most = (pick(of, key=itemgetter("value")) for pick in (min, max))
-        told = f"same sign in {same} of {k}"
-        if self.question == "descriptors_tell":  # a spread has no sign
-            told, same = "0 where PLR tells, and never below", 0
-        if same == k and all(one["ci_low"] > 0 or one["ci_high"] < 0 for one in of):
-            told += f"; in all {k}, each significant at 5 %"
         told += f"; least {100 * least['value']:+.1f} points ({least['recording']})"
         told += f", largest {100 * most['value']:+.1f} ({most['recording']})"
         if self.pooled:

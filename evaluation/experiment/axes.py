@@ -297,7 +297,7 @@ def axes(settings: Settings) -> Axes:
 
 def _adversaries(settings: Settings, preset: Preset) -> tuple[str, ...]:
     """Return who attacks beside the usual adversaries: as asked, and the preset's own."""
-    own = preset.adversaries if settings.attacks is None else ()
+    own = () if settings.choice("attacks").replaces else preset.adversaries
     return tuple(dict.fromkeys((*settings.adversaries, *own)))
 
 
@@ -334,6 +334,11 @@ def jobs_of(crossed: Axes, settings: Settings) -> int:
         and n_levels * n_links < WORTH_WORKERS_LINKED
     ):
         return 1
+    return usual_jobs()
+
+
+def usual_jobs() -> int:
+    """Return how many workers a run with enough work starts: a core each, up to a limit."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return min(cores or 1, MOST_DEFAULT_JOBS)
 

@@ -10,7 +10,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from evaluation.experiment.presets import DEFAULT, PRESETS
+from evaluation.experiment.presets import DEFAULT, PRESETS, Preset
+from evaluation.experiment.settings import AXES
 from evaluation.reporting.notices import plan_notices
 from isac_track.config import StageSettings
 
@@ -103,6 +104,23 @@ def command(manifest: Mapping[str, Any]) -> str:
     return shlex.join(["python", "-m", "evaluation.matrix", *options])
 
 
+def _named(settings: Mapping[str, Any], usual: Preset) -> Mapping[str, Sequence[str]]:
+    """Return the values that were named on each axis: `+NAME` adds to those of the preset.
+
+    The manifest of an earlier version has the outcome alone: all of it is named where it differs.
+    """
+    if "named" in settings:
+        named: Mapping[str, Sequence[str]] = settings["named"]
+        return named
+    outcome: dict[str, Sequence[str]] = {}
+    for axis in AXES:
+        used, usually = settings.get(axis, []), set(getattr(usual, axis))
+        # Of one session a run leaves the task of those who come back out by itself.
+        if set(used) not in (usually, usually - {"cross_session"}):
+            outcome[axis] = used
+    return outcome
+
+
 def _same_run(manifest: Mapping[str, Any]) -> list[str]:
     """Return the options that give the identity and the axes of a run again."""
     from isac_track.datasets.registry import KNOWN  # noqa: PLC0415 - names alone need none
@@ -124,12 +142,8 @@ def _same_run(manifest: Mapping[str, Any]) -> list[str]:
         (name.replace("_", "-"), identity.get(name)) for name in ("on_duplicate", "drop_frozen")
     ]
     options += [("scenes", None if is_usual else scenes), ("seed", identity["seed"] or None)]
-    for option in ("mechanism", "predictor", "attack", "task"):
-        used = settings.get(f"{option}s", [])
-        usually = set(getattr(usual, f"{option}s"))
-        # Of one session a run leaves the task of those who come back out by itself.
-        if set(used) not in (usually, usually - {"cross_session"}):
-            options += [(option, value) for value in used or ["none"]]
+    for axis, named in _named(settings, usual).items():
+        options += [(axis.removesuffix("s"), value) for value in named or ["none"]]
     options += [("set", setting) for setting in changed_settings(manifest)]
     words = ["--persistent-ids"] * bool(identity.get("persistent_ids"))
     return words + [word for key, at in options if at is not None for word in (f"--{key}", f"{at}")]

@@ -17,10 +17,15 @@ from evaluation.reporting import terminal
 from evaluation.reporting.amounts import percent_cell, sentence_case
 from evaluation.reporting.announcements import scenes_text, wrapped
 from evaluation.reporting.grid import Group, grid_lines
-from evaluation.reporting.names import adding_phrase, mechanism_name
+from evaluation.reporting.names import (
+    INDEPENDENT_MARK,
+    adding_phrase,
+    mechanism_name,
+    short_mechanism_name,
+)
 from evaluation.reporting.noise_plan import plan_lines
 from evaluation.reporting.notices import few_people
-from evaluation.reporting.table import Cell, Column, Table
+from evaluation.reporting.table import Cell, Column, Table, shortened
 from evaluation.reporting.terminal import Part
 from evaluation.runs.files import made_of
 from evaluation.runs.manifest import read_manifest
@@ -43,6 +48,7 @@ from isac_track.privacy import WIDE_TIMES
 _NUMBERS: Final = (EXPOSURE, WIDE, MEDIAN, "ael", "mel")
 _LINES: Final = 12  # Of the short answer.
 _HEADS, _LEAST_ROWS = 2, 2  # Of its table, in lines.
+_NAME_WIDTH: Final = 28  # Characters of a level in it.
 _ENDS: Final = ("value", "ci_low", "ci_high")
 
 
@@ -258,15 +264,17 @@ def _level_lines(offers: Sequence[Offer], advice: Recommendation, *, epsilon_m: 
         side = _limited_side(offer, advice)
         linked = offer.linked.share if offer.linked else None
         numbers = [offer.cost, side.value(EXPOSURE), side.value(WIDE), linked]
-        name = mechanism_name(offer.family, offer.where[1])
-        rows.append([name, *(percent_cell(number) for number in numbers)])
+        name = short_mechanism_name(offer.family, offer.where[1])
+        rows.append([shortened(name, room=_NAME_WIDTH), *map(percent_cell, numbers)])
     how = "as sent" if advice.question.as_shared else "attacked"
     groups = [
-        Group("robot", ("misses, %",)),
+        Group("misses at raw's", ("false alarms, %",)),
         Group(f"known {how}, %", (f"to {epsilon_m:.4g} m", f"to {wide_m:.4g} m")),
         Group("re-identified", ("% of raw",)),
     ]
-    return grid_lines(rows, groups, corner=("± half of a 95 % interval", "what is shared"))
+    is_marked = any(row[0].endswith(INDEPENDENT_MARK) for row in rows)
+    corner = f"shared ({INDEPENDENT_MARK.strip()} independent)" if is_marked else "what is shared"
+    return grid_lines(rows, groups, corner=("± half of a 95 % interval", corner))
 
 
 def _limited_side(offer: Offer, advice: Recommendation) -> Attacked:
@@ -329,7 +337,12 @@ def answer_table(advice: Recommendation) -> Table:
     """Return raw, the levels that are proposed, and the nearest of every other mechanism."""
     columns = [
         make.said("what is shared", lambda offer: mechanism_name(offer.family, offer.where[1])),
-        Column("missed", lambda offer: make.estimated(MISSED_RATE, offer.cost), "%"),
+        Column(
+            "missed",
+            lambda offer: make.estimated(MISSED_RATE, offer.cost),
+            "%",
+            above="at raw's alarms",
+        ),
         Column("known", partial(_left, EXPOSURE), METRICS[EXPOSURE].unit, above="attacked"),
         Column("at 4/3", partial(_left, WIDE), METRICS[WIDE].unit),
         Column("error", partial(_left, MEDIAN), METRICS[MEDIAN].unit, above="median"),

@@ -55,6 +55,8 @@ _LEAST_ROWS: Final = 5
 _SHORTEST: Final = 2  # A topic and a sentence.
 _LABEL_WIDTH: Final = 27
 _CORNER: Final = ("± half of a 95 % interval", "what is shared")
+_USUAL_ALARM: Final = "usual alarm, %"
+"""Head of the missed conflicts: the robot warns as it does, however many alarms are false."""
 _ROBOT_WIDTH: Final = 8  # Characters of a name over a column.
 _MOST_LINKED: Final = 2  # Tasks that have a column.
 _MUCH: Final = 0.2  # Of the mean speed of all tracks: by so much those used differ worth a doubt.
@@ -151,7 +153,7 @@ def first_table(run: Results) -> Table:
     named = [reference(table), *recommended_levels(run)]
     levels = screen_levels(table, known, most=_MOST_ROWS, named=named)
     heads = [Column(column.title, partial(_estimated, table, column), "%") for column in columns]
-    heads.insert(0, make.said("what is shared", partial(_label, table)))
+    heads.insert(0, make.said("what is shared", table.name))
     return make.built("first", "", levels, heads)
 
 
@@ -218,10 +220,9 @@ def screen_columns(table: Headline, robot: Shown | None) -> list[tuple[Group, li
     """Return the columns of the first screen: one robot, known positions, two linkage tasks."""
     groups = []
     if robot is not None:
-        head = "future, %" if robot.is_later else "all, %"
         name = robot_name(robot.measure.consumer)
         subject = name if len(name) <= _ROBOT_WIDTH else "robot"
-        groups.append((Group(f"{subject} misses", (head,)), [robot]))
+        groups.append((Group(f"{subject} misses", (_USUAL_ALARM,)), [robot]))
     known = [column for column in (table.shared, table.attacked) if column is not None]
     heads = tuple(column.name for column in known)
     groups.append((Group(f"{table.shared.above}, %", heads), known))

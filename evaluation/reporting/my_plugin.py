@@ -41,15 +41,15 @@ def plugin_doubts(run: Results) -> list[str]:
 
 def _comparison(record: Mapping[str, Any]) -> str:
     """Return how a plug-in compares: `my_attack 65 %, strongest built-in ... 90 %, difference`."""
-    kind, own = record["kind"], _percent(record["own"])
+    kind, name, own = record["kind"], _own_name(record["plugin"]), _percent(record["own"])
     if kind == ATTACK:
-        said = f"{record['plugin']} rebuilds {own} of positions to epsilon"
+        said = f"{name} rebuilds {own} of positions to epsilon"
         rival = attack_name(record["rival"])
     elif kind == LINKER:
-        said = f"{record['plugin']} re-identifies {own} {task_phrase(record['task'])}"
+        said = f"{name} re-identifies {own} {task_phrase(record['task'])}"
         rival = attack_name(record["rival"])
     else:
-        said = f"{record['plugin']} misses {own} of future conflicts{_ahead(record)}"
+        said = f"{name} misses {own} of future conflicts{_ahead(record)}"
         rival = robot_name(record["rival"])
     if not record["rival"]:
         return f"Yours: {said}; no built-in {_NOUN[kind]} to compare with."
@@ -61,9 +61,19 @@ def _comparison(record: Mapping[str, Any]) -> str:
     return f"Yours: {said}."
 
 
+def _own_name(spec: str) -> str:
+    """Return what a plug-in is called: a file or a class in it by its own name, without folders."""
+    place, _, rest = spec.partition(":")
+    if "." not in place:
+        return spec
+    file, (class_name, colon, values) = place.rpartition(".")[2], rest.partition(":")
+    is_named_alike = class_name == "".join(part.capitalize() for part in file.split("_"))
+    return f"{file if is_named_alike else class_name}{colon}{values}"
+
+
 def _row(record: Mapping[str, Any]) -> str:
     """Return the numbers of one level of a mechanism."""
-    name = f"{record['plugin']} {level_text(record['level'])}".rstrip()
+    name = f"{_own_name(record['plugin'])} {level_text(record['level'])}".rstrip()
     said = []
     if record["robot"]:
         missed = f"{_percent(record['missed'])} of future conflicts{_ahead(record)}"

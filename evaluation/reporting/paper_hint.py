@@ -1,15 +1,21 @@
 """What a run of preset `quick` leaves to preset `paper`, and how long that would take."""
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
+from evaluation.experiment.axes import usual_jobs
 from evaluation.experiment.presets import DEFAULT
 from evaluation.reporting.announcements import command
+from evaluation.runs.duration import wall_s
 
 PAPER: Final = "paper"
-_TIMES: Final = 4.0
-"""Cost of `paper` over that of `quick`, roughly: never measured side by side on an idle machine."""
+_SCENES_S: Final = 27.9  # For each million samples in the scenes.
+_RERELEASE_S: Final = 703.0  # For each million pairs of the task `rerelease`.
+_HANDOVER_S: Final = 1650.0  # For each million pairs of the task `handover-1s`.
+_TRAVERSAL_S: Final = 7.5  # The people of the simulated sessions are the same in every run.
+"""CPU seconds of all cells of `paper`. To lay out its cells would take seconds; these factors give
+the estimate of `--dry-run` to a twentieth on Students03, Zara01 and plaza."""
 _WITH_VALUE: Final = ("--preset", "--out")
 _FLAGS: Final = ("--fresh",)
 _USUAL_SEED: Final = " --seed 0"
@@ -25,7 +31,8 @@ class PaperHint(NamedTuple):
 def paper_hint(manifest: Mapping[str, Any]) -> PaperHint | None:
     """Return how to run preset `paper` on the same data; None for a run of another preset.
 
-    The time is estimated from that of the finished run, on the same machine.
+    The time is that on idle cores, with as many workers as the run had. It goes by the sizes of
+    the run: samples in its scenes, and pairs that it linked. Plug-ins of a user's own cost more.
     """
     if manifest["settings"]["preset"] != DEFAULT:
         return None
@@ -39,5 +46,26 @@ def paper_hint(manifest: Mapping[str, Any]) -> PaperHint | None:
                 next(words, None)
         elif option not in _FLAGS:
             options.append(word)
-    run_s = float(manifest["wall_time_s"]) - float(manifest.get("compiling_s", 0.0))
-    return PaperHint(shlex.join([*options, "--preset", PAPER]), _TIMES * max(run_s, 0.0))
+    seconds = wall_s(_cells_cpu_s(manifest), jobs=_workers(options))
+    return PaperHint(shlex.join([*options, "--preset", PAPER]), seconds)
+
+
+def _cells_cpu_s(manifest: Mapping[str, Any]) -> float:
+    """Return about how many CPU seconds the cells of preset `paper` take on the data of a run."""
+    identity = manifest["identity"]
+    scenes = identity.get("scenes_utility", identity["scenes"])
+    samples = float(scenes * identity["scenes.agents"] * manifest["history"]["points"])
+    tasks = (manifest.get("linkage") or {}).get("tasks", {})
+    cpu_s = _SCENES_S * samples / 1e6 + (_TRAVERSAL_S if tasks else 0.0)
+    for task, million_pairs_s in (("rerelease", _RERELEASE_S), ("handover-1s", _HANDOVER_S)):
+        sizes = tasks.get(task, {}).get("candidates", {}).values()
+        cpu_s += million_pairs_s * sum(size**2 for size in sizes) / 1e6
+    return cpu_s
+
+
+def _workers(options: Sequence[str]) -> int:
+    """Return how many workers a command starts: those that it names, or one for each core."""
+    words = [word for option in options for word in option.split("=", 1)]
+    if "--jobs" in words[:-1]:
+        return int(words[words.index("--jobs") + 1])
+    return usual_jobs()

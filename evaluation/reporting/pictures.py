@@ -89,11 +89,11 @@ def pictures(table: Headline) -> list[Picture | None]:
 
 
 def _telling(table: Headline) -> Picture | None:
-    """Return re-identification over PLR as shared, under linear adding; None without linkage."""
+    """Return re-identification over PLR as shared, at all levels; None without linkage."""
     if not table.linked:
         return None
     linked = table.linked[-1]
-    curves = _curves(table, table.shared, linked, has_hollow=False)
+    curves = _curves(table, table.shared, linked)
     title = f"Re-identified {task_phrase(linked.measure.source.task)}, over PLR as shared"
     return _plane(
         table,
@@ -192,7 +192,7 @@ def _levels(
 
 
 def _curves(
-    table: Headline, x: Shown, y: Shown, *, among: Collection[Where] = (), has_hollow: bool = True
+    table: Headline, x: Shown, y: Shown, *, among: Collection[Where] = ()
 ) -> list[list[Point]]:
     """Return the levels, all or those `among` them, at which both are known: by mechanism."""
     ordered = sorted(among or table.wheres, key=lambda where: where[1] or 0.0)
@@ -205,7 +205,7 @@ def _curves(
             for where, left, right in pairs
             if left and right
         ]
-        if points and (has_hollow or not look.hollow):
+        if points:
             curves.append(points)
     return curves
 

@@ -143,7 +143,7 @@ def _brief_cost(answer: Recommendation, offer: Offer) -> str:
         return cost_sentence(answer, offer)
     raw = f" (raw: {bare_percent(answer.raw.cost)})" if answer.raw else ""
     return (
-        f"At no more false alarms than with raw positions, {chosen_robot(answer)} then misses "
+        f"Held to the false alarms of raw positions, {chosen_robot(answer)} misses "
         f"{percent(offer.cost)}{raw}."
     )
 

@@ -18,6 +18,7 @@ from evaluation.analysis.keys import Key, Source, Where, keys_of, level_text
 from evaluation.analysis.metrics import METRICS, MISSED_RATE
 from evaluation.experiment.presets import DISSOCIATION, SHARED
 from evaluation.reporting.announcements import scenes_text
+from evaluation.reporting.names import FAMILY_NAMES
 from evaluation.reporting.table import Column, level, said, spoken
 from isac_track.errors import SettingsError, did_you_mean
 from isac_track.types import Floats
@@ -435,7 +436,8 @@ def schemes(summary: pd.DataFrame, *, as_points: bool = False) -> list[Scheme]:
     for one in swept:
         own = levels.loc[[other.mechanism for other in swept if other.name == one.name]]
         low, high = own["min"].min(), own["max"].max()
-        usual = one.name, f"level of {one.name}", bool(0 < low <= high / _LOG_SPAN)
+        title = FAMILY_NAMES.get(one.name, one.name)
+        usual = title, f"level of {title}", bool(0 < low <= high / _LOG_SPAN)
         place, axis = names.index(one.name), _KNOWN.get(one.name, usual)
         found.append(Scheme(one.mechanism, one.name, one.rules, *axis, place))
     return found

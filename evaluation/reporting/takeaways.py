@@ -84,7 +84,7 @@ def unequal_pair(points: Sequence[Point]) -> str:
         return "No two levels of this picture have nearly the same PLR as shared."
     gap, one, other = max(pairs, key=lambda pair: pair[0])
     return (
-        f"At nearly equal PLR, re-identification differs by {PERCENT * gap:.0f} points: "
+        f"At nearly equal PLR, re-identification differs by up to {PERCENT * gap:.0f} points: "
         f"{one.name} against {other.name}."
     )
 
@@ -102,7 +102,7 @@ def within_limit(points: Sequence[Point], limit: float) -> str:
     cheapest = min(below, key=lambda point: point.x.value)
     return (
         f"{len(below)} of {len(points)} levels keep PLR after attack below {bound}; "
-        f"the cheapest is {cheapest.name}."
+        f"of these, {cheapest.name} costs the robot least."
     )
 
 

@@ -30,8 +30,12 @@ def expected_s(ready: Plan) -> float:
     Finished cells take no time. A plug-in of a user's own counts as the median of the built-in
     ones of its kind. Loops that are still to be compiled are not counted.
     """
-    cells_s = cells_cpu_s(ready) / max(ready.jobs, 1)
-    return _START_S + (1.0 + _REPORT_SHARE) * cells_s + _REPORT_S
+    return wall_s(cells_cpu_s(ready), jobs=ready.jobs)
+
+
+def wall_s(cpu_s: float, *, jobs: int) -> float:
+    """Return how long a run takes whose cells take so many CPU seconds, s."""
+    return _START_S + (1.0 + _REPORT_SHARE) * cpu_s / max(jobs, 1) + _REPORT_S
 
 
 def cells_cpu_s(ready: Plan) -> float:

@@ -21,12 +21,14 @@ from importlib.metadata import version
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
 
 import isac_track
+from evaluation.experiment.choices import PLUS
 from evaluation.experiment.fingerprint import digest, strangers_in
+from evaluation.experiment.settings import AXES
 from evaluation.runs.files import MANIFEST, content_of, label_of, write_whole
 from evaluation.runs.people import labels_of_ids, shown_path, shown_words
 from isac_track.errors import DataError
@@ -34,8 +36,9 @@ from isac_track.errors import DataError
 if TYPE_CHECKING:
     from evaluation.experiment.axes import Consumer
     from evaluation.experiment.plan import Plan, Unit
+    from evaluation.experiment.settings import Settings
     from evaluation.runs.cell_files import Index
-    from isac_track.plugins import Plugin
+    from isac_track.plugins import Kind, Plugin
     from isac_track.types import Tracks
 
 CELL_NAME: Final = re.compile(r"[A-Za-z0-9.=-]{1,80}_[0-9]{5}_[0-9a-f]{16}\.parquet")
@@ -147,6 +150,24 @@ def mean_speeds(recorded: Tracks, *, used: Sequence[str]) -> dict[str, float]:
     return {"used": float(speeds[is_used & known].mean()), "recorded": float(speeds[known].mean())}
 
 
+def given_on(settings: Settings, axis: str) -> list[str] | None:
+    """Return the values that a user named on an axis, as they are typed; None without any.
+
+    An object of a plug-in is typed as its SPEC.
+    """
+    from isac_track.plugins import plugins_of  # noqa: PLC0415 - a reader needs none
+
+    if getattr(settings, axis) is None:
+        return None
+    choice = settings.choice(axis)
+    plus = "" if choice.replaces else PLUS
+    texts = [
+        value if isinstance(value, str) else plugins_of(cast("Kind", axis), value)[0].spec
+        for value in choice.named
+    ]
+    return [f"{plus}{text}" for text in texts]
+
+
 def about_data(ready: Plan) -> dict[str, Any]:
     """Return what was read, mended and left out, and what would help if too little is left."""
     from isac_track.scenes import FEW_PEOPLE, what_would_help  # noqa: PLC0415 - as below
@@ -226,6 +247,9 @@ def describe(ready: Plan) -> dict[str, Any]:
             "predictors": [plugin.spec for plugin in axes.predictors],
             "attacks": [*(plugin.spec for plugin in axes.attacks), *linkers],
             "tasks": [task.name for task in axes.tasks],
+            "named": {
+                axis: given for axis in AXES if (given := given_on(settings, axis)) is not None
+            },
             **({"adversaries": list(axes.adversaries)} if axes.adversaries else {}),
             "stages": settings.stages.flat(),
         },

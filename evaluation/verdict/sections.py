@@ -104,11 +104,11 @@ def verdict(
                 "span": rules.LEAST_SPAN,
                 "clusters": FEWEST_EFFECTIVE,
             },
-            "text": "Validity: does not track if the lower end of the spread is above 5 of 100 "
-            "people, which errs on 2.5 % of pages; tracks if its upper end is below, which errs in "
-            "2.5 % of items. Within, claim and inflation are decided by bands that hold for all "
-            f"items of a section at once in {100 * rules.BAND_COVERAGE:g} % of studies: an "
-            "item is if its band lies on one side. Intervals are at 95 %, each by itself.",
+            "text": "A descriptor does not track if the lower end of the spread is above 5 of 100 "
+            "people; that errs on 2.5 % of pages. It tracks if the upper end is below 5; that errs "
+            "in 2.5 % of items. The three other sections are decided by bands. All bands of a "
+            f"section hold at once in {100 * rules.BAND_COVERAGE:g} % of studies, and an item is "
+            "decided if its band lies on one side. Each 95 % interval stands by itself.",
         },
         "counts": {
             name: dict(Counter(one["decision"] for one in items if one["section"] == name))

@@ -143,7 +143,7 @@ class TestNew:
         lines = (
             f"pip install -e ./{name}",
             f"pytest {name}",
-            f"python -m evaluation.matrix --preset smoke --{noun} +{name}",
+            f"python -m evaluation.matrix --{noun} +{name}",
         )
         shown = capsys.readouterr().out.splitlines()[-3:]
         assert shown == [f"  {line}" for line in lines]

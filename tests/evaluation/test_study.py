@@ -83,7 +83,7 @@ def test_who_has_fewer_than_100_candidates_is_compared_with_nobody(answered):
     (told,) = pooled.answered(rows, simulated=frozenset())
     page = study_page.render([told], simulated=frozenset(), runs=[])
     assert page.count("too few people for an interval") == 1
-    assert (told.pooled, told.sentence[:12]) == (None, "Not compared")
+    assert (told.pooled, told.sentence[:12]) == (None, "Neither comp")
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -69,7 +69,7 @@ def test_seeds_are_averaged_and_their_intervals_do_not_shrink():
     half = t.ppf(0.975, freedom) * np.sqrt(people + between)
     assert mean["ci_high"] - mean["value"] == pytest.approx(half)
     assert mean["value"] - mean["ci_low"] == pytest.approx(half)
-    assert one.sentence.startswith("same sign in 1 of 1; least +15.0 points (a)")
+    assert one.sentence.startswith("One real recording, a: +15.0 points")
     assert one.pooled is None
 
 
@@ -78,7 +78,7 @@ def test_seeds_that_agree_have_the_interval_of_any_of_them():
     (one,) = answered(rows, simulated=frozenset())
     ends = one.rows[0]["ci_low"], one.rows[0]["ci_high"]
     assert ends == pytest.approx((0.08, 0.12))
-    assert one.sentence.startswith("same sign in 1 of 1; in all 1")
+    assert one.sentence == "One real recording, a: +10.0 points; significant at 5 %."
 
 
 def test_seeds_that_differ_weigh_less_in_the_pool():
@@ -112,11 +112,11 @@ def test_five_real_recordings_are_pooled_and_a_crowd_is_none():
     assert further["value"] == pooled["value"]
     assert further["ci_low"] < pooled["ci_low"] < pooled["ci_high"] < further["ci_high"]
     assert f", of a further recording [{100 * further['ci_low']:.1f}, " in five.sentence
-    assert "same sign in 5 of 5" in five.sentence
+    assert "Same sign in 5 of 5" in five.sentence
     assert "least +10.0 points (a), largest +65.0 (d); pooled +3" in five.sentence
 
 
 def test_signs_that_differ_are_counted():
     rows = [row("a", 0.1), row("b", -0.1), row("c", 0.01)]
     (one,) = answered(rows, simulated=frozenset())
-    assert one.sentence.startswith("same sign in 2 of 3; least -10.0 points (b)")
+    assert one.sentence.startswith("Same sign in 2 of 3 real recordings; least -10.0 points (b)")

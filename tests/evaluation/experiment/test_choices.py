@@ -90,8 +90,14 @@ def test_all_that_a_preset_does_besides_its_axes_stays():
     assert added.against_slow == usual.against_slow
     assert added.worlds == usual.worlds
     assert added.linked_in == usual.linked_in
+    assert added.adversaries == usual.adversaries
     # A robot that is named is read in all scenes and at every horizon.
     assert len(added.utility) == len(usual.utility) + 1
+
+
+def test_without_the_attacks_of_a_preset_its_further_adversaries_go():
+    assert axes(Settings()).adversaries
+    assert axes(Settings(attacks=["savgol"])).adversaries == ()
 
 
 def test_an_attack_of_slow_errors_that_is_named_runs_against_every_mechanism():

@@ -194,7 +194,7 @@ def test_of_a_dozen_people_without_intervals_nothing_is_proposed():
 def test_a_level_is_proposed_with_its_cost_and_what_breaks_it():
     said = proposed(changed(beyond={"anchor": 0.92}))
     assert said.startswith("Slow noise of 0.4 m is the cheapest level with at most 50 % of pos")
-    cost = "At no more false alarms than with raw positions, a Kalman robot then misses 20 % ±2"
+    cost = "Held to the false alarms of raw positions, a Kalman robot misses 20 % ±2"
     assert f"{cost} (raw: 5 %)." in said
     assert said.endswith("An adversary with one true position (knows 92 %) breaks it.")
 

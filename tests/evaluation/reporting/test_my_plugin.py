@@ -76,6 +76,20 @@ def test_each_kind_is_compared_in_its_own_metric(usual):
     assert predictor == f"{said} (Kalman) {gap}; {alarms}."
 
 
+@pytest.mark.parametrize(
+    ("spec", "name"),
+    [
+        ("my_attack:0.1", "my_attack:0.1"),
+        ("my_attack.my_attack:MyAttack", "my_attack"),
+        ("my_attack.my_attack:MyAttack:0.1", "my_attack:0.1"),
+        ("a.b:Smoother:tau_s=2", "Smoother:tau_s=2"),
+    ],
+)
+def test_folders_are_no_part_of_a_name(usual, spec, name):
+    (line,) = plugin_lines(with_plugins(usual, ATTACK | {"plugin": spec}))
+    assert line.startswith(f"Yours: {name} rebuilds 65 %")
+
+
 def test_a_mechanism_has_its_row(usual):
     said = "Yours: my_noise 0.2: a robot (Kalman) misses 20 % of future conflicts within 3 s; "
     said += "30 % of positions are known to epsilon as sent, 80 % after attack; "

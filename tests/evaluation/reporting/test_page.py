@@ -153,3 +153,15 @@ def test_the_command_of_a_run_from_python_has_its_identity_and_its_axes():
     assert (settings.dataset, settings.format, settings.fps) == ("my walks.csv", "obsmat", 12.5)
     assert settings.mechanisms == ("raw", "fid:1")
     assert settings.tasks == ()
+
+
+def test_the_command_of_a_run_from_python_adds_where_the_run_added():
+    manifest = copy.deepcopy(MANIFEST)
+    manifest["environment"]["command"] = []
+    manifest["settings"]["named"] = {"attacks": ["+my_attack", "+savgol:0.4"], "tasks": []}
+    words = shlex.split(command(manifest))[3:]
+    assert words[-6:] == ["--attack", "+my_attack", "--attack", "+savgol:0.4", "--task", "none"]
+    settings = matrix.settings_from(matrix.parser().parse_args(words))
+    assert settings.choice("attacks").named == ("my_attack", "savgol:0.4")
+    assert not settings.choice("attacks").replaces
+    assert (settings.mechanisms, settings.tasks) == (None, ())

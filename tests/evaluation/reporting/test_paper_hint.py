@@ -2,16 +2,22 @@
 
 import pytest
 
+from evaluation.experiment.plan import plan
+from evaluation.experiment.settings import Settings
 from evaluation.reporting.paper_hint import paper_hint
+from evaluation.runs.duration import expected_s
+from evaluation.runs.manifest import describe
 
 
-def manifest(*words, preset="quick", **times):
+def manifest(*words, preset="quick", **more):
     return {
         "settings": {"preset": preset, "seed": 3},
         "dataset": {"name": "plaza"},
+        "identity": {"scenes": 250, "scenes_utility": 2000, "scenes.agents": 4},
+        "history": {"points": 350.0},
+        "linkage": {"tasks": {"rerelease": {"candidates": {"half 1": 100, "half 2": 100}}}},
         "environment": {"command": ["matrix.py", *words]},
-        "wall_time_s": 30.0,
-        **times,
+        **more,
     }
 
 
@@ -28,9 +34,19 @@ def test_the_command_is_that_of_the_run_with_the_other_preset(words, rest):
     assert hint.command == f"python -m evaluation.matrix {rest} --preset paper"
 
 
-def test_the_time_goes_by_that_of_the_run_without_compiling():
-    cold, warm = paper_hint(manifest(compiling_s=10.0)), paper_hint(manifest())
-    assert cold.seconds == pytest.approx(warm.seconds * 2 / 3)
+def test_the_time_is_the_estimate_of_a_dry_run():
+    ready = plan(Settings(preset="paper", dataset="plaza", jobs=2, fresh=True))
+    about = describe(ready) | {"identity": ready.identity}
+    about["environment"]["command"] = ["matrix.py", "--jobs", "2"]
+    about["settings"]["preset"] = "quick"
+    assert paper_hint(about).seconds == pytest.approx(expected_s(ready), rel=0.05)
+
+
+def test_more_people_and_fewer_workers_take_longer():
+    usual, alone = paper_hint(manifest("--jobs", "2")), paper_hint(manifest("--jobs=1"))
+    assert alone.seconds > usual.seconds
+    unlinked = paper_hint(manifest("--jobs", "2", linkage={}))
+    assert unlinked.seconds < usual.seconds
 
 
 def test_other_presets_name_no_further_command():

@@ -64,7 +64,7 @@ def test_nearly_equal_plr_with_the_widest_gap_is_named():
     points = [point("a", 0.10, 0.9), point("b", 0.11, 0.6), point("c", 0.119, 0.2)]
     points.append(point("d", 0.5, 0.0))
     assert takeaways.unequal_pair(points) == (
-        "At nearly equal PLR, re-identification differs by 70 points: a against c."
+        "At nearly equal PLR, re-identification differs by up to 70 points: a against c."
     )
     assert takeaways.unequal_pair(points[2:]).startswith("No two levels")
 
@@ -72,7 +72,9 @@ def test_nearly_equal_plr_with_the_widest_gap_is_named():
 def test_levels_within_the_limit_are_counted_and_the_cheapest_is_named():
     points = [point("a", 0.1, 0.9), point("b", 0.3, 0.4), point("c", 0.2, 0.45)]
     text = takeaways.within_limit(points, 0.5)
-    assert text == "2 of 3 levels keep PLR after attack below 50 %; the cheapest is c."
+    assert (
+        text == "2 of 3 levels keep PLR after attack below 50 %; of these, c costs the robot least."
+    )
     text = takeaways.within_limit(points[:1], 0.5)
     assert text == "No level keeps PLR after attack below 50 %; the lowest is 90 % with a."
 
