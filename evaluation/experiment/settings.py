@@ -209,7 +209,7 @@ def check_threads() -> None:
     text = os.environ.get("NUMBA_NUM_THREADS", "1")
     try:
         fits = int(text) > 0
-    except ValueError:  # numba warns, and takes the cores
-        return
+    except ValueError:  # numba would warn, with a traceback
+        fits = False
     if not fits:
-        raise SettingsError(f"NUMBA_NUM_THREADS must be at least 1, got {text!r}; unset it")
+        raise SettingsError(f"NUMBA_NUM_THREADS must be at least 1, got {text[:40]!r}; unset it")

@@ -211,7 +211,7 @@ def describe(ready: Plan) -> dict[str, Any]:
             "libraries": {name: version(name) for name in _LIBRARIES},
             "git_commit": _git_commit(),
             "command": shown_words(
-                word.encode(errors="replace").decode() for word in sys.argv or ()
+                str(word).encode(errors="replace").decode() for word in sys.argv or ()
             ),
         },
         "code": ready.code,

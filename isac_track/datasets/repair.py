@@ -404,8 +404,11 @@ def _check_speeds(rows: Rows) -> None:
                 "and y (latitude)"
             )
         hints = _ways_out(speed, has_unit=bool(rows.unit))
+        is_projected = any(note.kind == "crs" for note in rows.notes)
         guess = (
-            f"pixels or centimetres for metres{hints}, a wrong --fps, or frame and id swapped"
+            f"degrees of too few decimals (the sixth is 0.1 m), or a clock not in seconds{hints}"
+            if is_projected and speed > high
+            else f"pixels or centimetres for metres{hints}, a wrong --fps, or frame and id swapped"
             if speed > high
             else "milliseconds for seconds (of a table: --columns t=t[ms]), kilometres for metres "
             f"(--unit 1000), or a wrong --fps{hints}"

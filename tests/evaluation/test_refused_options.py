@@ -96,7 +96,7 @@ def test_addresses_of_schedulers(address):
     assert Settings(executor="dask", scheduler=address).scheduler == address
 
 
-@pytest.mark.parametrize("threads", ["0", "-3"])
+@pytest.mark.parametrize("threads", ["0", "-3", "x"])
 def test_no_threads_for_numba_is_one_line(threads, tmp_path):
     ended = run(tmp_path, *MATRIX, "--dry-run", changed={"NUMBA_NUM_THREADS": threads})
     assert_refused(ended, "NUMBA_NUM_THREADS")
@@ -192,6 +192,14 @@ def test_a_folder_of_ones_own_with_our_name_is_one_line(tmp_path):
         tmp_path, "-c", "try:\n    import evaluation\nexcept ImportError as e:\n    print(e)"
     )
     assert "isac-track matrix" in ended.out
+
+
+@pytest.mark.parametrize("words", ["None", "[]"])
+@pytest.mark.parametrize("command", ["compare", "publish", "report"])
+def test_a_command_of_a_program_without_words_misses_its_own(command, words, tmp_path):
+    code = f"import sys; sys.argv = {words}\nfrom evaluation import {command}\n"
+    ended = run(tmp_path, "-c", code + f"sys.exit({command}.main())")
+    assert_refused(ended, "the following arguments are required")
 
 
 @pytest.mark.parametrize("words", ["None", "[]"])
