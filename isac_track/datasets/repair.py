@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from isac_track.datasets.recording import FOOT_M, TIMES, Repair, Rows, listed, steps_within
+from isac_track.datasets.recording import FOOT_M, TIMES, Repair, Rows, steps_within
 from isac_track.errors import DataError
 from isac_track.types import Bools, Floats, Ints, Tracks
 
@@ -74,8 +74,7 @@ def to_tracks(
         rows, order = _taken(rows, keep), order[keep]
     lengths = np.diff(np.flatnonzero(np.concatenate([[True], cut, [True]])))
     single = np.repeat(lengths == 1, lengths)
-    text = f"a single sample (id {listed([ids[index] for index in rows.person[single]])}); dropped"
-    notes += place.noted("one-point", order[single], text)
+    notes += place.noted("one-point", order[single], "a single sample of an id; dropped")
     if single.any():
         rows, order = _taken(rows, ~single), order[~single]
     offsets = np.concatenate([[0], np.cumsum(lengths[lengths > 1])])
