@@ -74,6 +74,8 @@ COMMANDS = {
         "ends with its port",
     ),
     "a port that is none": (("--executor", "dask", "--scheduler", "host:many"), "its port"),
+    "a port beyond all": (("--executor", "dask", "--scheduler", "host:65536"), "its port"),
+    "the port of nothing": (("--executor", "dask", "--scheduler", "tcp://host:0"), "its port"),
     "a thousand workers": (("--jobs", "1000"), "at most 256"),
     "linear adding under another law": (
         ("--mechanism", "fixed:0,law=fixed_direction"),
@@ -181,6 +183,18 @@ def test_a_process_with_limits_ends_in_one_line_or_computes(what, tmp_path):
         timeout_s=120,
     )
     assert ended.code in (0, 2), ended
+
+
+@pytest.mark.parametrize(("most", "threads"), [(4, "1"), (1000, None)])
+def test_blas_starts_no_threads_where_few_processes_may_run(most, threads, tmp_path):
+    code = "import os, isac_track, numpy; print(os.environ.get('OPENBLAS_NUM_THREADS'))"
+    ended = run(
+        tmp_path,
+        *("-c", code),
+        changed={"OPENBLAS_NUM_THREADS": None},
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NPROC, (most, most)),
+    )
+    assert ended.out == f"{threads}\n"
 
 
 def test_a_folder_of_ones_own_with_our_name_is_one_line(tmp_path):
