@@ -49,6 +49,8 @@ def exit_code(command: Callable[[], int], *, interrupted: str = "interrupted") -
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by who started this: nobody listens
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115 - stays open
+    if not sys.argv:  # of a program that embeds Python: no words were given
+        sys.argv = [""]
     try:
         with _limits_told(), _heard():
             code = command()

@@ -35,7 +35,8 @@ _PRECISION_WRONG = (
     "--precision is the half-width of a missed-conflict rate's interval, between 0 and 0.5 "
     "(0.01: +- 1 %), got {0:g}"
 )
-_ADDRESS = re.compile(r"(inproc://.+)|(([\w-]+://)?[^/\s]+:[0-9]{1,5}/?)")
+_ADDRESS = re.compile(r"(inproc://.+)|(([\w-]+://)?[^/\s]+:(?P<port>[0-9]{1,5})/?)")
+_PORTS = range(1, 1 << 16)
 _LIMITS: dict[str, tuple[float, float, str]] = {
     "scenes": (1, MOST_SCENES, _SCENES_WRONG),
     "seed": (-1, inf, "the seed must not be negative, got {0}"),
@@ -115,7 +116,7 @@ class Settings:
                 "--executor dask needs --scheduler ADDRESS, as tcp://host:8786; "
                 "`dask scheduler` starts one and tells its address"
             )
-        if is_dask and not _ADDRESS.fullmatch(str(self.scheduler)):
+        if is_dask and not _has_port(str(self.scheduler)):
             raise SettingsError(
                 f"a scheduler's address ends with its port, as tcp://host:8786; "
                 f"got {quoted(self.scheduler)}"
@@ -204,12 +205,18 @@ def check_drawing() -> None:
             ) from None
 
 
+def _has_port(address: str) -> bool:
+    """Whether an address ends with a port that there can be, or needs none within a process."""
+    match = _ADDRESS.fullmatch(address)
+    return match is not None and (match["port"] is None or int(match["port"]) in _PORTS)
+
+
 def check_threads() -> None:
     """Raise SettingsError if numba would refuse to be imported: before a run, not within it."""
     text = os.environ.get("NUMBA_NUM_THREADS", "1")
     try:
         fits = int(text) > 0
-    except ValueError:  # numba warns, and takes the cores
-        return
+    except ValueError:  # numba would warn, with a traceback
+        fits = False
     if not fits:
-        raise SettingsError(f"NUMBA_NUM_THREADS must be at least 1, got {text!r}; unset it")
+        raise SettingsError(f"NUMBA_NUM_THREADS must be at least 1, got {text[:40]!r}; unset it")

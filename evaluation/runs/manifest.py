@@ -30,7 +30,7 @@ from evaluation.experiment.choices import PLUS
 from evaluation.experiment.fingerprint import digest, strangers_in
 from evaluation.experiment.settings import AXES
 from evaluation.runs.files import MANIFEST, content_of, label_of, write_whole
-from evaluation.runs.people import labels_of_ids, shown_path, shown_words
+from evaluation.runs.people import labels_of_ids, shown_path, shown_words, without_folders
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
@@ -173,16 +173,21 @@ def about_data(ready: Plan) -> dict[str, Any]:
     from isac_track.scenes import FEW_PEOPLE, what_would_help  # noqa: PLC0415 - as below
 
     tracks, dataset = ready.tracks, ready.dataset
-    own = ("name", "sha256", "format", "simulated", "notice")
+    own = ("name", "sha256", "format", "simulated")
+    notice = dataset.notice and without_folders(dataset.notice, dataset)
     about = {
         "path": shown_path(dataset.path),
         **{name: getattr(dataset, name) for name in own},
+        "notice": notice,
         "tracks": len(dataset.tracks),
         "tracks_used": len(tracks),
         "too_short": tracks.too_short,
         "no_future": tracks.no_future,
         "speed_mps": mean_speeds(dataset.tracks, used=tracks.source),
-        "repairs": [asdict(repair) for repair in dataset.repairs],
+        "repairs": [
+            asdict(repair) | {"detail": without_folders(repair.detail, dataset)}
+            for repair in dataset.repairs
+        ],
     }
     if tracks.n_replaced:
         most_m = ready.settings.stages.resample.max_overshoot_m
@@ -232,7 +237,7 @@ def describe(ready: Plan) -> dict[str, Any]:
             "libraries": {name: version(name) for name in _LIBRARIES},
             "git_commit": _git_commit(),
             "command": shown_words(
-                word.encode(errors="replace").decode() for word in sys.argv or ()
+                str(word).encode(errors="replace").decode() for word in sys.argv or ()
             ),
         },
         "code": ready.code,

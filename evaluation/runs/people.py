@@ -24,6 +24,7 @@ from isac_track.errors import DataError, SettingsError
 
 if TYPE_CHECKING:
     from evaluation.experiment.plan import Plan
+    from isac_track.datasets import Dataset
 
 _DIGITS: Final = 16  # Of a pseudonym: two of 100,000 people are called alike once in 10^9 runs.
 _LABEL_DIGITS: Final = 6
@@ -166,6 +167,20 @@ def shown_path(path: str | Path) -> str:
         below = Path(path).absolute().resolve().relative_to(Path.cwd().resolve())
         return str(below)
     return Path(path).name
+
+
+def without_folders(text: str, dataset: Dataset) -> str:
+    """Return a text about a recording as it may be passed on: its folders as `shown_path` has them.
+
+    So are the folders in which data sets are looked for.
+    """
+    from isac_track.datasets.registry import searched_folders, shown  # noqa: PLC0415 - of a run alone
+
+    paths = [dataset.path, *map(shown, dataset.sessions), *searched_folders()]
+    for path in sorted(paths, key=len, reverse=True):  # files before their folders
+        if os.sep in path and Path(path).name:
+            text = text.replace(path, shown_path(path))
+    return text
 
 
 def shown_words(words: Iterable[str]) -> list[str]:

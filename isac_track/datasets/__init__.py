@@ -166,6 +166,7 @@ def load(
             raise DataError("--session takes two files or more, and the place of --dataset")
         name = Path(os.path.abspath(sessions[0])).parent  # noqa: PTH100 - never raises
     reading = Reading(columns_named(columns), on_duplicate, crs, drop_frozen)
+    fps = None if fps is None else checked_fps(fps, where="--fps")
     if not isinstance(name, str | Path | None):
         if (format, fps) != (None, None) or persistent_ids:
             raise DataError("a DataFrame has no format, frames a second or sessions to be told")
@@ -265,6 +266,9 @@ def _tracks_of(
     if reading.crs is not None:
         if unit is not None:
             raise DataError(f"{rows.place.path}: --crs degrees has its unit; leave --unit out")
+        if rows.unit:
+            path, by = rows.place.path, rows.unit_by
+            raise DataError(f"{path}: --crs degrees contradicts {by}: lengths are in {rows.unit}")
         rows = projected(rows)
     else:
         rows = in_metres(rows, unit=unit)
@@ -427,7 +431,8 @@ def _format_of(path: Path, name: str, *, data: bytes) -> tuple[str, tuple[Repair
             f"y; give --format ({known})"
         )
     if name not in READERS:
-        raise DataError(f"unknown format {name!r}{did_you_mean(name, READERS)} (known: {known})")
+        hint = did_you_mean(str(name), READERS)
+        raise DataError(f"unknown format {name!r:.40}{hint} (known: {known})")
     return name, ()
 
 
@@ -453,7 +458,8 @@ def read(
     if fps is not None:
         checked_fps(fps, where="--fps")
     if fps is not None and format in _WITH_CLOCK:
-        raise DataError(f"{path}: format {format} has times in seconds; leave --fps out")
+        frames = "; of frames: --columns 't=frame[25 fps]'" if format in _WITH_COLUMNS else ""
+        raise DataError(f"{path}: format {format} has times in seconds; leave --fps out{frames}")
     options: dict[str, object] = {}
     if format in _WITH_COLUMNS:
         options["columns"] = reading.columns

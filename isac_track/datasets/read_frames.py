@@ -47,6 +47,14 @@ _POSITIONS = re.compile(
     r"all|everything|values)\b"
 )
 """What a header calls positions where it says their unit in a sentence."""
+_NO_POSITIONS = re.compile(
+    r"\b(errors?|accurac(y|ies)|precision|resolution|noise|uncertaint(y|ies)|deviations?|"
+    r"tolerances?|walls?|cameras?)\b"
+)
+"""What is said of positions, or of distances, that is no position."""
+_CONVERTED = re.compile(
+    r"\b(?:converted|transformed|rescaled) (?:in)?to ([cm]?m|metres?|meters?)\b"
+)
 _USED = ("frame", "id", "x", "y")
 _TRACK_FIELDS = ("f", "p", "x", "y")
 
@@ -185,12 +193,16 @@ def _declared_rate(text: str, *, where: str) -> float | None:
 
 def _declared_units(text: str) -> list[str]:
     """Return the units of positions that a comment in small letters names; not those of height."""
+    if converted := _CONVERTED.search(text):
+        return [converted[1] if converted[1] in recording.METRES else "m"]
     units, end = [], 0
     for match in _LENGTH.finditer(text):
         subject = re.split(r"[;.:(\[]", text[end : match.start()])[-1]
         end = match.end()
         if match[1]:
             units.append(match[1])
+        elif _NO_POSITIONS.search(subject):
+            continue
         elif _POSITIONS.search(subject) or not re.search("[a-z]", subject):
             units.append(match[2])
     return units

@@ -36,6 +36,7 @@ _EPOCH_S = 1e9  # Seconds since 1970 in this millennium: 32 bits hold them to 64
 _Names: TypeAlias = Mapping[str, Column]
 _UNITS = {"t": "seconds", "x": "metres", "y": "metres"}
 _DECIMAL = re.compile(r"[+-]?\d+\.\d*(e[+-]?\d+)?", re.IGNORECASE)
+_NUMBER = re.compile(r"[+-]?\d*\.?\d*(e[+-]?\d+)?", re.IGNORECASE)  # Or nothing at all.
 _LONGEST_NAME = 200  # Characters: ids stand in messages, tables and figures.
 _BLOCK_BYTES = 1 << 18
 _FREE_ROWS = 500_000  # Above it a file needs a byte a row: equal rows pack a thousandfold.
@@ -141,16 +142,29 @@ def read_frame(frame: pd.DataFrame, *, columns: _Names | None = None) -> recordi
         frame = frame.reset_index(level=index)
     names = tuple(map(str, frame.columns))
     places = _columns_in(names, columns or {}, where=path)
-    try:
-        parts = [
-            pa.Table.from_pandas(frame.iloc[:, [column.place]], preserve_index=False)
-            for column in places.values()
-        ]
-    except (pa.ArrowException, TypeError, ValueError, OverflowError) as error:
-        raise DataError(f"{path}: a column cannot be read ({told(error)})") from None
-    table = pa.table([part.column(0) for part in parts], names=[*places])
+    columns_read = [_arrow_column(frame, column, path=path) for column in places.values()]
+    table = pa.table(columns_read, names=[*places])
     place = recording.Place(path, lambda: np.arange(1, len(frame) + 1), unit="row")
     return _rows(table, names=names, used=places, place=place)
+
+
+def _arrow_column(frame: pd.DataFrame, column: _Used, *, path: str) -> pa.ChunkedArray:
+    """Return a column of a frame as arrow has it; DataError names a column that it has not."""
+    import pandas as pd  # noqa: PLC0415 - only for such data
+    import pyarrow as pa  # noqa: PLC0415 - only for such data
+
+    part = frame.iloc[:, [column.place]]
+    kind = part.dtypes.iloc[0]
+    if isinstance(kind, pd.SparseDtype):
+        part = part.astype(kind.subtype)
+    try:
+        return pa.Table.from_pandas(part, preserve_index=False).column(0)
+    except (pa.ArrowException, TypeError, ValueError, OverflowError) as error:
+        name = recording.printable(column.name[:40])
+        way_out = "convert it first, all to numbers or all to text"
+        raise DataError(
+            f"{path}: column {name} cannot be read ({told(error)}); {way_out}"
+        ) from None
 
 
 def _csv_header(*, header: str, path: str) -> tuple[str, ...]:
@@ -159,8 +173,16 @@ def _csv_header(*, header: str, path: str) -> tuple[str, ...]:
         names = tuple(name.strip() for name in next(csv.reader([header]), []))
     except csv.Error as error:
         raise DataError(f"{where}: the header cannot be read: {error}") from None
-    if header.lstrip().startswith("#"):
-        raise DataError(f"{where}: a comment; the first line of csv names the columns, id,t,x,y")
+    for strange, is_so in {
+        "a comment": header.lstrip().startswith("#"),
+        "empty": not header.strip(),
+        "a line for Excel": header.lower().startswith("sep="),
+        "numbers": all(_NUMBER.fullmatch(name) for name in names),
+    }.items():
+        if is_so:
+            raise DataError(
+                f"{where}: {strange}; the first line of csv names the columns, id,t,x,y"
+            )
     for separator, name in ((";", "semicolons"), ("\t", "tabs"), (" ", "spaces")):
         if len(names) == 1 and separator in header.strip():
             raise DataError(
@@ -190,12 +212,16 @@ def _columns_in(names: Sequence[str], columns: _Names, *, where: str) -> dict[st
         if found is not None:
             used[name] = found
         elif name in columns or name in _NEEDED:
+            for header in names:
+                recording.check_unit(header, of=name, called=wanted.name, where=where)
             missing.append(wanted.name)
     if missing:
         there = recording.listed([recording.printable(called[:40]) for called in names])
+        frames = next((header for header in names if header.casefold().startswith("frame")), "")
+        hint = f"; --columns 't={frames[:40]}[25 fps]' counts frames" if frames else ""
         raise DataError(
             f"{where}: no column {', '.join(missing)} (needed: t in s, id, x and y in m); it has "
-            f"{there}: --columns t=NAME,id=NAME,x=NAME,y=NAME says which is which"
+            f"{there}: --columns t=NAME,id=NAME,x=NAME,y=NAME says which is which{hint}"
         )
     places = [column.place for column in used.values()]
     for name, column in used.items():
@@ -235,14 +261,11 @@ def _unit_line(
 ) -> tuple[dict[str, _Used], bytes, int]:
     """Return the columns, with the units that a second line names, the rows, and their line."""
     first, _, rest = body.partition(b"\n")
-    fields = [
-        field.strip(" []()").lower() for field in first[:1000].decode("utf-8", "replace").split(",")
-    ]
+    fields = [field.strip(" []()").lower() for field in _fields(first[:1000])]
     if len(fields) != n_fields:
         return used, body, 2
     units = {name: fields[used[name].place] for name in _UNITS}
-    known = {"t": TIMES, "x": LENGTHS, "y": LENGTHS}
-    if not all(unit in known[name] for name, unit in units.items()):
+    if not all(recording.is_unit(unit, of=name) for name, unit in units.items()):
         return used, body, 2
     named = {
         name: replace(column, unit=column.unit or units[name]) if name in units else column
@@ -254,8 +277,16 @@ def _unit_line(
 def _is_dated(body: bytes, *, place: int) -> bool:
     """Whether the times of a csv are dates, as its first row has it."""
     first = next((line for line in io.BytesIO(body) if line.strip()), b"")
-    fields = first[:4000].decode("utf-8", "replace").split(",")
-    return len(fields) > place and bool(_ISO.fullmatch(fields[place].strip(' "\r\n')))
+    fields = _fields(first[:4000])
+    return len(fields) > place and bool(_ISO.fullmatch(fields[place].strip()))
+
+
+def _fields(line: bytes) -> list[str]:
+    """Return the fields of a line of csv; none if it cannot be parsed."""
+    try:
+        return next(csv.reader([line.decode("utf-8", "replace").strip()]), [])
+    except csv.Error:
+        return []
 
 
 def _csv_lines(body: bytes, begins: int) -> Iterator[int]:
@@ -271,10 +302,13 @@ def _csv_fault(
     except csv.Error as error:
         return f"{error}{'; each row must be on one line' if 'end of data' in str(error) else ''}"
     if len(fields) != n_fields:
-        return (
-            f"{len(fields)} column(s) where the header has {n_fields}; a decimal comma would "
-            f"split a number{'; semicolons do not separate columns' if ';' in line else ''}"
-        )
+        hints = {
+            "; csv has no comments: leave the line out": line.lstrip().startswith("#"),
+            "; a decimal comma would split a number": len(fields) > n_fields,
+            "; semicolons do not separate columns": ";" in line,
+        }
+        hint = next((text for text, is_so in hints.items() if is_so), "")
+        return f"{len(fields)} column(s) where the header has {n_fields}{hint}"
     for name, unit in _UNITS.items():
         if name not in numbers:
             continue
@@ -298,27 +332,38 @@ def _rows(
     t = _times(table["t"], used["t"], place=place)
     x, y = (_numbers(table[name], name=name, path=place.path) for name in ("x", "y"))
     recording.check_numbers({"t": t, "x": x, "y": y}, place)
-    scales = [LENGTHS[used[name].unit or "m"] for name in ("x", "y")]
     xy = np.column_stack([x, y])
-    if scales != [1.0, 1.0]:
-        xy *= scales
+    units = {name: used[name].unit for name in ("x", "y")}
+    unit, notes = _common_unit(units, xy, place=place)
     person, ids = _index(table["id"], is_group=False, place=place)
     groups: tuple[tuple[str, str], ...] = ()
-    if "group" in names:  # an empty cell is no group
+    if "group" in used:  # an empty cell is no group
         group, labels = _index(table["group"], is_group=True, place=place)
         pairs = np.unique(np.column_stack([person, group]), axis=0)
         groups = tuple((ids[who], labels[label]) for who, label in pairs if labels[label])
-    notes: tuple[recording.Repair, ...] = ()
     read = {column.name for column in used.values()}
     if others := [recording.printable(name[:40]) for name in names if name not in read]:
         unused = f"column(s) {recording.listed(others)}: not used, {t.size} rows each"
-        notes = (recording.Repair("ignored-column", len(others), f"{place.path}: {unused}"),)
-    in_units = {used[name].unit for name in ("x", "y")}
-    if in_units - {"", "m"}:
-        detail = f"{place.path}: positions in {' and '.join(sorted(in_units))}; converted to m"
-        notes += (recording.Repair("unit", t.size, detail),)
-    unit = "m" if in_units != {""} else ""
-    return recording.Rows(person, ids, t - t.min(), xy, place, groups, notes, unit)
+        note = recording.Repair("ignored-column", len(others), f"{place.path}: {unused}")
+        notes = (note, *notes)
+    by = "the header or --columns"
+    return recording.Rows(person, ids, t - t.min(), xy, place, groups, notes, unit, unit_by=by)
+
+
+def _common_unit(
+    units: Mapping[str, str], xy: Floats, *, place: recording.Place
+) -> tuple[str, tuple[recording.Repair, ...]]:
+    """Return the unit of both x and y, empty if neither has one; with two, make (M, 2) `xy` m.
+
+    Units of two lengths are noted; to convert from a common one is not for a reader.
+    """
+    scales = [LENGTHS[unit or "m"] for unit in units.values()]
+    if scales[0] == scales[1]:
+        return units["x"] or units["y"], ()
+    xy *= scales
+    both = " and ".join(f"{name} in {unit or 'm'}" for name, unit in units.items())
+    detail = f"{place.path}: {both}; converted to m"
+    return "m", (recording.Repair("unit", len(xy), detail),)
 
 
 def _times(column: pa.ChunkedArray, used: _Used, *, place: recording.Place) -> Floats:
@@ -346,7 +391,7 @@ def _times(column: pa.ChunkedArray, used: _Used, *, place: recording.Place) -> F
             "since 1970; save them as 64-bit numbers, or from the first sample on"
         )
     if used.unit:
-        scaled = (t - (t.min() if np.isfinite(t).all() else 0.0)) * TIMES[used.unit]
+        scaled = (t - (t.min() if np.isfinite(t).all() else 0.0)) * recording.seconds_per(used.unit)
         return np.asarray(scaled)
     for least, unit in _EPOCHS:
         if usual >= least:
@@ -401,11 +446,12 @@ def _numbers(column: pa.ChunkedArray, *, name: str, path: str) -> Floats:
     """Return (M,) the numbers of an arrow column; NaN for null, which a check names later."""
     import pyarrow as pa  # noqa: PLC0415 - only for such a file
 
+    if pa.types.is_dictionary(column.type):  # pandas: categories
+        column = column.cast(column.type.value_type)
     kind = column.type
     if not any(
         is_so(kind) for is_so in (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal)
     ):
-        kind = kind.value_type if pa.types.is_dictionary(kind) else kind
         raise DataError(
             f"{path}: column {name} holds {kind}, not numbers of {_UNITS[name]}; convert it first"
         )

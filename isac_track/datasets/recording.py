@@ -28,6 +28,8 @@ LENGTHS: Mapping[str, float] = {
     **dict.fromkeys(("cm", "centimeter", "centimetre", "centimeters", "centimetres"), 0.01),
     **dict.fromkeys(("mm", "millimeter", "millimetre", "millimeters", "millimetres"), 0.001),
     **dict.fromkeys(("ft", "foot", "feet"), FOOT_M),
+    **dict.fromkeys(("yd", "yard", "yards"), 0.9144),
+    **dict.fromkeys(("in", "inch", "inches"), 0.0254),
     "km": 1000.0,
 }
 """Metres by the name of a unit, of a column."""
@@ -37,8 +39,11 @@ TIMES: Mapping[str, float] = {
     **dict.fromkeys(("us", "microsecond", "microseconds"), 1e-6),
     **dict.fromkeys(("ns", "nanosecond", "nanoseconds"), 1e-9),
     **dict.fromkeys(("min", "minute", "minutes"), 60.0),
+    **dict.fromkeys(("h", "hour", "hours"), 3600.0),
 }
 """Seconds by the name of a unit, of a column."""
+_FRAMES = re.compile(r"(\d+\.?\d*)\s*fps")  # Frames of such a rate are a unit of time.
+_UNITS_OF: Mapping[str, Mapping[str, float]] = {"t": TIMES, "x": LENGTHS, "y": LENGTHS}
 CRS = ("degrees",)
 ON_DUPLICATE = ("error", "first", "mean")
 _EARTH_M = 6_378_137.0  # Semi-major axis of WGS 84,
@@ -94,7 +99,8 @@ class Rows:
     place: Place
     groups: tuple[tuple[str, str], ...] = ()  # (id, label of a walking group) pairs
     notes: tuple[Repair, ...] = ()  # What the reader itself mended or left out.
-    unit: str = ""  # Of `METRES`, that the file says its lengths are in; empty if it says nothing.
+    unit: str = ""  # Of `LENGTHS`, that the file says its lengths are in; empty if it says nothing.
+    unit_by: str = "the header"  # Who says so, for messages.
     split_s: float | None = None  # The longest step within a track, if the format says so.
 
 
@@ -117,19 +123,24 @@ class Reading:
 
     def __post_init__(self) -> None:
         """Raise DataError for what cannot be meant."""
+        seconds = self.drop_frozen_s
+        if seconds is not None and not isinstance(seconds, int | float):
+            raise DataError(f"--drop-frozen takes seconds above 0, got {seconds!r:.40}")
         if self.on_duplicate not in ON_DUPLICATE:
             known = ", ".join(ON_DUPLICATE)
             raise DataError(f"--on-duplicate must be one of {known}, got {self.on_duplicate!r:.40}")
         if self.crs not in (None, *CRS):
             raise DataError(f"--crs must be {', '.join(CRS)}, got {self.crs!r:.40}")
-        if self.drop_frozen_s is not None and not 0 < self.drop_frozen_s < math.inf:
-            raise DataError(f"--drop-frozen takes seconds above 0, got {self.drop_frozen_s:g}")
+        if seconds is not None and not 0 < seconds < math.inf:
+            raise DataError(f"--drop-frozen takes seconds above 0, got {seconds:g}")
 
 
 def columns_named(text: str | Mapping[str, str] | None) -> dict[str, Column]:
     """Return the columns that ``t=time[ms],x=pos_x`` names; DataError if that is no such list."""
     if not text:
         return {}
+    if not isinstance(text, str | Mapping):
+        raise DataError(f"--columns takes t=NAME,id=NAME,x=NAME,y=NAME, got {text!r:.40}")
     pairs = text.items() if isinstance(text, Mapping) else _pairs(text)
     columns = {}
     for name, called in pairs:
@@ -137,24 +148,62 @@ def columns_named(text: str | Mapping[str, str] | None) -> dict[str, Column]:
             raise DataError(f"--columns names {', '.join(COLUMNS)}, got {str(name)[:40]!r}")
         if name in columns:
             raise DataError(f"--columns names {name} twice")
-        units = TIMES if name == "t" else LENGTHS if name in {"x", "y"} else {}
         bare, unit = _apart(str(called).strip())
-        if unit and units and unit not in units:
-            known = ", ".join(units)
+        has_unit = bool(unit) and name in _UNITS_OF
+        if has_unit and not is_unit(unit, of=name):
+            known = _units_known(name)
             raise DataError(f"--columns {name}: unknown unit {unit[:40]!r} (known: {known})")
-        has_unit = bool(unit) and bool(units)
         columns[name] = Column(bare if has_unit else str(called).strip(), unit if has_unit else "")
     return columns
 
 
 def with_unit(header: str, *, of: str) -> Column:
-    """Return a column of a header such as ``x [cm]`` or ``t(s)``; no unit if it names none.
+    """Return a column of a header such as ``x [cm]``, ``t(s)`` or ``y/m``; no unit without one.
 
-    `of` is t, id, x, y or group: only t has units of time, only x and y have units of length.
+    `of` is t, id, x, y or group: only t has units of time, only x and y have units of length. What
+    stands in brackets behind an id or a group says nothing.
     """
     bare, unit = _apart(header.strip())
-    units = TIMES if of == "t" else LENGTHS if of in {"x", "y"} else {}
-    return Column(bare, unit) if unit in units else Column(header)
+    if of not in _UNITS_OF:
+        return Column(bare)
+    if not unit:
+        bare, _, unit = header.strip().partition("/")
+        bare, unit = bare.strip(), unit.strip().lower()
+    return Column(bare, unit) if is_unit(unit, of=of) else Column(header)
+
+
+def check_unit(header: str, *, of: str, called: str, where: str) -> None:
+    """Raise DataError if a header names the column `called`, with a unit that is not known."""
+    bare, unit = _apart(header.strip())
+    if of in _UNITS_OF and unit and bare.casefold() == called.casefold():
+        way_out = "give its metres by --unit" if of != "t" else "convert it first"
+        hint = " (degrees: --crs degrees)" if unit[:3] in {"deg", "\u00b0"} and of != "t" else ""
+        raise DataError(
+            f"{where}: column {printable(header[:40])}: unknown unit {unit[:40]!r} (known: "
+            f"{_units_known(of)}); take it out of the header, and {way_out}{hint}"
+        )
+
+
+def is_unit(text: str, *, of: str) -> bool:
+    """Whether this is a unit of t, of x or of y, by its name in small letters."""
+    return text in _UNITS_OF[of] or (of == "t" and _FRAMES.fullmatch(text) is not None)
+
+
+def seconds_per(unit: str) -> float:
+    """Return the seconds of a unit of time: by its name, or of a frame of ``25 fps``."""
+    frames = _FRAMES.fullmatch(unit)
+    if frames is None:
+        return TIMES[unit]
+    return 1.0 / checked_fps(frames[1], where=f"--columns t: {unit}")
+
+
+def _units_known(of: str) -> str:
+    """Return the units of t, x or y, each by its first name."""
+    first_names: dict[float, str] = {}
+    for name, scale in _UNITS_OF[of].items():
+        first_names.setdefault(scale, name)
+    frames = ["a frame as 25 fps"] if of == "t" else []
+    return ", ".join([*first_names.values(), *frames])
 
 
 def _apart(text: str) -> tuple[str, str]:
@@ -231,16 +280,16 @@ def _unsteady(rows: Rows, xy: Floats) -> float:
 
 def in_metres(rows: Rows, *, unit: str | None) -> Rows:
     """Return rows in m, a conversion noted; DataError if `unit` contradicts what the file says."""
-    told, path = unit or rows.unit or "m", rows.place.path
+    told, path = str(unit or rows.unit or "m"), rows.place.path
     scale = _metres_per(told)
     if scale is None:
         hint = f"must be one of {', '.join(METRES)}, ft, or metres a unit, got {told[:40]!r}"
         raise DataError(f"{path}: --unit {hint}")
-    if rows.unit and told != rows.unit:
+    if rows.unit and scale != _metres_per(rows.unit):
         raise DataError(f"{path}: --unit {told} contradicts the file's header: {rows.unit}")
-    if told == "m":
+    if scale == 1.0:
         return rows
-    by = "the header" if rows.unit else "--unit"
+    by = "--unit" if unit else rows.unit_by
     detail = f"{path}: positions in {told}, as {by} says; converted to m"
     notes = (*rows.notes, Repair("unit", rows.t.size, detail))
     return replace(rows, xy=rows.xy * scale, unit="m", notes=notes)
@@ -248,7 +297,7 @@ def in_metres(rows: Rows, *, unit: str | None) -> Rows:
 
 def _metres_per(unit: str) -> float | None:
     """Return the metres of a unit by its name, or of a number of metres; None if it is neither."""
-    if unit in {*METRES, "ft"}:
+    if unit in LENGTHS:
         return LENGTHS[unit]
     try:
         scale = float(unit)
@@ -349,7 +398,7 @@ def checked_fps(fps: float | str, *, where: str) -> float:
     """Return `fps` if it lies within `FPS_LIMITS`, else raise DataError; `where` opens it."""
     try:
         rate = float(fps)
-    except ValueError:
+    except (TypeError, ValueError):
         raise DataError(f"{where}: the framerate {str(fps)[:40]!r} is not a number") from None
     if not FPS_LIMITS[0] <= rate <= FPS_LIMITS[1]:  # NaN fails both
         raise DataError(f"{where}: {rate:g} frames per second is not a frame rate above 0")

@@ -113,6 +113,12 @@ def searched() -> str:
     return f"{first}; cache is {shown(cache_folder())}"
 
 
+def searched_folders() -> list[str]:
+    """Return the folders that `searched` names, as it shows them."""
+    folders = (_folder(DATA_VARIABLE), cache_folder())
+    return [shown(folder) for folder in folders if folder is not None]
+
+
 def shown(path: Path | str) -> str:
     """Return a path as one line that can be printed whatever bytes its name has."""
     return printable(str(path).encode("utf-8", "replace").decode())

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from isac_track.datasets.recording import FOOT_M, TIMES, Repair, Rows, listed, steps_within
+from isac_track.datasets.recording import FOOT_M, TIMES, Repair, Rows, steps_within
 from isac_track.errors import DataError
 from isac_track.types import Bools, Floats, Ints, Tracks
 
@@ -74,8 +74,7 @@ def to_tracks(
         rows, order = _taken(rows, keep), order[keep]
     lengths = np.diff(np.flatnonzero(np.concatenate([[True], cut, [True]])))
     single = np.repeat(lengths == 1, lengths)
-    text = f"a single sample (id {listed([ids[index] for index in rows.person[single]])}); dropped"
-    notes += place.noted("one-point", order[single], text)
+    notes += place.noted("one-point", order[single], "a single sample of an id; dropped")
     if single.any():
         rows, order = _taken(rows, ~single), order[~single]
     offsets = np.concatenate([[0], np.cumsum(lengths[lengths > 1])])
@@ -404,8 +403,11 @@ def _check_speeds(rows: Rows) -> None:
                 "and y (latitude)"
             )
         hints = _ways_out(speed, has_unit=bool(rows.unit))
+        is_projected = any(note.kind == "crs" for note in rows.notes)
         guess = (
-            f"pixels or centimetres for metres{hints}, a wrong --fps, or frame and id swapped"
+            f"degrees of too few decimals (the sixth is 0.1 m), or a clock not in seconds{hints}"
+            if is_projected and speed > high
+            else f"pixels or centimetres for metres{hints}, a wrong --fps, or frame and id swapped"
             if speed > high
             else "milliseconds for seconds (of a table: --columns t=t[ms]), kilometres for metres "
             f"(--unit 1000), or a wrong --fps{hints}"

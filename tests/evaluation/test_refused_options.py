@@ -74,6 +74,8 @@ COMMANDS = {
         "ends with its port",
     ),
     "a port that is none": (("--executor", "dask", "--scheduler", "host:many"), "its port"),
+    "a port beyond all": (("--executor", "dask", "--scheduler", "host:65536"), "its port"),
+    "the port of nothing": (("--executor", "dask", "--scheduler", "tcp://host:0"), "its port"),
     "a thousand workers": (("--jobs", "1000"), "at most 256"),
     "linear adding under another law": (
         ("--mechanism", "fixed:0,law=fixed_direction"),
@@ -96,7 +98,7 @@ def test_addresses_of_schedulers(address):
     assert Settings(executor="dask", scheduler=address).scheduler == address
 
 
-@pytest.mark.parametrize("threads", ["0", "-3"])
+@pytest.mark.parametrize("threads", ["0", "-3", "x"])
 def test_no_threads_for_numba_is_one_line(threads, tmp_path):
     ended = run(tmp_path, *MATRIX, "--dry-run", changed={"NUMBA_NUM_THREADS": threads})
     assert_refused(ended, "NUMBA_NUM_THREADS")
@@ -183,6 +185,18 @@ def test_a_process_with_limits_ends_in_one_line_or_computes(what, tmp_path):
     assert ended.code in (0, 2), ended
 
 
+@pytest.mark.parametrize(("most", "threads"), [(4, "1"), (1000, None)])
+def test_blas_starts_no_threads_where_few_processes_may_run(most, threads, tmp_path):
+    code = "import os, isac_track, numpy; print(os.environ.get('OPENBLAS_NUM_THREADS'))"
+    ended = run(
+        tmp_path,
+        *("-c", code),
+        changed={"OPENBLAS_NUM_THREADS": None},
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NPROC, (most, most)),
+    )
+    assert ended.out == f"{threads}\n"
+
+
 def test_a_folder_of_ones_own_with_our_name_is_one_line(tmp_path):
     (tmp_path / "attacks").mkdir()
     (tmp_path / "attacks" / "__init__.py").write_text("")
@@ -192,6 +206,15 @@ def test_a_folder_of_ones_own_with_our_name_is_one_line(tmp_path):
         tmp_path, "-c", "try:\n    import evaluation\nexcept ImportError as e:\n    print(e)"
     )
     assert "isac-track matrix" in ended.out
+
+
+def test_a_command_of_a_program_without_words_misses_its_own(tmp_path):
+    code = "import sys\nfrom evaluation import compare, publish, report\n"
+    code += "for sys.argv in (None, []):\n"
+    code += "    print(*(command.main() for command in (compare, publish, report)))"
+    ended = run(tmp_path, "-c", code)
+    assert ended.out == "2 2 2\n2 2 2\n"
+    assert ended.err.count("the following arguments are required") == 6
 
 
 def test_a_program_without_words(tmp_path):

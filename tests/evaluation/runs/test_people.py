@@ -4,6 +4,7 @@ import hashlib
 import json
 import shutil
 import stat
+from types import SimpleNamespace
 
 import pandas as pd
 import pyarrow.parquet as pq
@@ -20,6 +21,7 @@ from evaluation.runs.people import (
     pseudonym,
     shown_path,
     shown_words,
+    without_folders,
 )
 from isac_track.errors import DataError, SettingsError
 
@@ -39,6 +41,8 @@ def runs(tmp_path_factory):
     write_walks(folder / "walks.csv", n_people=40)
     rows = pd.read_csv(folder / "walks.csv")
     rows["id"] = [f"Citizen{who}" for who in rows["id"]]
+    lone = rows.tail(1).assign(id="CitizenLone")  # both are repairs, which the files of a run tell
+    rows = pd.concat([rows.drop(index=rows.index[20]), lone])
     rows.to_csv(folder / "walks.csv", index=False)
     for name in ("run", "kept"):
         settings = smoke(folder / "walks.csv", folder / name, **AXES, keep_ids=name == "kept")
@@ -62,6 +66,32 @@ def test_no_id_and_no_folder_is_in_any_file_but_the_private_one(runs):
     assert holding(runs / "run", "Citizen") == []
     assert holding(runs / "run", "home-of-anna") == ["private.json"]
     assert "people.json" in holding(runs / "kept", "Citizen")
+
+
+def test_what_was_mended_is_told_without_the_folder(runs):
+    repairs = read_manifest(runs / "run")["dataset"]["repairs"]
+    told = {repair["kind"]: repair["detail"] for repair in repairs}
+    assert {"gap", "one-point"} <= {*told}
+    assert all(told[kind].startswith("walks.csv: line ") for kind in ("gap", "one-point"))
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("/home/anna b/rec/a.csv: line 3: cut", "a.csv: line 3: cut"),
+        ("/home/anna b/rec/c.csv: line 3: cut", "rec/c.csv: line 3: cut"),
+        (
+            "ISAC_TRACK_DATA is /srv/anna/data; cache is /home/anna b/.cache",
+            "data; cache is .cache",
+        ),
+        ("walks.csv: line 3: 1.25/2.5", "walks.csv: line 3: 1.25/2.5"),
+    ],
+)
+def test_a_text_about_a_recording_names_no_folder(text, told, monkeypatch):
+    monkeypatch.setenv("ISAC_TRACK_DATA", "/srv/anna/data")
+    monkeypatch.setenv("ISAC_TRACK_CACHE", "/home/anna b/.cache")
+    data = SimpleNamespace(path="/home/anna b/rec", sessions=("/home/anna b/rec/a.csv",))
+    assert without_folders(text, data).removeprefix("ISAC_TRACK_DATA is ") == told
 
 
 def test_the_key_is_for_its_owner_alone(runs):

@@ -204,6 +204,16 @@ def test_time_stamps_of_parquet(tmp_path, unit, zone):
         (table([*ISO[:-1], ISO[-1].replace("+00:00", "")]), "some times have a zone"),
         (table([*ISO[:-1], "noon"]), "line 101: t 'noon' is no date"),
         (table(names="a,b,c,d"), r"it has a, b, c, d: --columns t=NAME"),
+        (table(names="frame,id,x,y"), r"--columns 't=frame\[25 fps\]' counts frames"),
+        (table(names="t [frame],id,x,y"), r"column t \[frame\]: unknown unit .* a frame as 25 fps"),
+        (table(names="t,id,x [px],y [px]"), r"column x \[px\]: unknown unit .* metres by --unit"),
+        (table(names="t,id,x [deg],y [deg]"), "unknown unit 'deg' .* --crs degrees"),
+        (table(names="sep=,"), "line 1: a line for Excel; the first line of csv names the columns"),
+        (table(names="\n"), "line 1: empty; the first line"),
+        (table(names="0.0,0,-1.5e3,0"), "line 1: numbers; the first line"),
+        (table(second="# made by hand"), "line 2: 1 .* csv has no comments: leave the line out"),
+        (table(second="1,2"), r"line 2: 2 column\(s\) where the header has 4$"),
+        (table(second="0,0,1,5,0"), "where the header has 4; a decimal comma would"),
         (b"PK\x03\x04rest", "Excel workbook"),
     ],
 )  # fmt: skip
@@ -276,6 +286,15 @@ def test_swapped_degrees_say_so_and_how_to_swap_them(tmp_path, longitude, is_rea
         ({"columns": "t=t[days]"}, "unknown unit 'days'"),
         ({"columns": "t=t,t=u"}, "names t twice"),
         ({"columns": "x=x,y=X"}, "takes x for x and for another"),
+        ({"columns": ["t"]}, r"--columns takes t=NAME.*, got \['t'\]"),
+        ({"columns": "t=t[0 fps]"}, "--columns t: 0 fps: 0 frames per second"),
+        ({"columns": "x=x[0.1]"}, r"unknown unit '0.1' \(known: m, cm, mm, ft, yd, in, km\)"),
+        ({"columns": "group=team"}, "no column team"),
+        ({"fps": 10.0}, r"leave --fps out; of frames: --columns 't=frame\[25 fps\]'"),
+        ({"fps": [10]}, r"--fps: the framerate '\[10\]' is not a number"),
+        ({"format": 5}, "unknown format 5"),
+        ({"unit": -1}, "--unit must be one of m, cm, mm, ft, or metres a unit, got '-1'"),
+        ({"drop_frozen": "2"}, "--drop-frozen takes seconds above 0, got '2'"),
         ({"on_duplicate": "last"}, "--on-duplicate must be one of"),
         ({"crs": "utm"}, "--crs must be degrees"),
         ({"drop_frozen": 0.0}, "--drop-frozen takes seconds above 0"),
@@ -285,6 +304,110 @@ def test_swapped_degrees_say_so_and_how_to_swap_them(tmp_path, longitude, is_rea
 def test_options_that_mean_nothing(tmp_path, options, message):
     with pytest.raises(DataError, match=message):
         loaded(table(), tmp_path, **options)
+
+
+UNITS = [
+    ("x [cm]", "cm", 0.01), ("x(cm)", "centimetre", 0.01), ("x/cm", None, 0.01),
+    ("x [yd]", None, 0.9144), ("x/in", "0.0254", 0.0254), ("x", "yards", 0.9144), ("x", "m", 1.0),
+    ("x [cm]", "m", "--unit m contradicts the file's header: cm"),
+    ("x [ft]", "cm", "--unit cm contradicts the file's header: ft"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("header", "unit", "metres"), UNITS)
+def test_a_unit_of_the_header_and_the_option_agree_or_are_refused(tmp_path, header, unit, metres):
+    scale = 0.01 if isinstance(metres, str) else metres
+    data = table(x=X / scale, y=Y / scale, names=f"t,id,{header},{header.replace('x', 'y')}")
+    if isinstance(metres, str):
+        with pytest.raises(DataError, match=metres):
+            loaded(data, tmp_path, unit=unit)
+        return
+    found = loaded(data, tmp_path, unit=unit)
+    assert np.allclose(found.tracks.xy, np.column_stack([X, Y]))
+    assert ("unit" in kinds(found.repairs)) is (metres != 1.0)
+
+
+def test_x_and_y_may_have_two_units_and_degrees_have_none_of_a_header(tmp_path):
+    found = loaded(table(x=X / 0.3048, names="t,id,x/ft,y"), tmp_path)
+    assert np.allclose(found.tracks.xy, np.column_stack([X, Y]))
+    (note,) = [repair for repair in found.repairs if repair.kind == "unit"]
+    assert "x in ft and y in m; converted to m" in note.detail
+    data = table(x=7 + X / 7e4, y=51 + Y / 111e3, names="t,id,x/m,y/m")
+    with pytest.raises(DataError, match="--crs degrees contradicts the header or --columns"):
+        loaded(data, tmp_path, crs="degrees")
+
+
+@pytest.mark.parametrize(("rate", "columns"), [("25 fps", None), ("12.5fps", "t=t [12.5fps]")])
+def test_a_table_may_count_frames(tmp_path, rate, columns):
+    fps = float(rate.removesuffix("fps"))
+    name = "t" if columns else f"t [{rate}]"
+    found = loaded(table(np.arange(N) + 7, names=f"{name},id [-],x,y"), tmp_path, columns=columns)
+    assert np.allclose(found.tracks.t, np.arange(N) / fps)
+
+
+@pytest.mark.parametrize(
+    ("header", "columns"),
+    [("group", None), ("GROUP", None), ("Group (name)", None), ("team", "group=team")],
+)
+def test_a_group_is_found_as_other_columns_are(tmp_path, header, columns):
+    walkers = [f"{t},{who},{x},{3 * who},a" for who in (1, 2) for t, x in zip(T, X, strict=True)]
+    data = "\n".join([f"t,id,x,y,{header}", *walkers]).encode()
+    found = loaded(data, tmp_path, columns=columns)
+    assert set(found.tracks.group) == {"group:a"}
+    assert "ignored-column" not in kinds(found.repairs)
+
+
+def test_a_quoted_comma_before_a_date_ends_no_field(tmp_path):
+    rows = [f'"Doe, Jo",{t},{x},0' for t, x in zip(ISO, X, strict=True)]
+    found = loaded("\n".join(["id,t,x,y", *rows]).encode(), tmp_path)
+    assert found.tracks.source == ("Doe, Jo",)
+    assert np.isclose(found.tracks.t[-1], T[-1])
+
+
+def test_rounded_degrees_are_the_cause_that_is_named(tmp_path):
+    data = table(x=np.round(7 + X / 7e4, 4), y=np.round(51 + Y / 111e3, 4))
+    with pytest.raises(DataError, match="degrees of too few decimals"):
+        loaded(data, tmp_path, crs="degrees")
+
+
+FRAME = pd.DataFrame({"t": T, "id": 1, "x": X, "y": Y})
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"x": pd.Series(X).astype("category"), "t": pd.Series(T).astype("category")},
+        {"x": pd.arrays.SparseArray(X), "id": pd.arrays.SparseArray([1] * N)},
+        {"x": pd.Series(X).astype("Float64"), "id": pd.Series([1] * N).astype("Int8")},
+        {"y": pd.Series(Y).astype(object), "id": pd.Series([True] * N).astype("UInt64")},
+    ],
+)
+def test_a_frame_of_odd_types_is_read(changed):
+    found = load(FRAME.assign(**changed))
+    assert np.array_equal(found.tracks.xy, np.column_stack([X, Y]))
+    assert found.tracks.source == ("1",)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"id": [1, "1"] * (N // 2)}, "column id cannot be read .* convert it first, all to"),
+        ({"id": [10**30] * N}, "column id cannot be read"),
+        ({"x": X + 0j}, "column x cannot be read"),
+        ({"x": [str(x) for x in X]}, "column x holds .*string, not numbers of metres"),
+        ({"id": [b"a"] * N}, "ids and groups must be numbers or text, not binary"),
+    ],
+)
+def test_a_frame_that_cannot_be_read_names_its_column(changed, message):
+    with pytest.raises(DataError, match=message) as caught:
+        load(FRAME.assign(**changed))
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_a_frame_rate_may_be_a_text(tmp_path):
+    data = b"0 1 0 0\n10 1 1 0\n20 1 2 0\n"
+    found = loaded(data, tmp_path, format="social-gan", fps="10")
+    assert found.tracks.t.tolist() == [0.0, 1.0, 2.0]
 
 
 def test_a_frame_is_a_recording_and_its_content_its_hash():
@@ -342,6 +465,9 @@ HEAD = "# id frame x y z\n0 0 0 0 170\n0 1 0.1 0 170\n0 2 0.2 0 170\n"
         ("framerate: 25; 12.5", "is not a single"),
         ("framerate: 25\n# framerate: 12.5", r"two framerates: 25 \(line 1\) and 12.5 \(line 2\)"),
         ("framerate: 25\n# fps: 25.0", 0.08),
+        ("framerate: 12.5\n# position error in cm", 0.16),
+        ("framerate: 12.5\n# distances to walls in cm", 0.16),
+        ("framerate: 12.5\n# positions, measured in cm and converted to m", 0.16),
         ("framerate: 25 1/s of 2 cameras", 0.08), ("framerate: 25/0", "not a frame rate above 0"),
     ],
 )  # fmt: skip

@@ -29,7 +29,7 @@ A, B = walk(0, 1), walk(0, 1, person="b")
         ([*A, *A, A[1]], {"unsorted": 1, "duplicate": 3},
          "f: lines 4, 5, 6: the same id, time and position again; dropped"),
         ([*A, (0, "b", 3.0), (1, "c", 3.0)], {"one-point": 2},
-         "f: lines 4, 5: a single sample (id b, c); dropped"),
+         "f: lines 4, 5: a single sample of an id; dropped"),
         ([*A, *((0, str(person), person) for person in range(9))], {"one-point": 9},
          "f: lines 4, 5, 6, 7, 8 and 4 more: a single sample"),
         (walk(0, 1, 2, 6, 7, 8), {"gap": 1},
