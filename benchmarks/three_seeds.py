@@ -23,7 +23,7 @@ from evaluation.analysis.metrics import EXPOSURE, METRICS, SUCCESS
 from evaluation.analysis.seeds import by_intervals, over_seeds, read_sums, stacked_sums
 from evaluation.analysis.strongest import against_each, by_task
 from evaluation.reporting.headline import Headline, Shown, headline, levels_of
-from evaluation.reporting.rows import estimates
+from evaluation.reporting.lookups import estimates
 from evaluation.runs.manifest import read_manifest
 from isac_track.command_line import DONE, Parser, exit_code
 from isac_track.errors import DataError

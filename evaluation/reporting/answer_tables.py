@@ -16,8 +16,9 @@ from evaluation.analysis.metrics import EXPOSURE, METRICS, OF_ROBOT, SUCCESS, SU
 from evaluation.analysis.strongest import HEADLINE
 from evaluation.experiment.constants import horizon_of
 from evaluation.reporting import table as make
+from evaluation.reporting.lookups import family_of
 from evaluation.reporting.result_tables import laplace_notes
-from evaluation.reporting.rows import Results, family_of, mechanism_columns
+from evaluation.reporting.rows import Results, mechanism_columns
 from evaluation.reporting.table import Cell, Column, Table
 from evaluation.verdict import rules
 

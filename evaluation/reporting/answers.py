@@ -19,6 +19,7 @@ from evaluation.reporting.amounts import (
 )
 from evaluation.reporting.bounds import gap_text
 from evaluation.reporting.headline import Headline, Shown
+from evaluation.reporting.lookups import HEADLINE, family_of
 from evaluation.reporting.names import (
     adding_phrase,
     attack_name,
@@ -29,7 +30,7 @@ from evaluation.reporting.names import (
     task_phrase,
 )
 from evaluation.reporting.recommendation import share_answer, share_details
-from evaluation.reporting.rows import HEADLINE, Results, family_of
+from evaluation.reporting.rows import Results
 from evaluation.verdict import rules
 from isac_track.intervals import Estimate
 

@@ -8,7 +8,8 @@ from evaluation.analysis.keys import Where
 from evaluation.analysis.metrics import CEILING, EXPOSURE, GAP, METRICS, RANK_GAP, SUCCESS
 from evaluation.experiment.constants import MODEL, OTHER_LAW, OTHER_LAW_WORLD
 from evaluation.reporting import table as make
-from evaluation.reporting.rows import Results, estimates, mechanism_columns
+from evaluation.reporting.lookups import estimates
+from evaluation.reporting.rows import Results, mechanism_columns
 from evaluation.reporting.table import Cell, Column, Table
 
 _MODEL = (

@@ -23,6 +23,7 @@ from evaluation.reporting.answers import (
 )
 from evaluation.reporting.grid import Group, grid_lines
 from evaluation.reporting.headline import Headline, Shown, levels_of
+from evaluation.reporting.lookups import HEADLINE, family_of
 from evaluation.reporting.my_plugin import plugin_doubts, plugin_lines
 from evaluation.reporting.names import (
     INDEPENDENT_MARK,
@@ -42,7 +43,7 @@ from evaluation.reporting.notices import (
 from evaluation.reporting.paper_hint import paper_hint
 from evaluation.reporting.recommendation import recommended_levels
 from evaluation.reporting.result_tables import control_tests
-from evaluation.reporting.rows import HEADLINE, Results, family_of
+from evaluation.reporting.rows import Results
 from evaluation.reporting.table import Column, Table, printable, shortened
 from evaluation.runs.files import PAGE
 from evaluation.verdict.rules import DOES_NOT
@@ -55,8 +56,6 @@ _LEAST_ROWS: Final = 5
 _SHORTEST: Final = 2  # A topic and a sentence.
 _LABEL_WIDTH: Final = 27
 _CORNER: Final = ("± half of a 95 % interval", "what is shared")
-_USUAL_ALARM: Final = "usual alarm, %"
-"""Head of the missed conflicts: the robot warns as it does, however many alarms are false."""
 _ROBOT_WIDTH: Final = 8  # Characters of a name over a column.
 _MOST_LINKED: Final = 2  # Tasks that have a column.
 _MUCH: Final = 0.2  # Of the mean speed of all tracks: by so much those used differ worth a doubt.
@@ -220,9 +219,10 @@ def screen_columns(table: Headline, robot: Shown | None) -> list[tuple[Group, li
     """Return the columns of the first screen: one robot, known positions, two linkage tasks."""
     groups = []
     if robot is not None:
+        head = "future, %" if robot.is_later else "all, %"
         name = robot_name(robot.measure.consumer)
         subject = name if len(name) <= _ROBOT_WIDTH else "robot"
-        groups.append((Group(f"{subject} misses", (_USUAL_ALARM,)), [robot]))
+        groups.append((Group(f"{subject} misses", (head,)), [robot]))
     known = [column for column in (table.shared, table.attacked) if column is not None]
     heads = tuple(column.name for column in known)
     groups.append((Group(f"{table.shared.above}, %", heads), known))

@@ -28,8 +28,8 @@ from evaluation.analysis.worst_off import LEAST_PEOPLE, LEAST_RELEASES
 from evaluation.experiment.constants import OTHER_LAW_WORLD, horizon_of, horizon_world
 from evaluation.experiment.presets import BASELINE
 from evaluation.reporting import table as make
+from evaluation.reporting.lookups import HEADLINE, estimates, family_of
 from evaluation.reporting.names import mechanism_name, robot_name, task_head
-from evaluation.reporting.rows import HEADLINE, estimates, family_of
 from evaluation.reporting.table import Cell, Column, Table
 from isac_track.config import PrivacySettings
 from isac_track.intervals import Estimate

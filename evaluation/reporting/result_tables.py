@@ -29,6 +29,7 @@ from evaluation.experiment.constants import ORACLE, horizon_of
 from evaluation.experiment.presets import IDENTITY, SHARED
 from evaluation.reporting import rows as picked
 from evaluation.reporting import table as make
+from evaluation.reporting.lookups import family_of
 from evaluation.reporting.notices import approximation
 from evaluation.reporting.table import Cell, Column, Table
 from isac_track.linkability import LEVEL
@@ -226,7 +227,7 @@ def rank_table(run: picked.Results, task: LinkedTask) -> Table:
     wheres = picked.telling(task.cells, known, controls=False)
     columns = [make.said("attack", itemgetter(0))]
     for place, (name, at) in enumerate(wheres, start=1):
-        one = picked.family_of(known, name)
+        one = family_of(known, name)
         columns.append(Column(where_text(one.name, at), itemgetter(place), above=one.adding))
     records = list[list[Any]]()
     for source in task.attacks:

@@ -14,10 +14,11 @@ import numpy as np
 import pandas as pd
 
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, LEVEL_UNITS, Family, families_in
-from evaluation.analysis.keys import Key, Source, Where, keys_of, level_text
+from evaluation.analysis.keys import Source, Where, level_text
 from evaluation.analysis.metrics import METRICS, MISSED_RATE
 from evaluation.experiment.presets import DISSOCIATION, SHARED
 from evaluation.reporting.announcements import scenes_text
+from evaluation.reporting.lookups import ENDS, HEADLINE, estimates, family_of
 from evaluation.reporting.names import FAMILY_NAMES
 from evaluation.reporting.table import Column, level, said, spoken
 from isac_track.errors import SettingsError, did_you_mean
@@ -34,15 +35,12 @@ if TYPE_CHECKING:
 
 CONTROLS: Final = frozenset(spec.partition(":")[0] for spec in DISSOCIATION)
 """Families that are there to tear a descriptor and linkability apart."""
-HEADLINE: Final = (("raw", None), ("fid", 1.0), ("fid", 1000.0), ("fixed", 0.7), ("fixed", 1.0))
-"""The few levels that tell the story: mechanism without its adding rule, and level."""
 _LOG_SPAN = 30.0  # The axis of a mechanism that we do not know is logarithmic from there on.
 _LEVELS: Final = {FID: "eta {}", FIXED: "{} m"}
 _KNOWN: Final = {
     FID: ("FID noise", "eta (1/(m² s))", True),
     FIXED: ("fixed noise", "added noise (m)", False),
 }
-ENDS: Final = ["value", "ci_low", "ci_high"]  # Columns of an estimate.
 STRONGEST: Final = "strongest"
 AFTER: Final = "_after"  # Ends the name of a descriptor after the strongest attack.
 SHORT: Final = {"missed": MISSED_RATE, "false_alarm": "false_alarm_rate"}  # Long to type.
@@ -313,11 +311,6 @@ def _bars(rows: pd.DataFrame, side: str) -> tuple[Floats, Floats]:
     return at, np.maximum([at - low, high - at], 0.0)
 
 
-def family_of(known: Mapping[str, Family], mechanism: str) -> Family:
-    """Return what is known of a mechanism; of one that is not, its name."""
-    return known.get(mechanism, Family(mechanism, mechanism, ""))
-
-
 def short_name(known: Mapping[str, Family], where: Where) -> str:
     """Return a level as it is asked for, its rule short and last."""
     one = family_of(known, where[0])
@@ -333,15 +326,6 @@ def mechanism_columns(known: Mapping[str, Family]) -> list[Column]:
         said("adding", lambda record: family_of(known, record["mechanism"]).adding),
         Column("level", lambda record: level(record["level"])),
     ]
-
-
-def estimates(rows: pd.DataFrame) -> dict[Key, Estimate]:
-    """Return the rows of a summary by what they are about."""
-    from isac_track.intervals import Estimate  # noqa: PLC0415 - see `load`
-
-    return dict(
-        zip(keys_of(rows), map(Estimate, *(rows[one] for one in (*ENDS, "n"))), strict=True)
-    )
 
 
 def by_level(frame: pd.DataFrame) -> dict[Where, dict[Source, dict[str, Estimate]]]:

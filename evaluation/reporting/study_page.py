@@ -7,8 +7,8 @@ import numpy as np
 
 from evaluation.analysis.pooled import FEWEST, OWN_GALLERY, QUESTIONS, Answered
 from evaluation.reporting.charts import CHARACTER, PERCENT, Chart, Look, bar
+from evaluation.reporting.lookups import ENDS
 from evaluation.reporting.markup import HTML
-from evaluation.reporting.rows import ENDS
 
 SET_CONSTANTS: Final = "students03"  # The constants of the sensing model were fitted on it.
 _STEP: Final = 14.0

@@ -12,8 +12,8 @@ from evaluation.analysis.keys import Where
 from evaluation.reporting.amounts import bare_percent, whole
 from evaluation.reporting.charts import PERCENT, Point
 from evaluation.reporting.headline import Headline
+from evaluation.reporting.lookups import family_of
 from evaluation.reporting.names import mechanism_name, robot_subject, task_phrase
-from evaluation.reporting.rows import family_of
 
 NEARLY_EQUAL: Final = 0.02  # Difference in PLR that counts as none.
 _RAW: Final[Where] = (RAW, None)

@@ -20,8 +20,9 @@ from evaluation.reporting.charts import (
     label_room,
 )
 from evaluation.reporting.figures.figure import Figure
+from evaluation.reporting.lookups import ENDS, family_of
 from evaluation.reporting.names import mechanism_name
-from evaluation.reporting.rows import ENDS, Results, family_of
+from evaluation.reporting.rows import Results
 from isac_track.intervals import LEAST_CLUSTERS
 
 _NOTE: Final = (

@@ -7,7 +7,8 @@ import numpy as np
 from evaluation.experiment.constants import horizon_of
 from evaluation.reporting.charts import PERCENT, Axis, Chart, Curve, Look, curves_chart
 from evaluation.reporting.figures.figure import Figure
-from evaluation.reporting.rows import ENDS, Results
+from evaluation.reporting.lookups import ENDS
+from evaluation.reporting.rows import Results
 
 _LOOK, _NOW = Look(0), "k6"
 

@@ -24,6 +24,7 @@ from evaluation.reporting.charts import (
     label_room,
 )
 from evaluation.reporting.figures.figure import Figure
+from evaluation.reporting.lookups import family_of
 from evaluation.reporting.names import (
     INDEPENDENT_NOTE,
     family_name,
@@ -31,7 +32,7 @@ from evaluation.reporting.names import (
     robot_subject,
     short_family_name,
 )
-from evaluation.reporting.rows import Results, family_of
+from evaluation.reporting.rows import Results
 
 _LEAST_POINTS: Final = 2
 _TELLING: Final = 0.05  # Rise of missed conflicts that the caption is about.

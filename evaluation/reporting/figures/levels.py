@@ -29,6 +29,7 @@ from evaluation.reporting.charts import (
     label_room,
 )
 from evaluation.reporting.figures.figure import Figure
+from evaluation.reporting.lookups import ENDS
 from evaluation.reporting.names import attack_name, robot_name, robot_subject
 from evaluation.reporting.result_tables import after_attack, sources_of
 
@@ -82,7 +83,7 @@ def _panel(
     curves = []
     for label, look, every, metric in series:
         shown, rows = METRICS[metric], scheme.of(every[np.isfinite(every["value"])])
-        values = shown.scale * rows[picked.ENDS].to_numpy(dtype=np.float64).T
+        values = shown.scale * rows[ENDS].to_numpy(dtype=np.float64).T
         pairs = zip(values[0], rows["level"], strict=True)
         ends = [f"{one:.{shown.digits}f} {shown.unit} at {scheme.at(at)}" for one, at in pairs]
         if ends:

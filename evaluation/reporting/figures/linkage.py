@@ -13,8 +13,9 @@ from evaluation.analysis.linkability import LinkedTask
 from evaluation.reporting.amounts import sentence_case, whole
 from evaluation.reporting.charts import PERCENT, Axis, Chart, Curve, Look, curves_chart, label_room
 from evaluation.reporting.figures.figure import Figure
+from evaluation.reporting.lookups import ENDS
 from evaluation.reporting.names import INDEPENDENT_MARK, task_head, task_phrase
-from evaluation.reporting.rows import ENDS, Results, Scheme, schemes
+from evaluation.reporting.rows import Results, Scheme, schemes
 
 _KINDS: Final[Mapping[str, tuple[str, ...]]] = {
     "after a silence": ("handover-1s", "handover-2s", "handover-5s"),

@@ -13,6 +13,7 @@ from evaluation.experiment.presets import SHARED
 from evaluation.reporting import rows as picked
 from evaluation.reporting.charts import LOOKS, Axis, Curve, Look, curves_chart, label_room
 from evaluation.reporting.figures.figure import Figure
+from evaluation.reporting.lookups import ENDS
 from evaluation.reporting.names import robot_name, robot_subject
 
 
@@ -28,7 +29,7 @@ def figures(run: picked.Results) -> Iterator[Figure]:
         for scheme in known:
             points = scheme.of(plane).sort_values("x", kind="stable")
             if rule in scheme.rules and len(points):
-                x, values = points["x"].to_numpy(), points[picked.ENDS].to_numpy().T
+                x, values = points["x"].to_numpy(), points[ENDS].to_numpy().T
                 name = f"{scheme.title}, noisiest at {scheme.at(points['level'].iloc[-1])}: "
                 name += f"{x[-1]:.1f} % missed, {shown.head} {values[0, -1]:.{shown.digits}f}"
                 look = Look(scheme.place % (LOOKS - 1))
@@ -73,6 +74,6 @@ def _plane(summary: pd.DataFrame, predictor: str, metric: str) -> pd.DataFrame:
     y = summary[(summary["consumer"] == SHARED) & (summary["metric"] == metric)]
     keys = ["mechanism", "level"]
     x = x[keys].assign(x=x["value"] * METRICS[MISSED_RATE].scale)
-    y = y[[*keys, *picked.ENDS]]
-    y = y.assign(**{end: y[end] * METRICS[metric].scale for end in picked.ENDS})
+    y = y[[*keys, *ENDS]]
+    y = y.assign(**{end: y[end] * METRICS[metric].scale for end in ENDS})
     return x.merge(y, on=keys)

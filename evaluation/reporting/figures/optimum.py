@@ -7,8 +7,9 @@ from evaluation.analysis.bounds import Gap
 from evaluation.reporting.bounds import law_of
 from evaluation.reporting.charts import PERCENT, Look, rows_chart
 from evaluation.reporting.figures.figure import Figure
+from evaluation.reporting.lookups import family_of
 from evaluation.reporting.names import short_mechanism_name
-from evaluation.reporting.rows import Results, family_of
+from evaluation.reporting.rows import Results
 from isac_track.intervals import Estimate
 
 _MARKS: Final[dict[str, tuple[Look, Callable[[Gap], Estimate | None]]]] = {
