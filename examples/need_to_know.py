@@ -3,14 +3,17 @@
     python examples/need_to_know.py --dataset plaza
     python examples/need_to_know.py --dataset students03 --policy ahead:1..2/3 --mechanism raw
 
-Prints what a log discloses and lets an adversary know, then what each robot misses, with
-95 % intervals over people and routes. docs/need-to-know.md explains every column.
+Prints what a log discloses and lets an adversary know, how long it lets people be followed,
+then what each robot misses, with 95 % intervals over people and routes.
+docs/need-to-know.md explains every column.
 """
 # ruff: noqa: T201 - a comparison is printed
 
 import argparse
 from dataclasses import dataclass
 
+from attacks.following.followed import following_metrics
+from attacks.following.logs import follow_fleets
 from isac_track import datasets
 from isac_track.config import StageSettings
 from isac_track.errors import IsacTrackError
@@ -52,7 +55,18 @@ UTILITY = (
     "withheld_share",
     "false_alarms_per_min",
 )
-PER_MINUTE = ("false_alarms_per_min",)
+FOLLOWED = (
+    "known_share",
+    "followed_s",
+    "followed_90_s",
+    "followed_10s",
+    "followed_30s",
+    "time_to_confusion_s",
+    "confident_wrong_share",
+)
+NO_SHARES = ("false_alarms_per_min", "followed_s", "followed_90_s", "time_to_confusion_s")
+ADVERSARIES = ("blind", "informed", "shuffled")
+"""Blind; one who knows routes, times and the policy; the control of shuffled first states."""
 
 
 @dataclass(frozen=True)
@@ -64,11 +78,12 @@ class Row:
     metrics: dict[str, Estimate]
     predictor: str = ""
     horizon_s: float = 0.0
+    adversary: str = ""  # Who follows people by the log.
     note: str = ""  # Estimator of the adversary; or that `withheld_share` is by construction.
 
 
-def compare(tracks, *, mechanisms, policies, predictors, settings, seed):
-    """Yield the rows of a recording: those of the log, then those of each robot."""
+def compare(tracks, *, mechanisms, policies, predictors, adversaries, settings, seed):
+    """Yield the rows of a recording: of the log, of who follows, of each robot."""
     patrol = make_patrol(placed(tracks, settings=settings), settings=settings, seed=seed)
     guesses = guesses_from_map(patrol, epsilon_m=settings.privacy.epsilon_m)
     for mechanism in mechanisms:
@@ -97,6 +112,24 @@ def compare(tracks, *, mechanisms, policies, predictors, settings, seed):
                 knowledge_metrics(known, group=patrol.people.group, seed=seed),
                 note=ESTIMATORS[known.best],
             )
+            for adversary in adversaries:
+                following = follow_fleets(
+                    network,
+                    disclosure,
+                    estimator=ESTIMATORS[known.best],
+                    guesses=guesses,
+                    epsilon_m=settings.privacy.epsilon_m,
+                    seed=seed,
+                    knows_policy=policy.instance if adversary == "informed" else None,
+                    shuffled=adversary == "shuffled",
+                )
+                yield Row(
+                    mechanism.spec,
+                    policy.spec,
+                    following_metrics(following, group=patrol.people.group, seed=seed),
+                    adversary=adversary,
+                    note=adversary,
+                )
             for predictor, task in tasks.items():
                 is_built_in = is_by_construction(network, policy.instance, task.predictor)
                 for horizon in horizon_scans(settings):
@@ -111,8 +144,8 @@ def compare(tracks, *, mechanisms, policies, predictors, settings, seed):
 
 
 def written(name, estimate):
-    """A number with its interval, as percent unless it is a count per minute."""
-    scale, digits = (1.0, 2) if name in PER_MINUTE else (100.0, 1)
+    """A number with its interval, as percent unless it is a time or a count per minute."""
+    scale, digits = (1.0, 2) if name in NO_SHARES else (100.0, 1)
     value, low, high = (
         f"{scale * number:.{digits}f}"
         for number in (estimate.value, estimate.ci_low, estimate.ci_high)
@@ -133,13 +166,18 @@ def table(rows, names, *, note):
 def report(rows, *, settings):
     """Yield the lines of all tables."""
     epsilon_m = settings.privacy.epsilon_m
-    logs = [row for row in rows if not row.predictor]
+    logs = [row for row in rows if not row.predictor and not row.adversary]
     by_map = written("known_by_map", logs[0].metrics["known_by_map"])
     n = logs[0].metrics["known_share"].n
     yield f"Log of a fleet, in % of person-time (people_seen, plr_walk: of people; n = {n})."
     yield f"Known: within {epsilon_m:g} m, true identities. Known by the map alone: {by_map} %."
     yield ""
     yield from table(logs, KNOWLEDGE, note="estimator")
+    if following := [row for row in rows if row.adversary]:
+        yield ""
+        yield "Followed by the log alone: no identities, pseudonyms fresh in every answer."
+        yield ""
+        yield from table(following, FOLLOWED, note="adversary")
     tasks = dict.fromkeys((row.predictor, row.horizon_s) for row in rows if row.predictor)
     for predictor, horizon_s in tasks:
         ours = [row for row in rows if (row.predictor, row.horizon_s) == (predictor, horizon_s)]
@@ -156,6 +194,8 @@ def options(words):
     parser.add_argument("--seed", type=int, default=0)
     for name, usual in (("mechanism", MECHANISMS), ("policy", POLICIES), ("predictor", PREDICTORS)):
         parser.add_argument(f"--{name}", action="append", metavar="SPEC", help=" ".join(usual))
+    about = f"who follows people by the log: {' '.join(ADVERSARIES)} (default: blind), or none"
+    parser.add_argument("--adversary", action="append", choices=[*ADVERSARIES, "none"], help=about)
     parser.add_argument("--set", action="append", default=[], metavar="STAGE.KEY=VALUE")
     return parser.parse_args(words)
 
@@ -176,6 +216,7 @@ def main(words=None):
                 mechanisms=plugins_named("mechanisms", given.mechanism or MECHANISMS),
                 policies=plugins_named("policies", given.policy or POLICIES),
                 predictors=plugins_named("predictors", given.predictor or PREDICTORS),
+                adversaries=[name for name in given.adversary or ["blind"] if name != "none"],
                 settings=settings,
                 seed=given.seed,
             )

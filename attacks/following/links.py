@@ -23,6 +23,7 @@ from attacks.following.pieces import Pieces, Q
 from isac_track.types import Bools, Floats, Ints
 
 LONGEST_GAP_S: Final = 30.0  # Nobody's last state tells anything for longer.
+MOST_CANDIDATES: Final = 50  # Of a piece: the likeliest ones, of thousands.
 _TAIL: Final = 5.0  # Degrees of freedom.
 _RIDGE: Final = 1e-3  # Keeps weights finite where training pieces are told apart without error.
 _APART_S: Final = 1e-6
@@ -48,7 +49,9 @@ class Links:
 
 
 def candidate_links(pieces: Pieces, *, begins: Ints | None = None) -> Links:
-    """Return all pairs of pieces with at most `LONGEST_GAP_S` between end and start.
+    """Return the pairs of pieces with at most `LONGEST_GAP_S` between end and start.
+
+    Of each earlier piece the `MOST_CANDIDATES` of largest density.
 
     `begins`, (K,), says whose first state stands at the start of each piece: their own ones
     by default, others in the shuffled control.
@@ -64,7 +67,10 @@ def candidate_links(pieces: Pieces, *, begins: Ints | None = None) -> Links:
     after = np.arange(before.size) - np.repeat(starts - first, sizes)
     density, gap_s = _log_density(pieces, before, after, begins)
     features = np.column_stack([density, np.ones(before.size), np.log1p(gap_s)])
-    return Links(before, after, features, n_pieces)
+    by_density = np.lexsort((-density, before))
+    rank = np.arange(before.size) - np.repeat(starts, sizes)
+    likeliest = np.sort(by_density[rank < MOST_CANDIDATES])
+    return Links(before[likeliest], after[likeliest], features[likeliest], n_pieces)
 
 
 def _log_density(pieces: Pieces, before: Ints, after: Ints, begins: Ints) -> tuple[Floats, Floats]:

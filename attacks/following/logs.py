@@ -47,6 +47,17 @@ class Following:
     known: Ints  # (N, F) instants at which a chain of hers states her place.
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class _FleetFollowing:
+    """What one fleet's log lets an adversary follow of N people; see `Following`."""
+
+    ceiling_s: Floats
+    followed_s: Floats
+    until_s: Floats
+    ending: Ints
+    known: Ints
+
+
 def follow_fleets(
     network: Network,
     disclosure: Disclosure,
@@ -66,47 +77,77 @@ def follow_fleets(
     sent. `shuffled` is the control: first states change places among all pieces.
     """
     patrol = network.patrol
-    half = _first_half(patrol.people.group)
-    parts = []
+    by_log: dict[bytes, _FleetFollowing] = {}  # Of this call alone: fleets often hold equal logs.
+    fleets = []
     for fleet in range(patrol.n_fleets):
         robots = np.arange(patrol.robots_per_fleet) + fleet * patrol.robots_per_fleet
-        pieces = pieces_of_fleet(network, disclosure, robots=robots)
-        rng = stream(seed, "following", "shuffled", fleet)
-        links = candidate_links(pieces, begins=rng.permutation(len(pieces)) if shuffled else None)
-        followed = follow(pieces, links, is_first_half=half[pieces.person])
+        key = _answers_key(disclosure, robots)
         if knows_policy is not None:
-            likely = followed.probability >= _LEAST_PROBABILITY
-            links = links[likely]
-            absent = contradictions(
-                pieces, links, patrol=patrol, policy=knows_policy, robots=robots, seed=seed
+            key += str(fleet).encode()  # Routes tell who should have been sent.
+        if key not in by_log:
+            pieces = pieces_of_fleet(network, disclosure, robots=robots)
+            rng = stream(seed, "following", "shuffled")
+            begins = rng.permutation(len(pieces)) if shuffled else None
+            links, followed = _follow_log(
+                patrol, pieces, begins=begins, robots=robots, policy=knows_policy, seed=seed
             )
-            links = links.with_feature(absent)
-            followed = follow(pieces, links, is_first_half=half[pieces.person])
-        ceiling_s, followed_s = _pure_chains(pieces, followed.chain, n_people=half.size)
-        until_s, ending = _until_confused(pieces, links, followed.probability, n_people=half.size)
-        known = _known_by_chains(
-            network,
-            disclosure,
-            pieces,
-            followed,
-            estimator=estimator,
-            guesses=guesses,
-            epsilon_m=epsilon_m,
-        )
-        parts.append((ceiling_s, followed_s, until_s, ending, known))
-    ceiling_s, followed_s, until_s, ending, known = (
-        np.stack(columns, axis=-1) for columns in zip(*parts, strict=True)
-    )
+            known = _known_by_chains(
+                network,
+                disclosure,
+                pieces,
+                followed,
+                estimator=estimator,
+                guesses=guesses,
+                epsilon_m=epsilon_m,
+            )
+            by_log[key] = _fleet_following(pieces, links, followed, known)
+        fleets.append(by_log[key])
     t, offsets = patrol.grid.t, patrol.grid.offsets
     return Following(
         present_s=t[offsets[1:] - 1] - t[offsets[:-1]],
-        ceiling_s=ceiling_s,
-        followed_s=followed_s,
-        until_s=until_s,
-        ending=ending,
+        ceiling_s=np.stack([fleet.ceiling_s for fleet in fleets], axis=-1),
+        followed_s=np.stack([fleet.followed_s for fleet in fleets], axis=-1),
+        until_s=np.stack([fleet.until_s for fleet in fleets], axis=-1),
+        ending=np.stack([fleet.ending for fleet in fleets], axis=-1),
         instants=np.diff(offsets),
-        known=known,
+        known=np.stack([fleet.known for fleet in fleets], axis=-1),
     )
+
+
+def _answers_key(disclosure: Disclosure, robots: Ints) -> bytes:
+    """Return what logs with equal answers have in common, whichever robots received them."""
+    ours = np.isin(disclosure.robot, robots)
+    runs = np.stack([disclosure.presence, disclosure.first, disclosure.end])[:, ours]
+    return np.unique(runs, axis=1).tobytes()
+
+
+def _follow_log(
+    patrol: Patrol,
+    pieces: Pieces,
+    *,
+    begins: Ints | None,
+    robots: Ints,
+    policy: Policy | None,
+    seed: int,
+) -> tuple[Links, Followed]:
+    """Return the candidate links of a log and what the adversary makes of them."""
+    half = _first_half(patrol.people.group)[pieces.person]
+    links = candidate_links(pieces, begins=begins)
+    followed = follow(pieces, links, is_first_half=half)
+    if policy is None:
+        return links, followed
+    links = links[followed.probability >= _LEAST_PROBABILITY]
+    absent = contradictions(pieces, links, patrol=patrol, policy=policy, robots=robots, seed=seed)
+    links = links.with_feature(absent)
+    return links, follow(pieces, links, is_first_half=half)
+
+
+def _fleet_following(
+    pieces: Pieces, links: Links, followed: Followed, known: Ints
+) -> _FleetFollowing:
+    ceiling_s, followed_s = _pure_chains(pieces, followed.chain, n_people=known.size)
+    until_s, ending = _until_confused(pieces, links, followed.probability, n_people=known.size)
+    return _FleetFollowing(ceiling_s, followed_s, until_s, ending, known)
 
 
 def _first_half(group: tuple[str, ...]) -> Bools:
@@ -197,9 +238,7 @@ def _known_by_chains(
     return np.asarray(np.add.reduceat(is_known.astype(np.int64), grid.offsets[:-1]))
 
 
-def _chain_log(
-    network: Network, disclosure: Disclosure, pieces: Pieces, chain: Ints
-) -> Log:
+def _chain_log(network: Network, disclosure: Disclosure, pieces: Pieces, chain: Ints) -> Log:
     """Return the entries of each chain in turn."""
     sizes = np.diff(pieces.offsets)
     label = np.repeat(chain, sizes)
