@@ -47,7 +47,14 @@ POLICIES = (
     "random:0.2",
 )
 MECHANISMS, PREDICTORS = ("raw", "fid:1"), ("least_squares", "kalman_cv")
-KNOWLEDGE = ("disclosed_share", "known_share", "known_undisclosed", "people_seen", "plr_walk")
+KNOWLEDGE = (
+    "disclosed_share",
+    "known_share",
+    "known_worst_tenth",
+    "known_undisclosed",
+    "people_seen",
+    "plr_walk",
+)
 UTILITY = (
     "missed_conflict_rate",
     "missed_future_rate",

@@ -29,6 +29,7 @@ from isac_track.patrol_utility import (
     true_conflicts,
     withheld_conflicts,
 )
+from isac_track.patrol_worst_off import worst_tenth
 from isac_track.patrols import query_scans
 from isac_track.policies.samples import Everything
 from isac_track.policies.summaries import State
@@ -125,7 +126,8 @@ def knowledge_metrics(known: Known, *, group: tuple[str, ...], seed: int) -> dic
     `known_share` and `known_undisclosed` are those of the estimator that knows most, with
     true identities; `known_by_map` is known without a log. `people_seen` is the share of
     people of whom the log has an entry, `plr_walk` the mean over people of the share of
-    their samples that were sent and leak. `group` names the cluster of each person.
+    their samples that were sent and leak. `known_worst_tenth` is the mean known share of the
+    people who are worst off. `group` names the cluster of each person.
     """
     n_fleets = known.disclosed.shape[1]
     per_fleet = np.ones((1, n_fleets))
@@ -139,7 +141,7 @@ def knowledge_metrics(known: Known, *, group: tuple[str, ...], seed: int) -> dic
         "plr_walk": (known.leaked, people),
     }
     cluster = cluster_numbers(group)
-    return {
+    metrics = {
         name: two_way_ratio(
             numerator=sum_clusters(top, cluster),
             denominator=sum_clusters(bottom, cluster),
@@ -147,6 +149,10 @@ def knowledge_metrics(known: Known, *, group: tuple[str, ...], seed: int) -> dic
         )
         for name, (top, bottom) in ratios.items()
     }
+    metrics["known_worst_tenth"] = worst_tenth(
+        known=known.known[known.best], instants=known.instants, cluster=cluster, seed=seed
+    )
+    return metrics
 
 
 def _share(counts: Counts, cluster: Ints, *, seed: int) -> Estimate:
