@@ -18,9 +18,10 @@ from isac_track import datasets
 from isac_track.config import StageSettings
 from isac_track.errors import IsacTrackError
 from isac_track.intervals import Estimate
-from isac_track.patrol_answers import disclose, share_patrol
+from isac_track.patrol_answers import Network, disclose, share_patrol
 from isac_track.patrol_knowledge import ESTIMATORS, guesses_from_map, known_places
 from isac_track.patrol_metrics import (
+    RobotTask,
     is_by_construction,
     knowledge_metrics,
     robot_task,
@@ -30,6 +31,7 @@ from isac_track.patrols import horizon_scans, make_patrol
 from isac_track.place import placed
 from isac_track.plugins import Plugin, parse
 from isac_track.policies.samples import Everything
+from isac_track.sharing import Raw
 from predictors.kalman import KalmanCV
 
 POLICIES = (
@@ -58,6 +60,7 @@ KNOWLEDGE = (
 UTILITY = (
     "missed_conflict_rate",
     "missed_future_rate",
+    "missed_future_at_equal_alarms",
     "missed_encounter_rate",
     "withheld_share",
     "false_alarms_per_min",
@@ -89,25 +92,48 @@ class Row:
     note: str = ""  # Estimator of the adversary; or that `withheld_share` is by construction.
 
 
+@dataclass(frozen=True)
+class Sharing:
+    """A network with a mechanism, and the task of each robot on it."""
+
+    network: Network
+    tasks: dict[str, RobotTask]
+
+
+def tasks_of(patrol, mechanism, predictors, *, settings, seed, reference=None):
+    """A network with a mechanism; `reference`: the tasks whose false alarms are compared at."""
+    network = share_patrol(
+        patrol, mechanism=mechanism, forecaster=KalmanCV(), settings=settings, seed=seed
+    )
+    everything = disclose(network, Everything())
+    tasks = {
+        predictor.spec: robot_task(
+            network,
+            everything,
+            predictor=predictor.instance,
+            settings=settings,
+            reference=reference[predictor.spec] if reference else None,
+        )
+        for predictor in predictors
+    }
+    return Sharing(network, tasks)
+
+
 def compare(tracks, *, mechanisms, policies, predictors, adversaries, settings, seed):
     """Yield the rows of a recording: of the log, of who follows, of each robot."""
     patrol = make_patrol(placed(tracks, settings=settings), settings=settings, seed=seed)
     guesses = guesses_from_map(patrol, epsilon_m=settings.privacy.epsilon_m)
+    reference = tasks_of(patrol, Raw(), predictors, settings=settings, seed=seed)
     for mechanism in mechanisms:
-        network = share_patrol(
+        sharing = tasks_of(
             patrol,
-            mechanism=mechanism.instance,
-            forecaster=KalmanCV(),
+            mechanism.instance,
+            predictors,
             settings=settings,
             seed=seed,
+            reference=reference.tasks,
         )
-        everything = disclose(network, Everything())
-        tasks = {
-            predictor.spec: robot_task(
-                network, everything, predictor=predictor.instance, settings=settings
-            )
-            for predictor in predictors
-        }
+        network, tasks = sharing.network, sharing.tasks
         for policy in policies:
             disclosure = disclose(network, policy.instance, name=policy.spec)
             known = known_places(

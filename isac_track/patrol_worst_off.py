@@ -30,10 +30,9 @@ def worst_tenth(*, known: Ints, instants: Ints, cluster: Ints, seed: int) -> Est
     people, routes = two_way_weights(n_clusters=n_clusters, n_routes=n_fleets, seed=seed)
     weights = people[:, cluster].T  # (N, 1 + B)
     is_even = np.arange(n_fleets) % 2 == 0
-    shares = [
-        _mean_shares(known[:, half], instants, routes[:, half]) for half in (is_even, ~is_even)
-    ]
-    values = (_top_mean(*shares, weights) + _top_mean(*shares[::-1], weights)) / 2.0
+    even = _mean_shares(known[:, is_even], instants, routes[:, is_even])
+    odd = _mean_shares(known[:, ~is_even], instants, routes[:, ~is_even])
+    values = (_top_mean(even, odd, weights) + _top_mean(odd, even, weights)) / 2.0
     effective = effective_clusters(np.bincount(cluster).astype(np.float64))
     if n_fleets < FEWEST_ROUTES or effective < LEAST_CLUSTERS:
         value = float(values[0])
