@@ -3,21 +3,25 @@
     python examples/need_to_know.py --dataset plaza
     python examples/need_to_know.py --dataset students03 --policy ahead:1..2/3 --mechanism raw
 
-Prints what a log discloses and lets an adversary know, then what each robot misses, with
-95 % intervals over people and routes. docs/need-to-know.md explains every column.
+Prints what a log discloses and lets an adversary know, how long it lets people be followed,
+then what each robot misses, with 95 % intervals over people and routes.
+docs/need-to-know.md explains every column.
 """
 # ruff: noqa: T201 - a comparison is printed
 
 import argparse
 from dataclasses import dataclass
 
+from attacks.following.followed import following_metrics
+from attacks.following.logs import follow_fleets
 from isac_track import datasets
 from isac_track.config import StageSettings
 from isac_track.errors import IsacTrackError
 from isac_track.intervals import Estimate
-from isac_track.patrol_answers import disclose, share_patrol
+from isac_track.patrol_answers import Network, disclose, share_patrol
 from isac_track.patrol_knowledge import ESTIMATORS, guesses_from_map, known_places
 from isac_track.patrol_metrics import (
+    RobotTask,
     is_by_construction,
     knowledge_metrics,
     robot_task,
@@ -27,6 +31,7 @@ from isac_track.patrols import horizon_scans, make_patrol
 from isac_track.place import placed
 from isac_track.plugins import Plugin, parse
 from isac_track.policies.samples import Everything
+from isac_track.sharing import Raw
 from predictors.kalman import KalmanCV
 
 POLICIES = (
@@ -44,15 +49,34 @@ POLICIES = (
     "random:0.2",
 )
 MECHANISMS, PREDICTORS = ("raw", "fid:1"), ("least_squares", "kalman_cv")
-KNOWLEDGE = ("disclosed_share", "known_share", "known_undisclosed", "people_seen", "plr_walk")
+KNOWLEDGE = (
+    "disclosed_share",
+    "known_share",
+    "known_worst_tenth",
+    "known_undisclosed",
+    "people_seen",
+    "plr_walk",
+)
 UTILITY = (
     "missed_conflict_rate",
     "missed_future_rate",
+    "missed_future_at_equal_alarms",
     "missed_encounter_rate",
     "withheld_share",
     "false_alarms_per_min",
 )
-PER_MINUTE = ("false_alarms_per_min",)
+FOLLOWED = (
+    "known_share",
+    "followed_s",
+    "followed_90_s",
+    "followed_10s",
+    "followed_30s",
+    "time_to_confusion_s",
+    "confident_wrong_share",
+)
+NO_SHARES = ("false_alarms_per_min", "followed_s", "followed_90_s", "time_to_confusion_s")
+ADVERSARIES = ("blind", "informed", "shuffled")
+"""Blind; one who knows routes, times and the policy; the control of shuffled first states."""
 
 
 @dataclass(frozen=True)
@@ -64,28 +88,52 @@ class Row:
     metrics: dict[str, Estimate]
     predictor: str = ""
     horizon_s: float = 0.0
+    adversary: str = ""  # Who follows people by the log.
     note: str = ""  # Estimator of the adversary; or that `withheld_share` is by construction.
 
 
-def compare(tracks, *, mechanisms, policies, predictors, settings, seed):
-    """Yield the rows of a recording: those of the log, then those of each robot."""
+@dataclass(frozen=True)
+class Sharing:
+    """A network with a mechanism, and the task of each robot on it."""
+
+    network: Network
+    tasks: dict[str, RobotTask]
+
+
+def tasks_of(patrol, mechanism, predictors, *, settings, seed, reference=None):
+    """A network with a mechanism; `reference`: the tasks whose false alarms are compared at."""
+    network = share_patrol(
+        patrol, mechanism=mechanism, forecaster=KalmanCV(), settings=settings, seed=seed
+    )
+    everything = disclose(network, Everything())
+    tasks = {
+        predictor.spec: robot_task(
+            network,
+            everything,
+            predictor=predictor.instance,
+            settings=settings,
+            reference=reference[predictor.spec] if reference else None,
+        )
+        for predictor in predictors
+    }
+    return Sharing(network, tasks)
+
+
+def compare(tracks, *, mechanisms, policies, predictors, adversaries, settings, seed):
+    """Yield the rows of a recording: of the log, of who follows, of each robot."""
     patrol = make_patrol(placed(tracks, settings=settings), settings=settings, seed=seed)
     guesses = guesses_from_map(patrol, epsilon_m=settings.privacy.epsilon_m)
+    reference = tasks_of(patrol, Raw(), predictors, settings=settings, seed=seed)
     for mechanism in mechanisms:
-        network = share_patrol(
+        sharing = tasks_of(
             patrol,
-            mechanism=mechanism.instance,
-            forecaster=KalmanCV(),
+            mechanism.instance,
+            predictors,
             settings=settings,
             seed=seed,
+            reference=reference.tasks,
         )
-        everything = disclose(network, Everything())
-        tasks = {
-            predictor.spec: robot_task(
-                network, everything, predictor=predictor.instance, settings=settings
-            )
-            for predictor in predictors
-        }
+        network, tasks = sharing.network, sharing.tasks
         for policy in policies:
             disclosure = disclose(network, policy.instance, name=policy.spec)
             known = known_places(
@@ -97,6 +145,24 @@ def compare(tracks, *, mechanisms, policies, predictors, settings, seed):
                 knowledge_metrics(known, group=patrol.people.group, seed=seed),
                 note=ESTIMATORS[known.best],
             )
+            for adversary in adversaries:
+                following = follow_fleets(
+                    network,
+                    disclosure,
+                    estimator=ESTIMATORS[known.best],
+                    guesses=guesses,
+                    epsilon_m=settings.privacy.epsilon_m,
+                    seed=seed,
+                    knows_policy=policy.instance if adversary == "informed" else None,
+                    shuffled=adversary == "shuffled",
+                )
+                yield Row(
+                    mechanism.spec,
+                    policy.spec,
+                    following_metrics(following, group=patrol.people.group, seed=seed),
+                    adversary=adversary,
+                    note=adversary,
+                )
             for predictor, task in tasks.items():
                 is_built_in = is_by_construction(network, policy.instance, task.predictor)
                 for horizon in horizon_scans(settings):
@@ -111,8 +177,8 @@ def compare(tracks, *, mechanisms, policies, predictors, settings, seed):
 
 
 def written(name, estimate):
-    """A number with its interval, as percent unless it is a count per minute."""
-    scale, digits = (1.0, 2) if name in PER_MINUTE else (100.0, 1)
+    """A number with its interval, as percent unless it is a time or a count per minute."""
+    scale, digits = (1.0, 2) if name in NO_SHARES else (100.0, 1)
     value, low, high = (
         f"{scale * number:.{digits}f}"
         for number in (estimate.value, estimate.ci_low, estimate.ci_high)
@@ -133,13 +199,18 @@ def table(rows, names, *, note):
 def report(rows, *, settings):
     """Yield the lines of all tables."""
     epsilon_m = settings.privacy.epsilon_m
-    logs = [row for row in rows if not row.predictor]
+    logs = [row for row in rows if not row.predictor and not row.adversary]
     by_map = written("known_by_map", logs[0].metrics["known_by_map"])
     n = logs[0].metrics["known_share"].n
     yield f"Log of a fleet, in % of person-time (people_seen, plr_walk: of people; n = {n})."
     yield f"Known: within {epsilon_m:g} m, true identities. Known by the map alone: {by_map} %."
     yield ""
     yield from table(logs, KNOWLEDGE, note="estimator")
+    if following := [row for row in rows if row.adversary]:
+        yield ""
+        yield "Followed by the log alone: no identities, pseudonyms fresh in every answer."
+        yield ""
+        yield from table(following, FOLLOWED, note="adversary")
     tasks = dict.fromkeys((row.predictor, row.horizon_s) for row in rows if row.predictor)
     for predictor, horizon_s in tasks:
         ours = [row for row in rows if (row.predictor, row.horizon_s) == (predictor, horizon_s)]
@@ -156,6 +227,8 @@ def options(words):
     parser.add_argument("--seed", type=int, default=0)
     for name, usual in (("mechanism", MECHANISMS), ("policy", POLICIES), ("predictor", PREDICTORS)):
         parser.add_argument(f"--{name}", action="append", metavar="SPEC", help=" ".join(usual))
+    about = f"who follows people by the log: {' '.join(ADVERSARIES)} (default: blind), or none"
+    parser.add_argument("--adversary", action="append", choices=[*ADVERSARIES, "none"], help=about)
     parser.add_argument("--set", action="append", default=[], metavar="STAGE.KEY=VALUE")
     return parser.parse_args(words)
 
@@ -176,6 +249,7 @@ def main(words=None):
                 mechanisms=plugins_named("mechanisms", given.mechanism or MECHANISMS),
                 policies=plugins_named("policies", given.policy or POLICIES),
                 predictors=plugins_named("predictors", given.predictor or PREDICTORS),
+                adversaries=[name for name in given.adversary or ["blind"] if name != "none"],
                 settings=settings,
                 seed=given.seed,
             )

@@ -36,8 +36,32 @@ def sum_clusters(values: Floats | Ints | Bools, cluster: Ints) -> Floats:
     return sums
 
 
+def two_way_weights(
+    *, n_clusters: int, n_routes: int, seed: int, n_replicates: int = REPLICATES
+) -> tuple[Floats, Floats]:
+    """Return how often each cluster and each route is drawn, (1 + B, C) and (1 + B, F).
+
+    The first row draws each once: its number is the estimate.
+    """
+    people = cluster_weights(
+        n_clusters=n_clusters, n_replicates=n_replicates, seed=seed, of=("people",)
+    )
+    routes = cluster_weights(
+        n_clusters=n_routes, n_replicates=n_replicates, seed=seed, of=("routes",)
+    )
+    return (
+        np.concatenate([np.ones((1, n_clusters)), people]),
+        np.concatenate([np.ones((1, n_routes)), routes]),
+    )
+
+
 def two_way_ratio(
-    *, numerator: Floats, denominator: Floats, seed: int, n_replicates: int = REPLICATES
+    *,
+    numerator: Floats,
+    denominator: Floats,
+    seed: int,
+    n_replicates: int = REPLICATES,
+    is_share: bool = True,
 ) -> Estimate:
     """Return sum(numerator) / sum(denominator) with its two-way interval.
 
@@ -48,14 +72,9 @@ def two_way_ratio(
     `FEWEST_ROUTES` routes or `LEAST_CLUSTERS` effective clusters there is no interval.
     """
     n_clusters, n_routes = denominator.shape
-    people = cluster_weights(
-        n_clusters=n_clusters, n_replicates=n_replicates, seed=seed, of=("people",)
+    people, routes = two_way_weights(
+        n_clusters=n_clusters, n_routes=n_routes, seed=seed, n_replicates=n_replicates
     )
-    routes = cluster_weights(
-        n_clusters=n_routes, n_replicates=n_replicates, seed=seed, of=("routes",)
-    )
-    people = np.concatenate([np.ones((1, n_clusters)), people])
-    routes = np.concatenate([np.ones((1, n_routes)), routes])
     top, bottom = (((people @ sums) * routes).sum(axis=1) for sums in (numerator, denominator))
     with np.errstate(divide="ignore", invalid="ignore"):
         values = top / bottom
@@ -65,7 +84,7 @@ def two_way_ratio(
     estimate = estimate_of(values, n=n, effective=effective)
     if (by_route > 0).sum() < FEWEST_ROUTES or effective < LEAST_CLUSTERS:
         return Estimate(estimate.value, n=n, replicates=values[1:], effective=effective)
-    if estimate.value in (0.0, 1.0):
+    if is_share and estimate.value in (0.0, 1.0):
         few = min(effective, effective_clusters(by_route))
         ends = wilson(hits=estimate.value * few, n=few)
         return Estimate(estimate.value, *ends, n, values[1:], effective=effective)

@@ -127,7 +127,9 @@ def _fleet_known(
     is_disclosed = sent[nearest_samples(patrol)]
     known, undisclosed = [], []
     for estimator in ESTIMATORS:
-        stated = state_positions(log, patrol, estimator=estimator, otherwise=guess)
+        stated = state_positions(
+            log, t=grid.t, offsets=grid.offsets, estimator=estimator, otherwise=guess
+        )
         is_known = squared_lengths(stated - grid.xy) < epsilon_m**2
         known.append(_per_person(is_known, grid.offsets))
         undisclosed.append(_per_person(is_known & ~is_disclosed, grid.offsets))
@@ -166,7 +168,7 @@ def fleet_log(network: Network, disclosure: Disclosure, *, sent: Bools) -> Log:
     if disclosure.form == "state":
         xy, variance, is_entry = _state_entries(network, sent)
     else:
-        xy, variance, is_entry = network.release.xy, _declared_variance(network), sent
+        xy, variance, is_entry = network.release.xy, declared_variance(network), sent
     sample = np.flatnonzero(is_entry)
     return Log(
         sample=sample,
@@ -177,7 +179,7 @@ def fleet_log(network: Network, disclosure: Disclosure, *, sent: Bools) -> Log:
     )
 
 
-def _declared_variance(network: Network) -> Floats:
+def declared_variance(network: Network) -> Floats:
     """Return the variance per axis of each shared sample, (M,) m^2, declared or estimated."""
     release, sigma = network.release, network.release.sigma
     if sigma is None:
@@ -204,22 +206,25 @@ def _state_entries(network: Network, sent: Bools) -> tuple[Floats, Floats, Bools
     return xy, variance, is_entry
 
 
-def state_positions(log: Log, patrol: Patrol, *, estimator: str, otherwise: Floats) -> Floats:
-    """Return a position for every instant of the grid, (G, 2) m, by one of `ESTIMATORS`.
+def state_positions(
+    log: Log, *, t: Floats, offsets: Ints, estimator: str, otherwise: Floats
+) -> Floats:
+    """Return a position for every instant of N walks, (G, 2) m, by one of `ESTIMATORS`.
 
-    People without an entry are where `otherwise`, (G, 2) m, says.
+    Walk n of the log is asked about at the times ``t[offsets[n]:offsets[n + 1]]``, rising. At
+    the instants of walks without an entry people are where `otherwise`, (G, 2) m, says.
     """
     stated = otherwise.copy()
     in_log = np.diff(log.offsets) > 0
     if not in_log.any():
         return stated
-    sizes = np.diff(patrol.grid.offsets)
+    sizes = np.diff(offsets)
     row = np.flatnonzero(np.repeat(in_log, sizes))
-    person = np.repeat(np.cumsum(in_log) - 1, sizes)[row]
-    offsets = np.append(log.offsets[:-1][in_log], log.offsets[-1])
+    walk = np.repeat(np.cumsum(in_log) - 1, sizes)[row]
+    entries = np.append(log.offsets[:-1][in_log], log.offsets[-1])
     if estimator in ("radial", "radial_smooth"):
-        log = _smoothed(log, offsets)
-    gaps = Gaps(log, offsets, patrol.grid.t[row], person)
+        log = _smoothed(log, entries)
+    gaps = Gaps(log, entries, t[row], walk)
     if estimator in ("smooth", "radial_smooth", "extrapolate"):
         stated[row] = _filtered(gaps, is_causal=estimator == "extrapolate")
     else:

@@ -10,6 +10,7 @@ import numpy as np
 from isac_track.config import StageSettings
 from isac_track.intervals import Estimate, cluster_weights, ratio_estimates
 from isac_track.patrol_answers import Disclosure, Network
+from isac_track.patrol_equal_alarms import alarm_curve, missed_at_equal_alarms
 from isac_track.patrol_intervals import (
     FEWEST_ROUTES,
     REPLICATES,
@@ -20,16 +21,19 @@ from isac_track.patrol_intervals import (
 from isac_track.patrol_knowledge import Known
 from isac_track.patrol_utility import (
     Counts,
+    answer_forecasts,
+    conflicts_in,
     false_alarms,
     first_entries,
-    foreseen_conflicts,
+    least_gaps,
     missed_conflicts,
     missed_encounters,
     missed_futures,
     true_conflicts,
     withheld_conflicts,
 )
-from isac_track.patrols import query_scans
+from isac_track.patrol_worst_off import worst_tenth
+from isac_track.patrols import horizon_scans, query_scans
 from isac_track.policies.samples import Everything
 from isac_track.policies.summaries import State
 from isac_track.protocols import Policy, Predictor
@@ -46,23 +50,39 @@ class RobotTask:
     actual: Ints  # (E, R) scans until a true conflict.
     entries: Ints  # (N, R) scan of the first true entry.
     everything: Ints  # (E, R) scans until a conflict is foreseen from all samples.
+    allowed: dict[int, Ints]
+    """By horizon, in scans, (R,) false alarms of the reference, which are compared at."""
 
 
 def robot_task(
-    network: Network, everything: Disclosure, *, predictor: Predictor, settings: StageSettings
+    network: Network,
+    everything: Disclosure,
+    *,
+    predictor: Predictor,
+    settings: StageSettings,
+    reference: "RobotTask | None" = None,
 ) -> RobotTask:
-    """Return the task of a robot; `everything` is the disclosure of that policy."""
-    radius_m = settings.conflict.safety_radius_m
-    foreseen = foreseen_conflicts(
-        network, everything, predictor=predictor, safety_radius_m=radius_m
-    )
+    """Return the task of a robot; `everything` is the disclosure of that policy.
+
+    `reference` is the task of the same robot without noise: its false alarms are those that
+    all are compared at. Without it they are those of this task.
+    """
+    patrol, radius_m = network.patrol, settings.conflict.safety_radius_m
+    answers = answer_forecasts(network, everything, predictor)
+    foreseen = conflicts_in(patrol, answers, safety_radius_m=radius_m)
+    actual = true_conflicts(patrol, safety_radius_m=radius_m)
+    allowed = {
+        horizon: false_alarms(patrol, actual, foreseen, horizon=horizon)
+        for horizon in horizon_scans(settings)
+    }
     return RobotTask(
         network=network,
         predictor=predictor,
         settings=settings,
-        actual=true_conflicts(network.patrol, safety_radius_m=radius_m),
+        actual=actual,
         entries=first_entries(network.patrol, safety_radius_m=radius_m),
         everything=foreseen,
+        allowed=allowed if reference is None else reference.allowed,
     )
 
 
@@ -90,16 +110,14 @@ def utility_metrics(
 ) -> dict[str, Estimate]:
     """Return the metrics of utility of a policy at a horizon, in scans, by name.
 
-    `missed_conflict_rate`, `missed_future_rate`, `withheld_share`, `missed_encounter_rate`
-    and `false_alarms_per_min`. Where nobody is met, a rate has no value and `n` is 0.
+    `missed_conflict_rate`, `missed_future_rate`, `missed_future_at_equal_alarms`,
+    `withheld_share`, `missed_encounter_rate` and `false_alarms_per_min`. The horizon is one
+    of the settings. Where nobody is met, a rate has no value and `n` is 0.
     """
-    foreseen = foreseen_conflicts(
-        task.network,
-        disclosure,
-        predictor=task.predictor,
-        safety_radius_m=task.settings.conflict.safety_radius_m,
-    )
     patrol, actual = task.network.patrol, task.actual
+    answers = answer_forecasts(task.network, disclosure, task.predictor)
+    radius_m = task.settings.conflict.safety_radius_m
+    foreseen = conflicts_in(patrol, answers, safety_radius_m=radius_m)
     person = patrol.presences.person
     everybody = np.arange(len(patrol.people))
     missed = missed_conflicts(actual, foreseen, horizon=horizon)
@@ -110,7 +128,18 @@ def utility_metrics(
     )
     alarms = false_alarms(patrol, actual, foreseen, horizon=horizon)
     cluster = cluster_numbers(patrol.people.group)
+    curve = alarm_curve(
+        patrol,
+        actual=actual,
+        gaps_m=least_gaps(patrol, answers, horizon=horizon),
+        horizon=horizon,
+        cluster=cluster[person],
+    )
+    allowed = task.allowed[horizon].astype(np.float64)
     return {
+        "missed_future_at_equal_alarms": missed_at_equal_alarms(
+            curve, reference=allowed, seed=seed
+        ),
         "missed_conflict_rate": _share(missed, cluster[person], seed=seed),
         "missed_future_rate": _share(futures, cluster[person], seed=seed),
         "withheld_share": _share(withheld, cluster[person], seed=seed),
@@ -125,7 +154,8 @@ def knowledge_metrics(known: Known, *, group: tuple[str, ...], seed: int) -> dic
     `known_share` and `known_undisclosed` are those of the estimator that knows most, with
     true identities; `known_by_map` is known without a log. `people_seen` is the share of
     people of whom the log has an entry, `plr_walk` the mean over people of the share of
-    their samples that were sent and leak. `group` names the cluster of each person.
+    their samples that were sent and leak. `known_worst_tenth` is the mean known share of the
+    people who are worst off. `group` names the cluster of each person.
     """
     n_fleets = known.disclosed.shape[1]
     per_fleet = np.ones((1, n_fleets))
@@ -139,7 +169,7 @@ def knowledge_metrics(known: Known, *, group: tuple[str, ...], seed: int) -> dic
         "plr_walk": (known.leaked, people),
     }
     cluster = cluster_numbers(group)
-    return {
+    metrics = {
         name: two_way_ratio(
             numerator=sum_clusters(top, cluster),
             denominator=sum_clusters(bottom, cluster),
@@ -147,6 +177,10 @@ def knowledge_metrics(known: Known, *, group: tuple[str, ...], seed: int) -> dic
         )
         for name, (top, bottom) in ratios.items()
     }
+    metrics["known_worst_tenth"] = worst_tenth(
+        known=known.known[known.best], instants=known.instants, cluster=cluster, seed=seed
+    )
+    return metrics
 
 
 def _share(counts: Counts, cluster: Ints, *, seed: int) -> Estimate:

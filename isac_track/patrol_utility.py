@@ -81,8 +81,23 @@ def foreseen_conflicts(
     whose state or flag the robot takes as it is. A flag is scored for each person by the
     forecasts that it sums up.
     """
-    patrol, stay = network.patrol, scans_left(network.patrol)
-    answers = _answer_forecasts(network, disclosure, predictor)
+    answers = answer_forecasts(network, disclosure, predictor)
+    return conflicts_in(network.patrol, answers, safety_radius_m=safety_radius_m)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class AnswerForecasts:
+    """U forecasts, and which of them belongs to each of B answers about a person."""
+
+    mean: Floats  # (U, H, 2) m
+    row: Ints  # (B,) forecast of the answer.
+    robot: Ints  # (B,)
+    presence: Ints  # (B,)
+
+
+def conflicts_in(patrol: Patrol, answers: AnswerForecasts, *, safety_radius_m: float) -> Ints:
+    """Return after how many scans forecasts come inside the radius, (E, R), or `NEVER`."""
+    stay = scans_left(patrol)
     conflicts = np.full((stay.size, patrol.n_robots), NEVER)
     for robot in range(patrol.n_robots):
         ours = answers.robot == robot
@@ -94,35 +109,46 @@ def foreseen_conflicts(
     return conflicts
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _AnswerForecasts:
-    """U forecasts, and which of them belongs to each of B answers about a person."""
+def least_gaps(patrol: Patrol, answers: AnswerForecasts, *, horizon: int) -> Floats:
+    """Return how near to the robot each person is forecast within a horizon, (E, R) m.
 
-    mean: Floats  # (U, H, 2) m
-    row: Ints  # (B,) forecast of the answer.
-    robot: Ints  # (B,)
-    presence: Ints  # (B,)
+    The horizon is in scans; a person counts up to her leaving. Infinite without an answer.
+    """
+    stay = np.minimum(scans_left(patrol), horizon)
+    least = np.full((stay.size, patrol.n_robots), np.inf)
+    for robot in range(patrol.n_robots):
+        ours = answers.robot == robot
+        presence = answers.presence[ours]
+        mean, route = answers.mean[answers.row[ours]], patrol.robot_ahead(robot, presence)
+        square = squared_lengths(mean[:, : horizon + 1] - route[:, : horizon + 1])
+        square[np.arange(horizon + 1) > stay[presence][:, None]] = np.inf
+        least[presence, robot] = np.sqrt(square.min(axis=1))
+    return least
 
 
-def _answer_forecasts(
+def answer_forecasts(
     network: Network, disclosure: Disclosure, predictor: Predictor
-) -> _AnswerForecasts:
+) -> AnswerForecasts:
+    """Return what a robot, or the network for it, forecasts from each answer.
+
+    The form of the answer says who forecasts, as in `foreseen_conflicts`.
+    """
     if disclosure.form == "samples":
         robot_knows = knowing(predictor, network.mechanism)
         return _forecast_samples(network, disclosure, robot_knows)
     if disclosure.form == "state":
         mean, presence = network.shared_forecast.mean, disclosure.presence
-        return _AnswerForecasts(mean, presence, disclosure.robot, presence)
+        return AnswerForecasts(mean, presence, disclosure.robot, presence)
     n_pairs, n_robots = len(network.patrol.presences), network.patrol.n_robots
     robot = np.repeat(np.arange(n_robots), n_pairs)
     presence = np.tile(np.arange(n_pairs), n_robots)
     mean = network.forecast(disclosure.select_on).mean
-    return _AnswerForecasts(mean, presence, robot, presence)
+    return AnswerForecasts(mean, presence, robot, presence)
 
 
 def _forecast_samples(
     network: Network, disclosure: Disclosure, predictor: Predictor
-) -> _AnswerForecasts:
+) -> AnswerForecasts:
     """Return a robot's forecasts; robots that were sent the same samples share them."""
     robot, presence = disclosure.robot, disclosure.presence
     is_new = np.ones(robot.size, dtype=bool)
@@ -143,7 +169,7 @@ def _forecast_samples(
         t_future=network.patrol.t_ahead(presence[begin[chosen]]),
         predictor=predictor,
     )
-    return _AnswerForecasts(forecast.mean, row.reshape(-1), robot[begin], presence[begin])
+    return AnswerForecasts(forecast.mean, row.reshape(-1), robot[begin], presence[begin])
 
 
 def missed_conflicts(actual: Ints, foreseen: Ints, *, horizon: int) -> Counts:

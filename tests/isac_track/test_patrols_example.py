@@ -29,6 +29,7 @@ def rows_of(example, tracks, *, policies, mechanisms=("raw",), predictors=("leas
             mechanisms=example.plugins_named("mechanisms", mechanisms),
             policies=example.plugins_named("policies", policies),
             predictors=example.plugins_named("predictors", predictors),
+            adversaries=example.ADVERSARIES,
             settings=StageSettings().changed(FEW),
             seed=0,
         )
@@ -48,13 +49,14 @@ def test_a_row_depends_on_no_other_policy_mechanism_or_robot(example, tracks):
         mechanisms=["fid:1", "raw"],
         predictors=["kalman_cv", "least_squares"],
     )
-    assert len(alone) == 3  # The log, and two horizons of a robot.
+    assert len(alone) == 6  # The log, three adversaries, and two horizons of a robot.
     for row in alone:
         (same,) = (
             other
             for other in among
             if (other.mechanism, other.policy) == (row.mechanism, row.policy)
             and (other.predictor, other.horizon_s) == (row.predictor, row.horizon_s)
+            and other.adversary == row.adversary
         )
         np.testing.assert_equal(numbers(same), numbers(row))
 
@@ -68,7 +70,7 @@ def test_prints_a_row_for_every_policy_mechanism_robot_and_horizon(example, caps
     for policy in ("near:3", "flag"):
         for mechanism in ("raw", "fid:1"):
             rows = [line for line in lines if line.startswith(f"| {mechanism} | {policy} |")]
-            assert len(rows) == 1 + 2 * 2
+            assert len(rows) == 1 + 1 + 2 * 2  # Log, who follows by it, robots and horizons.
     assert sum(line.startswith("Robot kalman_cv, horizon") for line in lines) == 2
 
 

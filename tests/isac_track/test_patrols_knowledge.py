@@ -35,6 +35,11 @@ def known_of(network, policy, *, epsilon_m=EPSILON_M):
     return known_places(network, disclosure, guesses=guesses, epsilon_m=epsilon_m)
 
 
+def positions_on_grid(log, patrol, **options):
+    """What a log states at all instants of the grid of a patrol."""
+    return state_positions(log, t=patrol.grid.t, offsets=patrol.grid.offsets, **options)
+
+
 def shares(known):
     """The share of instants that each estimator knows."""
     total = known.instants.sum() * known.disclosed.shape[1]
@@ -141,7 +146,7 @@ class TestEstimators:
     @pytest.mark.parametrize("policy", [Near(6.0), RandomPeople(0.2), State(4.0)])
     def test_the_smoother_is_the_mean_of_the_dense_posterior(self, crowd, policy):
         log, grid = _log_of(crowd, policy, robots=(0, 1, 2)), crowd.patrol.grid
-        stated = state_positions(
+        stated = positions_on_grid(
             log, crowd.patrol, estimator="smooth", otherwise=np.zeros(grid.xy.shape)
         )
         people = np.flatnonzero(np.diff(log.offsets) > 0)
@@ -167,7 +172,7 @@ class TestEstimators:
         moved = log.xy.copy()
         moved[middle : entries.stop] += 5.0
         before, after = (
-            state_positions(
+            positions_on_grid(
                 replace(log, xy=xy),
                 patrol,
                 estimator="extrapolate",
@@ -185,7 +190,7 @@ class TestEstimators:
         log, grid = _log_of(crowd, policy, robots=(0, 1, 2)), crowd.patrol.grid
         otherwise = np.full(grid.xy.shape, 99.0)
         lines, held = (
-            state_positions(log, crowd.patrol, estimator=name, otherwise=otherwise)
+            positions_on_grid(log, crowd.patrol, estimator=name, otherwise=otherwise)
             for name in ("interpolate", "hold")
         )
         for person in range(len(grid)):
@@ -301,5 +306,5 @@ def test_an_empty_log_is_no_error():
     nothing = Log(np.zeros(0, int), np.zeros(0), np.zeros((0, 2)), np.zeros(0), np.zeros(2, int))
     otherwise = np.ones(patrol.grid.xy.shape)
     for name in ESTIMATORS:
-        stated = state_positions(nothing, patrol, estimator=name, otherwise=otherwise)
+        stated = positions_on_grid(nothing, patrol, estimator=name, otherwise=otherwise)
         np.testing.assert_array_equal(stated, otherwise)

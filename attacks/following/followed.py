@@ -1,0 +1,126 @@
+"""The metrics of being followed, each a number with its two-way interval.
+
+References
+----------
+Hoh, Gruteser, Xiong, Alrabady, "Preserving privacy in GPS traces via uncertainty-aware path
+cloaking", CCS 2007 (time to confusion). Kaplan, Meier, JASA 53, 1958.
+"""
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from attacks.following.logs import Ending, Following
+from isac_track.intervals import LEAST_CLUSTERS, Estimate, effective_clusters, estimate_of
+from isac_track.patrol_intervals import (
+    FEWEST_ROUTES,
+    cluster_numbers,
+    sum_clusters,
+    two_way_ratio,
+    two_way_weights,
+)
+from isac_track.types import Floats, Ints
+
+LONGEST_S: Final = 30.0  # Times to confusion are averaged up to here.
+_QUANTILE: Final = 0.9
+_AT_A_TIME: Final = 200  # Replicates, of some megabytes each.
+
+
+def following_metrics(
+    following: Following, *, group: tuple[str, ...], seed: int
+) -> dict[str, Estimate]:
+    """Return the metrics of being followed, by name; `group` names each person's cluster.
+
+    - `known_share`: person-time at which a chain states a person's place within epsilon.
+    - `followed_s`: mean time within one pure chain, s; `followed_90_s`: its 90 % quantile.
+    - `followed_10s`, `followed_30s`: share followed so long, of those present so long.
+    - `time_to_confusion_s`: mean time to confusion, s, up to `LONGEST_S`, of those seen.
+    - `confident_wrong_share`: of those seen, who end in a sure and wrong link.
+    """
+    cluster = cluster_numbers(group)
+    n_people, n_fleets = following.followed_s.shape
+    everybody = np.ones((n_people, n_fleets))
+    seen = following.ending != Ending.UNSEEN
+    ratios = {
+        "known_share": (following.known, following.instants[:, None] * everybody, True),
+        "followed_s": (following.followed_s, everybody, False),
+        "confident_wrong_share": (following.ending == Ending.WRONG, seen, True),
+    }
+    for limit_s in (10, 30):
+        present = (following.present_s[:, None] >= limit_s) & (everybody > 0)
+        reached = present & (following.followed_s >= limit_s)
+        ratios[f"followed_{limit_s}s"] = (reached, present, True)
+    metrics = {
+        name: two_way_ratio(
+            numerator=sum_clusters(top, cluster),
+            denominator=sum_clusters(bottom, cluster),
+            seed=seed,
+            is_share=is_share,
+        )
+        for name, (top, bottom, is_share) in ratios.items()
+    }
+    metrics["followed_90_s"] = _weighted_statistic(
+        lambda weights: _weighted_quantile(following.followed_s.ravel(), weights),
+        counted=everybody,
+        cluster=cluster,
+        seed=seed,
+    )
+    is_confused = (following.ending == Ending.CONFUSED).ravel()
+    metrics["time_to_confusion_s"] = _weighted_statistic(
+        lambda weights: restricted_mean_s(following.until_s.ravel(), is_confused, weights),
+        counted=seen.astype(np.float64),
+        cluster=cluster,
+        seed=seed,
+    )
+    return metrics
+
+
+def _weighted_statistic(
+    statistic: Callable[[Floats], Floats], *, counted: Floats, cluster: Ints, seed: int
+) -> Estimate:
+    """Return a statistic of weights, (B, N F) -> (B,), with its two-way interval.
+
+    `counted`, (N, F), weighs people and fleets before anything is drawn.
+    """
+    sizes = sum_clusters(counted, cluster)
+    people, routes = two_way_weights(n_clusters=len(sizes), n_routes=sizes.shape[1], seed=seed)
+    values = []
+    for first in range(0, len(people), _AT_A_TIME):
+        rows = slice(first, first + _AT_A_TIME)
+        drawn = people[rows][:, cluster, None] * routes[rows][:, None, :] * counted
+        values.append(statistic(drawn.reshape(len(drawn), -1)))
+    drawn = np.concatenate(values)
+    effective, n = effective_clusters(sizes.sum(axis=1)), int((sizes.sum(axis=1) > 0).sum())
+    if (sizes.sum(axis=0) > 0).sum() < FEWEST_ROUTES or effective < LEAST_CLUSTERS:
+        return Estimate(float(drawn[0]), n=n, replicates=drawn[1:], effective=effective)
+    return estimate_of(drawn, n=n, effective=effective)
+
+
+def _weighted_quantile(values: Floats, weights: Floats) -> Floats:
+    """Return the 90 % quantile of values, (K,), under each row of weights, (B, K)."""
+    order = np.argsort(values, kind="stable")
+    total = np.cumsum(weights[:, order], axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = total / total[:, -1:]
+    return np.asarray(values[order][(share >= _QUANTILE).argmax(axis=1)])
+
+
+def restricted_mean_s(until_s: Floats, is_event: Floats | Ints, weights: Floats) -> Floats:
+    """Return the mean time to an event, up to `LONGEST_S`, under each row of weights, (B,) s.
+
+    It is the area under Kaplan and Meier's curve; times without an event, (K,), are
+    censored. NaN where nothing weighs anything.
+    """
+    order = np.lexsort((~np.asarray(is_event, dtype=bool), until_s))  # Events before censoring.
+    times, events = until_s[order], np.asarray(is_event, dtype=np.float64)[order]
+    drawn = weights[:, order]
+    at_risk = np.cumsum(drawn[:, ::-1], axis=1)[:, ::-1]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        survival = np.cumprod(np.where(at_risk > 0.0, 1.0 - drawn * events / at_risk, 1.0), axis=1)
+    before = np.column_stack([np.ones(len(drawn)), survival])
+    ends = np.minimum(np.append(times, LONGEST_S), LONGEST_S)
+    length = np.diff(ends, prepend=0.0)
+    length[-1] = max(LONGEST_S - float(np.minimum(times.max(initial=0.0), LONGEST_S)), 0.0)
+    area = before @ length
+    return np.where(drawn.sum(axis=1) > 0.0, area, np.nan)

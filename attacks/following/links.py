@@ -1,0 +1,176 @@
+"""How likely one piece of a log goes on as another: candidates, evidence, probabilities.
+
+The evidence of a pair is the log density of the later piece's first state under the earlier
+piece's last one, moved on over the gap at constant velocity. It is Student's t with five
+degrees of freedom: people turn and stop more than white noise does. A conditional logit over
+all later pieces, and over *she does not come back*, turns evidence into probabilities. Its
+few weights are learnt from other people.
+
+References
+----------
+Gruteser, Hoh, "On the anonymity of periodic location samples", SPC 2005 (multi-target tracking
+as an attack on pseudonyms). McFadden, "Conditional logit analysis of qualitative choice
+behavior", 1974.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from scipy.optimize import minimize
+
+from attacks.following.pieces import Pieces, Q
+from isac_track.types import Bools, Floats, Ints
+
+LONGEST_GAP_S: Final = 30.0  # Nobody's last state tells anything for longer.
+MOST_CANDIDATES: Final = 50  # Of a piece: the likeliest ones, of thousands.
+_TAIL: Final = 5.0  # Degrees of freedom.
+_RIDGE: Final = 1e-3  # Keeps weights finite where training pieces are told apart without error.
+_APART_S: Final = 1e-6
+_LARGEST: Final = 500.0  # Exponent: a surer link than that is sure.
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Links:
+    """C candidate links of K pieces: one may go on as the other, later one."""
+
+    before: Ints  # (C,) number of the earlier piece, rising.
+    after: Ints  # (C,) number of the later piece.
+    features: Floats  # (C, F): log density, 1, log gap, and what else is known of the gap.
+    n_pieces: int
+
+    def __getitem__(self, rows: Bools) -> "Links":
+        """Return some of the candidates."""
+        return Links(self.before[rows], self.after[rows], self.features[rows], self.n_pieces)
+
+    def with_feature(self, values: Floats) -> "Links":
+        """Return the same candidates with a further feature, (C,)."""
+        return replace(self, features=np.column_stack([self.features, values]))
+
+
+def candidate_links(pieces: Pieces, *, begins: Ints | None = None) -> Links:
+    """Return the pairs of pieces with at most `LONGEST_GAP_S` between end and start.
+
+    Of each earlier piece the `MOST_CANDIDATES` of largest density.
+
+    `begins`, (K,), says whose first state stands at the start of each piece: their own ones
+    by default, others in the shuffled control.
+    """
+    n_pieces = len(pieces)
+    begins = np.arange(n_pieces) if begins is None else begins
+    # Pieces are in the order of their starts.
+    first = np.searchsorted(pieces.start.t, pieces.end.t + _APART_S)
+    last = np.searchsorted(pieces.start.t, pieces.end.t + LONGEST_GAP_S, side="right")
+    sizes = np.maximum(last - first, 0)
+    before = np.repeat(np.arange(n_pieces), sizes)
+    starts = np.cumsum(sizes) - sizes
+    after = np.arange(before.size) - np.repeat(starts - first, sizes)
+    density, gap_s = _log_density(pieces, before, after, begins)
+    features = np.column_stack([density, np.ones(before.size), np.log1p(gap_s)])
+    by_density = np.lexsort((-density, before))
+    rank = np.arange(before.size) - np.repeat(starts, sizes)
+    likeliest = np.sort(by_density[rank < MOST_CANDIDATES])
+    return Links(before[likeliest], after[likeliest], features[likeliest], n_pieces)
+
+
+def _log_density(pieces: Pieces, before: Ints, after: Ints, begins: Ints) -> tuple[Floats, Floats]:
+    """Return the log density of each pair up to a constant, and its gap in s, (C,) both."""
+    gap_s = pieces.start.t[after] - pieces.end.t[before]
+    mean, cov = pieces.end.mean[before], pieces.end.cov[before]
+    moved = mean[..., 0] + gap_s[:, None] * mean[..., 1]
+    off = pieces.start.mean[begins[after]] - np.stack([moved, mean[..., 1]], axis=-1)
+    # F P F' + Q + P' of constant velocity, of either axis.
+    other = pieces.start.cov[begins[after]]
+    velocity = cov[:, 1, 1] + Q * gap_s + other[:, 1, 1]
+    both = cov[:, 0, 1] + gap_s * cov[:, 1, 1] + Q * gap_s**2 / 2.0 + other[:, 0, 1]
+    position = (
+        cov[:, 0, 0]
+        + 2.0 * gap_s * cov[:, 0, 1]
+        + gap_s**2 * cov[:, 1, 1]
+        + Q * gap_s**3 / 3.0
+        + other[:, 0, 0]
+    )
+    determinant = position * velocity - both**2
+    square = (
+        velocity[:, None] * off[..., 0] ** 2
+        - 2.0 * both[:, None] * off[..., 0] * off[..., 1]
+        + position[:, None] * off[..., 1] ** 2
+    ).sum(axis=1) / determinant
+    dimensions = 4.0  # Position and velocity on two axes.
+    density = -0.5 * (_TAIL + dimensions) * np.log1p(square / _TAIL) - np.log(determinant)
+    return np.asarray(density), np.asarray(gap_s)
+
+
+def true_links(pieces: Pieces, links: Links) -> Bools:
+    """Return which candidates are a person's next piece, (C,)."""
+    following = next_pieces(pieces)
+    return np.asarray(following[links.before] == links.after)
+
+
+def next_pieces(pieces: Pieces) -> Ints:
+    """Return the next piece of the same person, (K,); -1 for her last."""
+    order = np.argsort(pieces.person, kind="stable")  # Within a person in the order of starts.
+    following = np.full(len(pieces), -1)
+    same = np.diff(pieces.person[order]) == 0
+    following[order[:-1][same]] = order[1:][same]
+    return following
+
+
+def learn_weights(links: Links, is_next: Bools, *, learn_from: Bools) -> Floats:
+    """Return the weights of the features, (F,), learnt from some earlier pieces, (K,).
+
+    They maximise the likelihood of which piece comes next, or that none does. Without a
+    candidate among `learn_from` no link is believed.
+    """
+    n_features = links.features.shape[1]
+    rows = learn_from[links.before]
+    if not is_next[rows].any():
+        return np.array([0.0, -np.inf, *np.zeros(n_features - 2)])
+    features, before = links.features[rows], links.before[rows]
+    # On one scale, so that the search is well conditioned; the constant stays.
+    middle, scale = features.mean(axis=0), features.std(axis=0)
+    middle[1], scale[1] = 0.0, 1.0
+    scale[scale == 0.0] = 1.0
+    scaled = (features - middle) / scale
+    hits, n_trials = scaled[is_next[rows]].sum(axis=0), int(learn_from.sum())
+
+    def loss(weights: Floats) -> tuple[float, Floats]:
+        value = scaled @ weights
+        total, share = _softmax(value, before, links.n_pieces)
+        gradient = share @ scaled - hits + 2.0 * _RIDGE * n_trials * weights
+        penalty = _RIDGE * n_trials * float(weights @ weights)
+        return float(np.log(total).sum() - hits @ weights + penalty), gradient
+
+    found = minimize(loss, np.zeros(n_features), jac=True, method="L-BFGS-B").x
+    weights = found / scale
+    weights[1] = found[1] - float((found / scale) @ middle)
+    return np.asarray(weights)
+
+
+def _softmax(value: Floats, before: Ints, n_pieces: int) -> tuple[Floats, Floats]:
+    """Return exp(value) summed with 1 for *none*, (K,), and each candidate's share of it, (C,)."""
+    weight = np.exp(np.minimum(value, _LARGEST))
+    total = 1.0 + np.bincount(before, weights=weight, minlength=n_pieces)
+    return np.asarray(total), np.asarray(weight / total[before])
+
+
+def probabilities(links: Links, weights: Floats) -> Floats:
+    """Return the probability that each candidate is the next piece of its person, (C,).
+
+    What is left of 1 for an earlier piece is the probability that she does not come back.
+    """
+    _, share = _softmax(links.features @ weights, links.before, links.n_pieces)
+    return share
+
+
+def entropy_bits(links: Links, probability: Floats) -> Floats:
+    """Return the entropy over a piece's candidates and *none*, (K,) bits."""
+    none = 1.0 - np.bincount(links.before, weights=probability, minlength=links.n_pieces)
+    bits = np.bincount(links.before, weights=_surprise(probability), minlength=links.n_pieces)
+    return np.asarray(bits + _surprise(np.clip(none, 0.0, 1.0)))
+
+
+def _surprise(probability: Floats) -> Floats:
+    """Return -p log2 p, and 0 at 0."""
+    positive = np.where(probability > 0.0, probability, 1.0)
+    return np.asarray(-probability * np.log2(positive))

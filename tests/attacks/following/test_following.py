@@ -1,0 +1,321 @@
+"""Following people through logs: hand-made walks, plain loops, closed forms, brute force."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from helpers.patrols import SETTINGS, clean_network, network_of, patrol_past, straight_walks
+from scipy.stats import multivariate_t
+
+from attacks.following.absence import contradictions
+from attacks.following.chains import join
+from attacks.following.followed import LONGEST_S, following_metrics, restricted_mean_s
+from attacks.following.links import (
+    MOST_CANDIDATES,
+    Links,
+    candidate_links,
+    entropy_bits,
+    learn_weights,
+    next_pieces,
+    probabilities,
+)
+from attacks.following.logs import Ending, follow_fleets
+from attacks.following.pieces import Q, pieces_of_fleet
+from isac_track.patrol_answers import disclose
+from isac_track.patrol_knowledge import guesses_from_map
+from isac_track.patrols import make_patrol
+from isac_track.policies.samples import Everything, Near, RandomPeople, Window
+from isac_track.policies.summaries import Flag, State
+
+CROSSING = straight_walks((0, 20, (-10.05, 0), (1, 0)))
+"""She is within 2 m of the robot at (0, 0) at the queries of 9, 10, 11 and 12 s."""
+
+
+def pieces_past(policy, *robots, tracks=CROSSING):
+    network = clean_network(patrol_past(tracks, *(robots or ((0, 0),))))
+    numbers = np.arange(len(robots) or 1)
+    return network, pieces_of_fleet(network, disclose(network, policy), robots=numbers)
+
+
+def follow_past(policy, tracks, *robots, **options):
+    network = clean_network(patrol_past(tracks, *(robots or ((0, 0),))))
+    guesses = guesses_from_map(network.patrol, epsilon_m=0.3)
+    return follow_fleets(
+        network,
+        disclose(network, policy),
+        estimator="interpolate",
+        guesses=guesses,
+        epsilon_m=0.3,
+        seed=0,
+        **options,
+    )
+
+
+@pytest.fixture(scope="module")
+def crowd(request):
+    """A network that senses a small crowd for three robots."""
+    settings = SETTINGS.changed({"patrol.segment_s": 20.0})
+    return network_of(
+        make_patrol(request.getfixturevalue("tracks"), settings=settings, seed=0), settings=settings
+    )
+
+
+class TestPieces:
+    def test_a_window_longer_than_a_query_interval_chains_itself(self):
+        _, pieces = pieces_past(Near(2.0, window_s=1.3))
+        assert len(pieces) == 1
+        assert pieces.start.t[0] == pytest.approx(9 - 1.3, abs=0.11)
+        assert pieces.end.t[0] == pytest.approx(12)
+
+    def test_a_shorter_window_leaves_a_piece_for_each_query(self):
+        _, pieces = pieces_past(Near(2.0, window_s=0.5))
+        np.testing.assert_allclose(pieces.end.t, [9, 10, 11, 12])
+        assert pieces.offsets.tolist() == [0, 6, 12, 18, 24]
+
+    def test_a_state_is_a_piece_of_its_own_whichever_robots_receive_it(self):
+        _, pieces = pieces_past(State(), (0, 0), (3, 0))
+        np.testing.assert_allclose(pieces.start.t, np.arange(21.0))
+        assert np.diff(pieces.offsets).tolist() == [1] * 21
+
+    def test_a_flag_leaves_none(self):
+        _, pieces = pieces_past(Flag())
+        assert len(pieces) == 0
+
+    def test_states_at_both_ends_have_the_place_and_the_velocity_of_a_straight_walk(self):
+        _, pieces = pieces_past(Near(2.0, window_s=1.3))
+        for states in (pieces.start, pieces.end):
+            np.testing.assert_allclose(states.mean[0, :, 0], [-10.05 + states.t[0], 0], atol=0.01)
+            np.testing.assert_allclose(states.mean[0, :, 1], [1, 0], atol=0.05)
+
+    @pytest.mark.parametrize(
+        "policy", [Near(3.0, window_s=1.3), RandomPeople(0.5, window_s=0.8), Window(0.6)]
+    )
+    def test_they_are_what_equal_samples_join(self, crowd, policy):
+        disclosure = disclose(crowd, policy)
+        pieces = pieces_of_fleet(crowd, disclosure, robots=np.arange(3))
+        answers = []
+        for presence, first, end in zip(
+            disclosure.presence, disclosure.first, disclosure.end, strict=True
+        ):
+            del presence
+            samples = range(first, end)
+            answers.append({(crowd.release.t[n], *crowd.release.xy[n]) for n in samples})
+        joined = []
+        for answer in answers:  # A plain loop that sees values alone.
+            common = [other for other in joined if other & answer]
+            joined = [other for other in joined if not other & answer]
+            joined.append(set().union(answer, *common))
+        ours = {
+            frozenset(
+                (crowd.release.t[n], *crowd.release.xy[n])
+                for n in pieces.sample[pieces.offsets[k] : pieces.offsets[k + 1]]
+            )
+            for k in range(len(pieces))
+        }
+        assert ours == {frozenset(some) for some in joined}
+
+
+class TestLinks:
+    def test_the_evidence_is_the_density_of_the_difference_of_states(self, crowd):
+        disclosure = disclose(crowd, Near(3.0, window_s=0.8))
+        pieces = pieces_of_fleet(crowd, disclosure, robots=np.arange(3))
+        links = candidate_links(pieces)
+        assert len(links.before) > 100
+        constants = []
+        for row in range(0, len(links.before), 17):
+            i, j = links.before[row], links.after[row]
+            gap_s = pieces.start.t[j] - pieces.end.t[i]
+            move = np.array([[1.0, gap_s], [0.0, 1.0]])
+            noise = Q * np.array([[gap_s**3 / 3, gap_s**2 / 2], [gap_s**2 / 2, gap_s]])
+            cov = move @ pieces.end.cov[i] @ move.T + noise + pieces.start.cov[j]
+            off = pieces.start.mean[j] - pieces.end.mean[i] @ move.T
+            exact = multivariate_t(shape=np.kron(np.eye(2), cov), df=5).logpdf(off.ravel())
+            constants.append(exact - links.features[row, 0])
+        np.testing.assert_allclose(constants, constants[0], rtol=1e-9)
+
+    def test_only_later_pieces_within_the_longest_gap_are_candidates(self):
+        tracks = straight_walks((0, 4, (0, 0), (0.1, 0)), (20, 24, (1, 0), (0.1, 0)))
+        _, pieces = pieces_past(Window(0.5), tracks=tracks)
+        links = candidate_links(pieces)
+        gaps_s = pieces.start.t[links.after] - pieces.end.t[links.before]
+        assert gaps_s.min() > 0
+        assert gaps_s.max() <= 30
+        for i in range(len(pieces)):
+            n_later = sum(0 < pieces.start.t[j] - pieces.end.t[i] <= 30 for j in range(len(pieces)))
+            assert (links.before == i).sum() == n_later
+
+    def test_of_many_candidates_the_likeliest_stay(self, crowd):
+        pieces = pieces_of_fleet(crowd, disclose(crowd, Window(0.6)), robots=np.arange(3))
+        links = candidate_links(pieces)
+        n_later = (pieces.start.t > pieces.end.t[:, None] + 1e-6).sum(axis=1)
+        kept = np.bincount(links.before, minlength=len(pieces))
+        assert kept.tolist() == np.minimum(n_later, MOST_CANDIDATES).tolist()
+        assert n_later.max() > MOST_CANDIDATES
+        is_next = next_pieces(pieces)[links.before] == links.after
+        assert is_next.sum() > 0.9 * (next_pieces(pieces) >= 0).sum()
+
+    def test_the_constant_alone_learns_how_often_somebody_comes_back(self):
+        # One candidate a piece: the learnt odds are those of the data.
+        n_pieces, n_next = 400, 300
+        before = np.arange(n_pieces)
+        features = np.column_stack([np.zeros(n_pieces), np.ones(n_pieces), np.zeros(n_pieces)])
+        links = Links(before, before, features, n_pieces)
+        weights = learn_weights(links, before < n_next, learn_from=np.ones(n_pieces, dtype=bool))
+        probability = probabilities(links, weights)
+        # The ridge of 1e-3 pulls the log odds, 1.1, by about one percent.
+        np.testing.assert_allclose(probability, n_next / n_pieces, atol=0.005)
+
+    def test_planted_weights_are_learnt(self):
+        rng, n_pieces, each = np.random.default_rng(0), 3000, 4
+        before = np.repeat(np.arange(n_pieces), each)
+        features = np.column_stack(
+            [rng.normal(-3, 2, before.size), np.ones(before.size), rng.uniform(0, 2, before.size)]
+        )
+        planted = np.array([0.8, 2.0, -1.0])
+        links = Links(before, np.arange(before.size), features, n_pieces)
+        share = probabilities(links, planted).reshape(n_pieces, each)
+        chances = np.column_stack([share, 1 - share.sum(axis=1)])
+        drawn = (rng.random((n_pieces, 1)) > np.cumsum(chances, axis=1)).sum(axis=1)
+        is_next = (np.arange(each) == drawn[:, None]).ravel()
+        weights = learn_weights(links, is_next, learn_from=np.ones(n_pieces, dtype=bool))
+        np.testing.assert_allclose(weights, planted, atol=0.2)
+
+    def test_without_a_training_link_nobody_is_joined(self):
+        features = np.array([[50.0, 1.0, 0.0]])
+        links = Links(np.array([0]), np.array([1]), features, 2)
+        weights = learn_weights(links, np.array([False]), learn_from=np.ones(2, dtype=bool))
+        assert probabilities(links, weights).tolist() == [0.0]
+
+    def test_entropy_counts_candidates_and_no_return(self):
+        links = Links(np.array([0, 0, 1]), np.array([1, 2, 2]), np.zeros((3, 3)), 3)
+        bits = entropy_bits(links, np.array([0.5, 0.25, 1.0]))
+        np.testing.assert_allclose(bits, [1.5, 0.0, 0.0])
+
+
+class TestChains:
+    @pytest.mark.parametrize("seed", range(20))
+    def test_the_assignment_is_the_best_of_all(self, seed):
+        rng = np.random.default_rng(seed)
+        n_pieces = 5
+        pairs = [(i, j) for i in range(n_pieces) for j in range(i + 1, n_pieces)]
+        before, after = np.array(pairs).T
+        raw = rng.exponential(size=before.size) * (rng.random(before.size) < 0.8)
+        none = rng.exponential(size=n_pieces)
+        total = none + np.bincount(before, weights=raw, minlength=n_pieces)
+        probability = raw / total[before]
+        links = Links(before, after, np.zeros((before.size, 3)), n_pieces)
+
+        def value(chosen):
+            """The log probability of a set of links; None if a piece is used twice."""
+            if len(set(before[chosen])) < len(chosen) or len(set(after[chosen])) < len(chosen):
+                return None
+            idle = [i for i in range(n_pieces) if i not in set(before[chosen])]
+            with np.errstate(divide="ignore"):
+                ends = np.log(none[idle] / total[idle]).sum()
+                return float(np.log(probability[chosen]).sum() + ends)
+
+        sets = [np.flatnonzero(flags) for flags in product([False, True], repeat=before.size)]
+        best = max(sets, key=lambda chosen: -np.inf if value(chosen) is None else value(chosen))
+        label = np.arange(n_pieces)
+        for link in best:
+            label[label == label[after[link]]] = label[before[link]]
+        chain = join(links, probability)
+        assert (chain[:, None] == chain).tolist() == (label[:, None] == label).tolist()
+
+
+class TestFollowed:
+    def test_everything_is_followed_from_the_first_to_the_last_query(self):
+        following = follow_past(Everything(), CROSSING)
+        assert following.followed_s.tolist() == [[20.0]]
+        assert following.ending.tolist() == [[Ending.LEFT]]
+        assert following.until_s.tolist() == [[20.0]]
+
+    def test_a_person_whom_no_answer_holds_is_unseen(self):
+        following = follow_past(Near(2.0), CROSSING, (0, 50))
+        assert following.followed_s.tolist() == [[0.0]]
+        assert following.ending.tolist() == [[Ending.UNSEEN]]
+
+    def test_without_other_people_to_learn_from_a_gap_ends_it_with_certainty_of_leaving(self):
+        following = follow_past(Near(2.0, window_s=0.5), CROSSING)
+        assert following.followed_s.tolist() == [[pytest.approx(0.5)]]
+        assert following.ceiling_s.tolist() == [[pytest.approx(3.5)]]
+        assert following.ending.tolist() == [[Ending.WRONG]]
+
+    def test_walks_far_apart_are_followed_over_gaps(self):
+        lanes = [(0, 20, (-10, 8.0 * row), (1.0, 0)) for row in range(12)]
+        following = follow_past(Window(0.5), straight_walks(*lanes))
+        np.testing.assert_allclose(following.followed_s, following.ceiling_s)
+        assert (following.known / following.instants[:, None] > 0.95).all()
+
+    def test_the_control_joins_less_than_the_attack(self, crowd):
+        disclosure = disclose(crowd, Window(0.6))
+        guesses = guesses_from_map(crowd.patrol, epsilon_m=0.3)
+        options = {"estimator": "smooth", "guesses": guesses, "epsilon_m": 0.3, "seed": 0}
+        attack = follow_fleets(crowd, disclosure, **options)
+        control = follow_fleets(crowd, disclosure, shuffled=True, **options)
+        assert attack.followed_s.mean() > 2 * control.followed_s.mean()
+        assert (attack.followed_s <= attack.ceiling_s + 1e-9).all()
+
+    def test_too_many_candidates_confuse(self):
+        # Everybody walks in the same place at once: nobody can be told from the others.
+        walks = [(0, 20, (0.001 * row, 0.0), (0.5, 0)) for row in range(12)]
+        following = follow_past(Window(0.5), straight_walks(*walks))
+        assert (following.ending == Ending.CONFUSED).all()
+        assert following.until_s.max() < 5
+
+
+class TestMetrics:
+    def test_of_walks_that_are_followed_to_the_end(self):
+        lanes = [(0, 20, (-10, 8.0 * row), (1.0, 0)) for row in range(12)]
+        tracks = straight_walks(*lanes)
+        following = follow_past(Window(0.5), tracks)
+        metrics = following_metrics(following, group=tracks.group, seed=0)
+        assert metrics["followed_10s"].value == 1.0
+        assert np.isnan(metrics["followed_30s"].value)  # Nobody is present so long.
+        assert metrics["followed_s"].value == pytest.approx(20, abs=0.6)
+        assert metrics["followed_90_s"].value == pytest.approx(20, abs=0.6)
+        assert metrics["time_to_confusion_s"].value == LONGEST_S
+        assert metrics["confident_wrong_share"].value == 0.0
+
+    def test_the_mean_time_is_the_area_under_a_slow_survival_curve(self):
+        rng = np.random.default_rng(1)
+        times = rng.integers(1, 50, 200).astype(float)
+        is_event, weights = rng.random(200) < 0.6, rng.integers(0, 3, (3, 200)).astype(float)
+        for weight, area in zip(weights, restricted_mean_s(times, is_event, weights), strict=True):
+            survival, at, expected = 1.0, 0.0, 0.0
+            for t in np.unique(times):
+                expected += survival * (min(t, LONGEST_S) - at)
+                at = min(t, LONGEST_S)
+                events = weight[(times == t) & is_event].sum()
+                at_risk = weight[times >= t].sum()
+                survival *= 1 - events / at_risk if at_risk else 1.0
+            expected += survival * (LONGEST_S - at)
+            assert area == pytest.approx(expected)
+
+
+class TestAbsence:
+    def test_queries_that_should_have_told_of_her_are_counted(self):
+        # She passes the robot unseen in the log of the adversary: only her ends are kept.
+        network, pieces = pieces_past(Window(0.5))
+        ends = Links(np.array([0]), np.array([len(pieces) - 1]), np.zeros((1, 3)), len(pieces))
+        count = contradictions(
+            pieces, ends, patrol=network.patrol, policy=Near(2.0), robots=np.array([0]), seed=0
+        )
+        assert count.tolist() == [4]  # Within 2 m of the robot at four queries.
+
+    def test_a_way_that_the_policy_would_not_tell_of_has_none(self):
+        network, pieces = pieces_past(Window(0.5), (0, 50))
+        ends = Links(np.array([0]), np.array([len(pieces) - 1]), np.zeros((1, 3)), len(pieces))
+        count = contradictions(
+            pieces, ends, patrol=network.patrol, policy=Near(2.0), robots=np.array([0]), seed=0
+        )
+        assert count.tolist() == [0]
+
+    def test_the_informed_adversary_stays_below_true_identities(self, crowd):
+        policy = Near(3.0, window_s=0.8)
+        disclosure = disclose(crowd, policy)
+        guesses = guesses_from_map(crowd.patrol, epsilon_m=0.3)
+        options = {"estimator": "smooth", "guesses": guesses, "epsilon_m": 0.3, "seed": 0}
+        following = follow_fleets(crowd, disclosure, knows_policy=policy, **options)
+        assert (following.followed_s <= following.ceiling_s + 1e-9).all()
+        assert following.followed_s.max() > 0
