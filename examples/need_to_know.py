@@ -68,13 +68,20 @@ UTILITY = (
 FOLLOWED = (
     "known_share",
     "followed_s",
+    "followed_ceiling_s",
     "followed_90_s",
     "followed_10s",
     "followed_30s",
     "time_to_confusion_s",
     "confident_wrong_share",
 )
-NO_SHARES = ("false_alarms_per_min", "followed_s", "followed_90_s", "time_to_confusion_s")
+NO_SHARES = (
+    "false_alarms_per_min",
+    "followed_s",
+    "followed_ceiling_s",
+    "followed_90_s",
+    "time_to_confusion_s",
+)
 ADVERSARIES = ("blind", "informed", "shuffled")
 """Blind; one who knows routes, times and the policy; the control of shuffled first states."""
 

@@ -1,8 +1,8 @@
 """Missed conflicts of a robot that raises as many false alarms as a reference.
 
 A robot that is told less may warn from farther away, at the cost of false alarms. To compare
-policies, each robot's alarm distance is set so that it raises as many as the reference does
-at the safety radius: the same robot, sent everything, without noise.
+policies, each robot's alarm distance is set so that it is falsely alarmed at as many queries as
+the reference is at the safety radius: the same robot, sent everything, without noise.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ import numpy as np
 
 from isac_track.intervals import LEAST_CLUSTERS, Estimate, effective_clusters, estimate_of
 from isac_track.patrol_intervals import FEWEST_ROUTES, sum_clusters, two_way_weights
-from isac_track.patrol_utility import NEVER, false_alarms
+from isac_track.patrol_utility import NEVER, false_alarm_queries
 from isac_track.patrols import Patrol
 from isac_track.types import Floats, Ints
 
@@ -23,7 +23,7 @@ _DISTANCES_M: Final = np.linspace(0.0, 3.0, 31)  # Alarm distances that are trie
 class AlarmCurve:
     """False alarms and missed conflicts of R robots at D alarm distances."""
 
-    alarms: Floats  # (D, R)
+    alarms: Floats  # (D, R) queries with a false alarm.
     missed: Floats  # (D, C, R) future conflicts, by cluster of people.
     trials: Floats  # (C, R) future conflicts.
 
@@ -41,7 +41,7 @@ def alarm_curve(
     for distance_m in _DISTANCES_M:
         is_alarm = gaps_m < distance_m
         foreseen = np.where(is_alarm, 0, NEVER)
-        alarms.append(false_alarms(patrol, actual, foreseen, horizon=horizon))
+        alarms.append(false_alarm_queries(patrol, actual, foreseen, horizon=horizon))
         missed.append(sum_clusters(is_future & ~is_alarm, cluster))
     return AlarmCurve(
         alarms=np.array(alarms, dtype=np.float64),
@@ -53,10 +53,10 @@ def alarm_curve(
 def missed_at_equal_alarms(curve: AlarmCurve, *, reference: Floats, seed: int) -> Estimate:
     """Return the share of future conflicts missed at the false alarms of a reference.
 
-    `reference`, (R,), are false alarms of the same routes. The alarm distance is the farthest
-    up to which the robot raises no more; between two distances both numbers are interpolated.
-    Every replicate of the two-way interval sets its own. A robot that stays below the reference
-    at every distance is taken at the longest.
+    `reference`, (R,), are queries with a false alarm on the same routes. The alarm distance is
+    the farthest at which the robot has no more of them; between two distances both numbers are
+    interpolated. Every replicate of the two-way interval sets its own. A robot that stays below
+    the reference at every distance is taken at the longest.
     """
     n_clusters, n_routes = curve.trials.shape
     people, routes = two_way_weights(n_clusters=n_clusters, n_routes=n_routes, seed=seed)

@@ -23,6 +23,7 @@ from isac_track.patrol_utility import (
     Counts,
     answer_forecasts,
     conflicts_in,
+    false_alarm_queries,
     false_alarms,
     first_entries,
     least_gaps,
@@ -51,7 +52,7 @@ class RobotTask:
     entries: Ints  # (N, R) scan of the first true entry.
     everything: Ints  # (E, R) scans until a conflict is foreseen from all samples.
     allowed: dict[int, Ints]
-    """By horizon, in scans, (R,) false alarms of the reference, which are compared at."""
+    """By horizon, in scans, (R,) queries with a false alarm of the reference."""
 
 
 def robot_task(
@@ -64,15 +65,15 @@ def robot_task(
 ) -> RobotTask:
     """Return the task of a robot; `everything` is the disclosure of that policy.
 
-    `reference` is the task of the same robot without noise: its false alarms are those that
-    all are compared at. Without it they are those of this task.
+    `reference` is the task of the same robot without noise: at its false alarms all are
+    compared. Without it they are those of this task.
     """
     patrol, radius_m = network.patrol, settings.conflict.safety_radius_m
     answers = answer_forecasts(network, everything, predictor)
     foreseen = conflicts_in(patrol, answers, safety_radius_m=radius_m)
     actual = true_conflicts(patrol, safety_radius_m=radius_m)
     allowed = {
-        horizon: false_alarms(patrol, actual, foreseen, horizon=horizon)
+        horizon: false_alarm_queries(patrol, actual, foreseen, horizon=horizon)
         for horizon in horizon_scans(settings)
     }
     return RobotTask(

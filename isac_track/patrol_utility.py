@@ -235,6 +235,18 @@ def false_alarms(patrol: Patrol, actual: Ints, foreseen: Ints, *, horizon: int) 
     return numbers
 
 
+def false_alarm_queries(patrol: Patrol, actual: Ints, foreseen: Ints, *, horizon: int) -> Ints:
+    """Return at how many queries each robot is alarmed although nobody comes inside, (R,).
+
+    Both within the horizon, in scans. A longer alarm distance never lowers this number, which
+    it may do to that of `false_alarms`.
+    """
+    query, n_queries = patrol.presences.query, patrol.query_scan.size
+    is_alarm = _any_person(foreseen <= horizon, query, n_queries)
+    is_conflict = _any_person(actual <= horizon, query, n_queries)
+    return np.asarray((is_alarm & ~is_conflict).sum(axis=0))
+
+
 def _any_person(flags: Bools, query: Ints, n_queries: int) -> Bools:
     """Return whether a flag holds for anybody present at each query, (E, R) -> (Q, R)."""
     total = np.zeros((n_queries, flags.shape[1]), dtype=bool)

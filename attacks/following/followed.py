@@ -33,7 +33,8 @@ def following_metrics(
     """Return the metrics of being followed, by name; `group` names each person's cluster.
 
     - `known_share`: person-time at which a chain states a person's place within epsilon.
-    - `followed_s`: mean time within one pure chain, s; `followed_90_s`: its 90 % quantile.
+    - `followed_s`: mean time within one pure chain, s; `followed_90_s`: its 90 % quantile;
+      `followed_ceiling_s`: the mean with true identities.
     - `followed_10s`, `followed_30s`: share followed so long, of those present so long.
     - `time_to_confusion_s`: mean time to confusion, s, up to `LONGEST_S`, of those seen.
     - `confident_wrong_share`: of those seen, who end in a sure and wrong link.
@@ -45,6 +46,7 @@ def following_metrics(
     ratios = {
         "known_share": (following.known, following.instants[:, None] * everybody, True),
         "followed_s": (following.followed_s, everybody, False),
+        "followed_ceiling_s": (following.ceiling_s, everybody, False),
         "confident_wrong_share": (following.ending == Ending.WRONG, seen, True),
     }
     for limit_s in (10, 30):

@@ -83,3 +83,4 @@ def test_at_the_robots_own_alarms_it_misses_no_more(crowd):
         assert metrics["missed_future_rate"].value == pytest.approx(missed)
         # No alarm more is raised at 0.9 m: the farthest such distance misses no more.
         assert metrics["missed_future_at_equal_alarms"].value <= missed
+        assert (np.diff(curve.alarms, axis=0) >= 0).all()

@@ -273,6 +273,7 @@ class TestMetrics:
         assert metrics["followed_10s"].value == 1.0
         assert np.isnan(metrics["followed_30s"].value)  # Nobody is present so long.
         assert metrics["followed_s"].value == pytest.approx(20, abs=0.6)
+        assert metrics["followed_ceiling_s"].value == pytest.approx(20, abs=0.6)
         assert metrics["followed_90_s"].value == pytest.approx(20, abs=0.6)
         assert metrics["time_to_confusion_s"].value == LONGEST_S
         assert metrics["confident_wrong_share"].value == 0.0
