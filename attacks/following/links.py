@@ -20,13 +20,14 @@ import numpy as np
 from scipy.optimize import minimize
 
 from attacks.following.pieces import Pieces, Q
-from isac_track.types import Bools, Floats, Ints
+from isac_track.types import Bools, Floats, Ints, stretches
 
 LONGEST_GAP_S: Final = 30.0  # Nobody's last state tells anything for longer.
 MOST_CANDIDATES: Final = 50  # Of a piece: the likeliest ones, of thousands.
 _TAIL: Final = 5.0  # Degrees of freedom.
 _RIDGE: Final = 1e-3  # Keeps weights finite where training pieces are told apart without error.
 _APART_S: Final = 1e-6
+_AT_A_TIME: Final = 500  # Pieces whose candidates are held in memory at once.
 _LARGEST: Final = 500.0  # Exponent: a surer link than that is sure.
 
 
@@ -58,19 +59,34 @@ def candidate_links(pieces: Pieces, *, begins: Ints | None = None) -> Links:
     """
     n_pieces = len(pieces)
     begins = np.arange(n_pieces) if begins is None else begins
+    nothing = Links(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), n_pieces)
+    parts = [nothing]
+    for first in range(0, n_pieces, _AT_A_TIME):
+        earlier = np.arange(first, min(first + _AT_A_TIME, n_pieces))
+        parts.append(_likeliest_links(pieces, earlier, begins))
+    return Links(
+        before=np.concatenate([part.before for part in parts]),
+        after=np.concatenate([part.after for part in parts]),
+        features=np.concatenate([part.features for part in parts]),
+        n_pieces=n_pieces,
+    )
+
+
+def _likeliest_links(pieces: Pieces, earlier: Ints, begins: Ints) -> Links:
+    """Return the likeliest links of some earlier pieces, numbered without a gap."""
     # Pieces are in the order of their starts.
-    first = np.searchsorted(pieces.start.t, pieces.end.t + _APART_S)
-    last = np.searchsorted(pieces.start.t, pieces.end.t + LONGEST_GAP_S, side="right")
-    sizes = np.maximum(last - first, 0)
-    before = np.repeat(np.arange(n_pieces), sizes)
-    starts = np.cumsum(sizes) - sizes
-    after = np.arange(before.size) - np.repeat(starts - first, sizes)
+    first = np.searchsorted(pieces.start.t, pieces.end.t[earlier] + _APART_S)
+    last_s = pieces.end.t[earlier] + LONGEST_GAP_S
+    last = np.searchsorted(pieces.start.t, last_s, side="right")
+    after, offsets = stretches(first, np.maximum(last - first, 0))
+    sizes = np.diff(offsets)
+    before = np.repeat(earlier, sizes)
     density, gap_s = _log_density(pieces, before, after, begins)
     features = np.column_stack([density, np.ones(before.size), np.log1p(gap_s)])
     by_density = np.lexsort((-density, before))
-    rank = np.arange(before.size) - np.repeat(starts, sizes)
+    rank = np.arange(before.size) - np.repeat(offsets[:-1], sizes)
     likeliest = np.sort(by_density[rank < MOST_CANDIDATES])
-    return Links(before[likeliest], after[likeliest], features[likeliest], n_pieces)
+    return Links(before[likeliest], after[likeliest], features[likeliest], len(pieces))
 
 
 def _log_density(pieces: Pieces, before: Ints, after: Ints, begins: Ints) -> tuple[Floats, Floats]:
