@@ -49,13 +49,12 @@ def pytest_cmdline_main(config):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection():
-    """Import and collect without garbage collection; all of it stays until the end."""
+    """Import and collect without garbage collection: nothing of it is garbage."""
     gc.disable()
     try:
         return (yield)
     finally:
         gc.enable()
-        gc.freeze()
 
 
 def pytest_collection_modifyitems(items):

@@ -65,7 +65,9 @@ def _assigned(links: Links, odds: Floats) -> Ints:
     rows = np.concatenate([links.before[useful], np.arange(n_pieces)])
     columns = np.concatenate([links.after[useful], n_pieces + np.arange(n_pieces)])
     costs = np.concatenate([most - odds[useful], np.full(n_pieces, most)])
-    graph = coo_array((costs, (rows, columns)), shape=(n_pieces, 2 * n_pieces)).tocsr()
+    # The oldest scipy that is supported takes indices of 32 bits alone.
+    places = rows.astype(np.int32), columns.astype(np.int32)
+    graph = coo_array((costs, places), shape=(n_pieces, 2 * n_pieces)).tocsr()
     row, column = min_weight_full_bipartite_matching(graph)
     partner = np.full(n_pieces, -1)
     partner[row] = column
