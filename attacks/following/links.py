@@ -157,9 +157,9 @@ def learn_weights(links: Links, is_next: Bools, *, learn_from: Bools) -> Floats:
         penalty = _RIDGE * n_trials * float(weights @ weights)
         return float(np.log(total).sum() - hits @ weights + penalty), gradient
 
-    found = minimize(loss, np.zeros(n_features), jac=True, method="L-BFGS-B").x
-    weights = found / scale
-    weights[1] = found[1] - float((found / scale) @ middle)
+    optimum = minimize(loss, np.zeros(n_features), jac=True, method="L-BFGS-B").x
+    weights = optimum / scale
+    weights[1] = optimum[1] - float(weights @ middle)
     return np.asarray(weights)
 
 
