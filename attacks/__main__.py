@@ -15,12 +15,25 @@ from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
 from isac_track.errors import IsacTrackError, SettingsError
 
 KINDS: dict[str, dict[str, str]] = {
-    kind: {"noun": noun, "one_check": check, "idea": idea, "parameter": name, "another": value}
+    kind: {
+        "noun": noun,
+        "one_check": check,
+        "idea": idea,
+        "parameter": name,
+        "another": value,
+    }
     for kind, noun, check, idea, name, value in (
         ("reconstruction", "attack", "null_stays_at_chance", "smooth", "tau_s", "0.1"),
         ("linkage", "attack", "null_stays_at_chance", "describe", "bin_s", "0.5"),
         ("mechanism", "mechanism", "sigma_is_declared", "how_much", "d_sigma", "0.2"),
-        ("predictor", "predictor", "odd_tracks_are_predicted", "ahead", "window_s", "0.5"),
+        (
+            "predictor",
+            "predictor",
+            "odd_tracks_are_predicted",
+            "ahead",
+            "window_s",
+            "0.5",
+        ),
     )
 }
 """What the packages of the kinds differ in, beside the template of the module."""
@@ -44,7 +57,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     def run() -> int:
         options = vars(parser().parse_args(arguments))
-        commands: dict[str, Callable[..., int]] = {"check": _check, "new": _new, "list": _list}
+        commands: dict[str, Callable[..., int]] = {
+            "check": _check,
+            "new": _new,
+            "list": _list,
+        }
         return commands[options.pop("command")](**options)
 
     return exit_code(run)
@@ -54,27 +71,43 @@ def parser() -> Parser:
     """Return the command line."""
     command = Parser(
         prog="python -m attacks",
-        description="List the attacks; check an attack, mechanism or predictor against its kit, "
-        "or begin your own.",
+        description=(
+            "List the attacks; check an attack, mechanism or predictor against its kit,"
+            " or begin your own."
+        ),
         epilog=_EPILOG,
     )
     commands = command.add_subparsers(dest="command", title="commands", required=True)
-    commands.add_parser("list", help="what is built in or installed, and which adversaries run it")
+    commands.add_parser(
+        "list", help="what is built in or installed, and which adversaries run it"
+    )
     check = commands.add_parser("check", help="run its kit on one plug-in")
     check.add_argument(
-        "spec", metavar="SPEC", help="name[:VALUE][,key=value...] or package.module:Class[:...]"
+        "spec",
+        metavar="SPEC",
+        help="name[:VALUE][,key=value...] or package.module:Class[:...]",
     )
-    new = commands.add_parser("new", help="write a package with a plug-in that works, to edit")
-    new.add_argument("name", metavar="NAME", help="a lower-case Python identifier: my_attack")
+    new = commands.add_parser(
+        "new", help="write a package with a plug-in that works, to edit"
+    )
+    new.add_argument(
+        "name", metavar="NAME", help="a lower-case Python identifier: my_attack"
+    )
     new.add_argument(
         "--kind",
         choices=KINDS,
         default="reconstruction",
-        help="an attack that asks where people were (default) or whose release it is, or how "
-        "positions are shared or predicted",
+        help=(
+            "an attack that asks where people were (default) or whose release it is, or"
+            " how positions are shared or predicted"
+        ),
     )
     new.add_argument(
-        "--into", type=Path, default=Path(), metavar="DIR", help="where (default: this folder)"
+        "--into",
+        type=Path,
+        default=Path(),
+        metavar="DIR",
+        help="where (default: this folder)",
     )
     return command
 
@@ -108,7 +141,11 @@ def _list() -> int:
 
 
 def _check(spec: str) -> int:
-    from attacks.testing import adversaries_of, checks_for, noun_of  # noqa: PLC0415 - `--help` stays quick
+    from attacks.testing import (  # noqa: PLC0415 - `--help` stays quick
+        adversaries_of,
+        checks_for,
+        noun_of,
+    )
     from isac_track import plugins  # noqa: PLC0415 - as above
     from isac_track.testing import engine  # noqa: PLC0415 - as above
 
@@ -117,11 +154,17 @@ def _check(spec: str) -> int:
     for plugin in plugins.parse(plugins.kind_named(spec), spec):
         checks, noun = checks_for(plugin.instance), noun_of(plugin.instance)
         width = max(map(len, checks))
-        who = ", ".join(adversaries_of(plugin.instance)) if noun == "attack" else f"a {noun}"
+        who = (
+            ", ".join(adversaries_of(plugin.instance))
+            if noun == "attack"
+            else f"a {noun}"
+        )
         print(f"{plugin.spec} as {who}:")
         passed &= engine.report(
             engine.outcomes(checks.values(), plugin.instance),
-            line=lambda one: f"  {words[one.status]}  {one.name:<{width}}  {one.message}",  # noqa: B023 - called at once
+            line=lambda one: (
+                f"  {words[one.status]}  {one.name:<{width}}  {one.message}"  # noqa: B023 - called at once
+            ),
         )
     return DONE if passed else LIMIT_NOT_MET
 
@@ -137,7 +180,9 @@ def _new(name: str, *, kind: str, into: Path) -> int:
         "matrix": f"python -m evaluation.matrix --{noun} +{name}",
     }
     is_what = f"{kind} attack" if noun == "attack" else noun
-    words = KINDS[kind] | commands | {"is": is_what, "name": name, "class_name": class_name}
+    words = (
+        KINDS[kind] | commands | {"is": is_what, "name": name, "class_name": class_name}
+    )
     written = {f"{name}.py": f"{kind}.py", f"test_{name}.py": "test_plugin.py"}
     written |= {source: source for source in ("pyproject.toml", "README.md")}
     try:
@@ -147,8 +192,12 @@ def _new(name: str, *, kind: str, into: Path) -> int:
             text = Template(template.read_text(encoding="utf-8")).substitute(words)
             (folder / target).write_text(text, encoding="utf-8")
     except OSError as error:
-        raise SettingsError(f"cannot write {error.filename}: {error.strerror}") from error
-    works = f"a{'n' * (noun == 'attack')} {noun} that works; edit {folder / name}.py, then:"
+        raise SettingsError(
+            f"cannot write {error.filename}: {error.strerror}"
+        ) from error
+    works = (
+        f"a{'n' * (noun == 'attack')} {noun} that works; edit {folder / name}.py, then:"
+    )
     print(f"wrote {folder}: {works}", *commands.values(), sep="\n  ")
     return DONE
 
@@ -168,11 +217,16 @@ def _reject_taken(name: str, *, class_name: str, folder: Path, noun: str) -> Non
     elif class_name in _IMPORTED:
         wrong = f"would call its class {class_name}, which is taken"
     elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise SettingsError(f"{folder} is there already; take another name, or --into DIR")
+        raise SettingsError(
+            f"{folder} is there already; take another name, or --into DIR"
+        )
     elif name in plugins.names(cast("plugins.Kind", f"{noun}s")):
         wrong = f"is the name of a{'n' * (noun == 'attack')} {noun} already"
     # A folder without a module, such as an empty one of that name, is in nobody's way.
-    elif name in sys.stdlib_module_names or getattr(find_spec(name), "origin", None) is not None:
+    elif (
+        name in sys.stdlib_module_names
+        or getattr(find_spec(name), "origin", None) is not None
+    ):
         wrong = "is the name of a Python module already"
     if wrong:
         raise SettingsError(f"{name!r} {wrong}; {way_out}".removesuffix("; "))

@@ -22,15 +22,21 @@ def remembered(
 ) -> Callable[Concatenate[_Source, _Rest], _Found]:
     """Return a function that keeps what it makes of a release for as long as that is alive.
 
-    What else it takes can be hashed: numbers, functions, other releases. Of these it keeps nobody
-    alive: two that are compared with each other, or one with itself, would live on for ever.
+    What else it takes can be hashed: numbers, functions, other releases. Of these it
+    keeps nobody alive: two that are compared with each other, or one with itself, would
+    live on for ever.
     """
     known: WeakKeyDictionary[_Source, dict[object, _Found]] = WeakKeyDictionary()
 
     @wraps(function)
-    def recalled(source: _Source, /, *rest: _Rest.args, **named: _Rest.kwargs) -> _Found:
+    def recalled(
+        source: _Source, /, *rest: _Rest.args, **named: _Rest.kwargs
+    ) -> _Found:
         of_this = known.setdefault(source, {})
-        key = (*(ref(one) if isinstance(one, Release) else one for one in rest), *named.items())
+        key = (
+            *(ref(one) if isinstance(one, Release) else one for one in rest),
+            *named.items(),
+        )
         if key not in of_this:
             of_this[key] = function(source, *rest, **named)
         return of_this[key]
@@ -68,8 +74,8 @@ def reconstructed_from(release: Release, shared: Release) -> Release:
 def as_shared(release: Release) -> Release:
     """Return a release with the positions as they were shared: itself, if nothing smoothed it.
 
-    Whoever smooths positions still has them. A smoother takes out the noise, and with it how much
-    there was.
+    Whoever smooths positions still has them. A smoother takes out the noise, and with
+    it how much there was.
     """
     origin, rows = whole(release)
     shared = _SHARED.get(origin)

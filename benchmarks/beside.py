@@ -1,9 +1,10 @@
 """Side by side with what a user would take instead: ``python -m benchmarks.beside --json FILE``.
 
-Filters and smoothers, warping, pairwise distances, the scorecard of a linkage attack, and a whole
-cell (release, attack, scorecard) against a plain script of the same content. Both sides get the
-same arrays in one process with one thread; results are compared before times are told, and a
-difference that is no rounding ends it with exit code 1. What is not installed is left out.
+Filters and smoothers, warping, pairwise distances, the scorecard of a linkage attack,
+and a whole cell (release, attack, scorecard) against a plain script of the same
+content. Both sides get the same arrays in one process with one thread; results are
+compared before times are told, and a difference that is no rounding ends it with exit
+code 1. What is not installed is left out.
 """
 
 # Peers are imported where they are used: any of them may be missing.
@@ -56,14 +57,27 @@ LEVEL_M = 0.5
 LONGEST_LAG = 24
 ALPHA = 0.01
 TOLERANCE = 1e-8
-METRICS = ("rank1", "mrr", "rank1_assigned", "auc", "eer", "cllr_min", "tpr_at_fpr_1pct", "d_sys")
+METRICS = (
+    "rank1",
+    "mrr",
+    "rank1_assigned",
+    "auc",
+    "eer",
+    "cllr_min",
+    "tpr_at_fpr_1pct",
+    "d_sys",
+)
 COLUMNS = ("what", "theirs", "ours_ms", "theirs_ms", "ratio", "largest_difference")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Compare, time and show; return 1 if two results differ."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.beside", description=__doc__)
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there, too")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.beside", description=__doc__
+    )
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="write the figures there, too"
+    )
     options = parser.parse_args(arguments)
     kalman.prepare()
     before_s, load = calibration_s(), os.getloadavg()[0]
@@ -72,14 +86,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             name = f"{package} {version(package)}"
         except PackageNotFoundError:
-            print(f"{what}: {package} is missing; `pip install {package}`", file=sys.stderr)
+            print(
+                f"{what}: {package} is missing; `pip install {package}`",
+                file=sys.stderr,
+            )
             continue
         worst = difference(ours(), theirs())
         ours_s, theirs_s = best(ours, repeats=20), best(theirs, repeats=3)
         times = (1e3 * ours_s, 1e3 * theirs_s, theirs_s / ours_s)
         found.append(dict(zip(COLUMNS, (what, name, *times, worst), strict=True)))
     shown = [
-        [*(row[key] for key in COLUMNS[:2]), *map(_shown, [*row.values()][2:])] for row in found
+        [*(row[key] for key in COLUMNS[:2]), *map(_shown, [*row.values()][2:])]
+        for row in found
     ]
     print("\n".join(aligned([COLUMNS, *shown], left={0, 1})))
     about = {
@@ -91,7 +109,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.json is not None:
         held = json.dumps(about | {"rows": found}, indent=1) + "\n"
         options.json.write_text(held, encoding="utf-8")
-    differ = [row["what"] for row in found if not row["largest_difference"] <= TOLERANCE]
+    differ = [
+        row["what"] for row in found if not row["largest_difference"] <= TOLERANCE
+    ]
     if differ:
         print(f"error: results differ: {', '.join(differ)}", file=sys.stderr)
     return 1 if differ else 0
@@ -123,7 +143,9 @@ def linkage_rows() -> Iterator[Row]:
     """Yield what links and what scores."""
     sensed = windows(n=N_PEOPLE)
     probe, gallery = (share(one).without_sigma() for one in sensed)
-    context = AttackContext(rng=stream(0, "benchmark"), epsilon_m=0.3, granted=frozenset())
+    context = AttackContext(
+        rng=stream(0, "benchmark"), epsilon_m=0.3, granted=frozenset()
+    )
     shape, behaviour = Shape().fit(context), Behaviour().fit(context)
     each = f"{N_PEOPLE} x {N_PEOPLE} walks of 12 s"
     p, g = (motion_of(one, 1.0) for one in (probe, gallery))
@@ -141,7 +163,8 @@ def linkage_rows() -> Iterator[Row]:
         lambda: [squared_distances(a, b, metric)],
     )
     counts = [
-        stream(0, "benchmark", side).multinomial(96, np.full(60, 1 / 60), 700) for side in "pg"
+        stream(0, "benchmark", side).multinomial(96, np.full(60, 1 / 60), 700)
+        for side in "pg"
     ]
     c, d = (each.astype(np.float64) for each in counts)
     yield (
@@ -178,13 +201,24 @@ def scored(scores: Floats, weights: Floats) -> list[Floats]:
     everybody = np.arange(len(scores))
     search = linkability.Search(scores, everybody, everybody, everybody)
     card = linkability.scorecard(
-        *([search],), weights=weights, calibration=None, no_match_score=None, rng=stream(0, "card")
+        *([search],),
+        weights=weights,
+        calibration=None,
+        no_match_score=None,
+        rng=stream(0, "card"),
     )
     found = (card.estimates[name] for name in METRICS)
     return [np.array([one.value, *one.replicates]) for one in found]
 
 
-def warped(probe: Any, gallery: Any, *, band: float, penalty: float, floor: float) -> Floats:  # noqa: ANN401 - Signals
+def warped(
+    probe: Any,  # noqa: ANN401 - Signals
+    gallery: Any,  # noqa: ANN401 - Signals
+    *,
+    band: float,
+    penalty: float,
+    floor: float,
+) -> Floats:
     """Return `warped_costs` of walks of about one length by dtaidistance's compiled loops."""
     from dtaidistance import dtw_ndim
 
@@ -197,9 +231,13 @@ def warped(probe: Any, gallery: Any, *, band: float, penalty: float, floor: floa
     (reach,) = {round(band * n) for n in length}  # nor is it cut where a walk is short
     block = ((0, n_probe), (n_probe, len(walks)))
     law = {"window": reach + 1, "psi": reach, "penalty": penalty}
-    found = dtw_ndim.distance_matrix(walks, 2, block=block, use_c=True, parallel=False, **law)
+    found = dtw_ndim.distance_matrix(
+        walks, 2, block=block, use_c=True, parallel=False, **law
+    )
     shorter = np.minimum.outer(length[:n_probe], length[n_probe:])
-    costs: Floats = (found[:n_probe, n_probe:] ** 2 / shorter + floor) * (24 / shorter) ** 3
+    costs: Floats = (found[:n_probe, n_probe:] ** 2 / shorter + floor) * (
+        24 / shorter
+    ) ** 3
     return costs
 
 
@@ -237,19 +275,30 @@ def plainly_scored(scores: Floats, weights: Floats) -> list[Floats]:
     columns = []
     for draw in (np.ones(n), *weights[: linkability.SCORE_REPLICATES]):
         mass = np.where(is_mate, draw[:, None], np.outer(draw, draw)).ravel()
-        fpr, tpr, _ = roc_curve(label, value, sample_weight=mass, drop_intermediate=False)
+        fpr, tpr, _ = roc_curve(
+            label, value, sample_weight=mass, drop_intermediate=False
+        )
         own, other = (np.where(one, mass, 0.0) for one in (label, ~label))
         own, other = own / own.sum(), other / other.sum()
         some = mass > 0
         fitted = IsotonicRegression(y_min=0, y_max=1)
-        p = fitted.fit_transform(value[some], label[some], sample_weight=(own + other)[some])
-        hull = roc_curve(label[some], p, sample_weight=mass[some], drop_intermediate=False)
+        p = fitted.fit_transform(
+            value[some], label[some], sample_weight=(own + other)[some]
+        )
+        hull = roc_curve(
+            label[some], p, sample_weight=mass[some], drop_intermediate=False
+        )
         with np.errstate(divide="ignore", invalid="ignore"):
-            nats = np.where(label[some], own[some] * -np.log(p), other[some] * -np.log1p(-p))
+            nats = np.where(
+                label[some], own[some] * -np.log(p), other[some] * -np.log1p(-p)
+            )
             bins = [
-                np.histogram(scores, edges, weights=one.reshape(n, n))[0] for one in (own, other)
+                np.histogram(scores, edges, weights=one.reshape(n, n))[0]
+                for one in (own, other)
             ]
-            share = np.where(bins[0] > bins[1], (bins[0] - bins[1]) / (bins[0] + bins[1]), 0.0)
+            share = np.where(
+                bins[0] > bins[1], (bins[0] - bins[1]) / (bins[0] + bins[1]), 0.0
+            )
         columns.append(
             [
                 auc(fpr, tpr),
@@ -279,9 +328,14 @@ def plain_walks(sensed: Sensed) -> list[Floats]:
     xy = sensed.xy + LEVEL_M * sensed.unit_error
     walks = []
     for low, high in zip(sensed.offsets[:-1], sensed.offsets[1:], strict=True):
-        t, z = sensed.t[low:high] - sensed.t[low], (xy[low:high] - xy[low]) @ [1.0, 1.0j]
+        t, z = (
+            sensed.t[low:high] - sensed.t[low],
+            (xy[low:high] - xy[low]) @ [1.0, 1.0j],
+        )
         count = int(t[-1] / STEP_S + 1e-6)
-        edges = np.minimum((t[-1] - count * STEP_S) / 2 + STEP_S * np.arange(count + 1), t[-1])
+        edges = np.minimum(
+            (t[-1] - count * STEP_S) / 2 + STEP_S * np.arange(count + 1), t[-1]
+        )
         knots = np.union1d(edges, t)
         line = np.interp(knots, t, z.real) + 1j * np.interp(knots, t, z.imag)
         areas = np.append(0.0, np.cumsum(np.diff(knots) * (line[1:] + line[:-1]) / 2))
@@ -306,8 +360,14 @@ def plain_shape(probe: list[Floats], gallery: list[Floats]) -> Floats:
                 basis = np.linalg.qr(powers)[0][:, 1:]
                 a = own[max(lag, 0) :][:m] @ basis
                 b = others[:, max(-lag, 0) :][:, :m] @ basis
-                gap = np.vdot(a, a).real + (np.abs(b) ** 2).sum(axis=1) - 2 * np.abs(b @ a.conj())
-                cost = (np.maximum(gap, 0.0) / m + Shape.DEFAULT_FLOOR_M2) * (48 / m) ** 3
+                gap = (
+                    np.vdot(a, a).real
+                    + (np.abs(b) ** 2).sum(axis=1)
+                    - 2 * np.abs(b @ a.conj())
+                )
+                cost = (np.maximum(gap, 0.0) / m + Shape.DEFAULT_FLOOR_M2) * (
+                    48 / m
+                ) ** 3
                 least[i, rows] = np.minimum(least[i, rows], cost)
     return np.asarray(-np.log(least))
 

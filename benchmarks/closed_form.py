@@ -1,7 +1,8 @@
 """Do the closed forms foretell what a smoother reaches? `python -m benchmarks.closed_form`.
 
-Students03, 250 scenes, isotropic sensing errors, white noise on top: PLR after `kalman_rts`, with
-its interval, beside the closed form of the added noise alone and of every sample's whole error.
+Students03, 250 scenes, isotropic sensing errors, white noise on top: PLR after
+`kalman_rts`, with its interval, beside the closed form of the added noise alone and of
+every sample's whole error.
 """
 
 from __future__ import annotations
@@ -47,14 +48,17 @@ def main() -> int:
 
     tracks = cut(datasets.load(NAME).tracks, settings=stages, seed=SEED)
     agents = stages.scenes.agents
-    order = track_order(n_tracks=len(tracks), n_scenes=N_SCENES, agents=agents, seed=SEED)
+    order = track_order(
+        n_tracks=len(tracks), n_scenes=N_SCENES, agents=agents, seed=SEED
+    )
     scenes = make_scenes(tracks, order=order, first=0, settings=stages, seed=SEED)
     raw_m2 = sense_scenes(scenes, settings=stages.sensing, seed=SEED).sigma_raw ** 2
     rest = {"dt_s": steady.INTERVAL_S, "q": Q, "epsilon_m": stages.privacy.epsilon_m}
     print(f"raw std per axis, median: {np.sqrt(np.median(raw_m2)):.2f} m")
     for std_m in STDS_M:
         alone = steady.attacked_plr(variance_m2=std_m**2, **rest)
-        # Variances vary little along a track and much between tracks: the mean over all samples.
+        # Variances vary little along a track and much between tracks: the mean over all
+        # samples.
         each = np.quantile(raw_m2, (np.arange(200) + 0.5) / 200) + std_m**2
         whole = np.mean([steady.attacked_plr(variance_m2=one, **rest) for one in each])
         row = measured.loc[std_m]

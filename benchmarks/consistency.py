@@ -1,8 +1,9 @@
 """Are the trackers' covariances honest? NIS and NEES on data: `python -m benchmarks.consistency`.
 
-Both have two degrees of freedom: their mean is 2 where model and noise are right, more where the
-tracker is too sure of itself. NIS is that of the filter's one-step predictions, NEES that of the
-forecast at the end of the horizon against the true future, which no tuning has seen.
+Both have two degrees of freedom: their mean is 2 where model and noise are right, more
+where the tracker is too sure of itself. NIS is that of the filter's one-step
+predictions, NEES that of the forecast at the end of the horizon against the true
+future, which no tuning has seen.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ N_SCENES = 100
 
 def main() -> int:
     """Print the table; return 0."""
-    print(f"{'data':<11}{'sharing':<30}{'tracker':<12}{'NIS':>6}{'NEES now':>10}{'at 0.92 s':>11}")
+    print(
+        f"{'data':<11}{'sharing':<30}{'tracker':<12}{'NIS':>6}{'NEES now':>10}{'at 0.92 s':>11}"
+    )
     stages = StageSettings()
     for name in ("plaza", "students03", "zara01"):
         try:
@@ -42,13 +45,21 @@ def main() -> int:
         scenes = make_scenes(tracks, order=order, first=0, settings=stages, seed=0)
         sensed = sense_scenes(scenes, settings=stages.sensing, seed=0)
         for level in plugins.parse_all("mechanisms", LEVELS):
-            shared = level.instance.share(sensed, stream(0, "consistency")).without_sigma()
+            shared = level.instance.share(
+                sensed, stream(0, "consistency")
+            ).without_sigma()
             for tracker in (KalmanCV(), KalmanCA(), KalmanIMM()):
                 forecast = tracker.predict(shared, scenes.t_future)
                 gap, cov = forecast.mean - scenes.xy_future, forecast.cov
                 assert cov is not None
-                nees: Floats = np.einsum("nha,nhab,nhb->nh", gap, np.linalg.inv(cov), gap)
-                nis = "" if isinstance(tracker, KalmanIMM) else f"{_nis(tracker, shared):.2f}"
+                nees: Floats = np.einsum(
+                    "nha,nhab,nhb->nh", gap, np.linalg.inv(cov), gap
+                )
+                nis = (
+                    ""
+                    if isinstance(tracker, KalmanIMM)
+                    else f"{_nis(tracker, shared):.2f}"
+                )
                 print(
                     f"{name:<11}{level.spec:<30}{type(tracker).__name__:<12}{nis:>6}"
                     f"{nees[:, 0].mean():>10.2f}{nees[:, -1].mean():>11.2f}"
@@ -65,7 +76,9 @@ def _nis(tracker: KalmanCV, shared: Release) -> float:
         now = batch.offsets[:-1][sizes > k] + k
         rows = (now[:, None] - k + np.arange(k)).ravel()
         t, xy, variance = batch.t[rows], batch.xy[rows], batch.variance[rows]
-        begun = kalman.Batch(t, xy, variance, k * np.arange(now.size + 1), batch.prior_std)
+        begun = kalman.Batch(
+            t, xy, variance, k * np.arange(now.size + 1), batch.prior_std
+        )
         last = kalman.kalman_last(begun, q=tracker.q)
         step = batch.t[now] - batch.t[now - 1]
         h = step[:, None] ** np.arange(d) / np.array([1.0, 1.0, 2.0])[:d]

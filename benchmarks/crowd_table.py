@@ -39,8 +39,8 @@ def step_speeds_mps(tracks: Tracks) -> Floats:
 def turn_rates_dps(tracks: Tracks) -> Floats:
     """Return the absolute turn rates of people who move, in degrees/s: (K,).
 
-    The angle between two successive displacements of `TURN_SPAN_S` over that span, wherever
-    both are at least `MOVING_MPS` fast.
+    The angle between two successive displacements of `TURN_SPAN_S` over that span,
+    wherever both are at least `MOVING_MPS` fast.
     """
     frame_s = float(np.median(_durations(tracks, lag=1)[_within_track(tracks, lag=1)]))
     lag = max(1, round(TURN_SPAN_S / frame_s))
@@ -80,9 +80,10 @@ def neighbour_distances_m(tracks: Tracks) -> tuple[Floats, Ints]:
 def line_errors_m(tracks: Tracks, *, seed: int = 0, everywhere: bool = False) -> Floats:
     """Return errors of the paper's least-squares line over the long tracks, in m: (K,).
 
-    A track is sampled at 8-16 Hz and cut at 70 % of its duration; straight lines x(t) and y(t)
-    through the last 16 history samples are extended by 11 mean intervals (about 0.92 s) and
-    compared with the interpolated walk. Tracks below `ResampleSettings.min_duration_s` are out.
+    A track is sampled at 8-16 Hz and cut at 70 % of its duration; straight lines x(t)
+    and y(t) through the last 16 history samples are extended by 11 mean intervals
+    (about 0.92 s) and compared with the interpolated walk. Tracks below
+    `ResampleSettings.min_duration_s` are out.
 
     Parameters
     ----------
@@ -91,7 +92,8 @@ def line_errors_m(tracks: Tracks, *, seed: int = 0, everywhere: bool = False) ->
     seed : int
         Base seed of the sampling times.
     everywhere : bool
-        Cut every track after every 16 samples instead of once: a steadier mean of the same.
+        Cut every track after every 16 samples instead of once: a steadier mean of the
+        same.
     """
     settings = ResampleSettings()
     errors = [np.empty(0)]
@@ -107,7 +109,9 @@ def line_errors_m(tracks: Tracks, *, seed: int = 0, everywhere: bool = False) ->
         t, xy = dense.t[samples], dense.xy[samples]
         ahead_s = t[:, -1] + _STEPS_AHEAD * np.diff(t, axis=1).mean(axis=1)
         centred = t - t.mean(axis=1, keepdims=True)
-        slope = (xy * centred[:, :, None]).sum(axis=1) / (centred**2).sum(axis=1)[:, None]
+        slope = (xy * centred[:, :, None]).sum(axis=1) / (centred**2).sum(axis=1)[
+            :, None
+        ]
         predicted = xy.mean(axis=1) + slope * (ahead_s - t.mean(axis=1))[:, None]
         errors.append(np.hypot(*(predicted - walk(track)(ahead_s)).T))
     return np.concatenate(errors)
@@ -120,7 +124,9 @@ def statistics(tracks: Tracks) -> dict[str, float]:
     line, lines = line_errors_m(tracks), line_errors_m(tracks, everywhere=True)
     moving = moving_speeds_mps(tracks)
     duration = tracks.t[tracks.offsets[1:] - 1] - tracks.t[tracks.offsets[:-1]]
-    _, label, size = np.unique(np.array(tracks.group), return_inverse=True, return_counts=True)
+    _, label, size = np.unique(
+        np.array(tracks.group), return_inverse=True, return_counts=True
+    )
     return {
         "tracks": float(len(tracks)),
         "step speed, mean [m/s]": float(speed.mean()),
@@ -137,13 +143,19 @@ def statistics(tracks: Tracks) -> dict[str, float]:
         "duration, mean [s]": float(duration.mean()),
         "tracks of at least 21.6 s [share]": line.size / len(tracks),
         "line prediction error, mean [m]": float(line.mean()) if line.size else np.nan,
-        "line prediction error, everywhere, mean [m]": float(lines.mean()) if line.size else np.nan,
-        "line prediction error, median [m]": float(np.median(line)) if line.size else np.nan,
+        "line prediction error, everywhere, mean [m]": (
+            float(lines.mean()) if line.size else np.nan
+        ),
+        "line prediction error, median [m]": (
+            float(np.median(line)) if line.size else np.nan
+        ),
         "tracks in walking groups [share]": float((size[label] > 1).mean()),
     }
 
 
-def _within_track(tracks: Tracks, *, lag: int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _within_track(
+    tracks: Tracks, *, lag: int
+) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     row = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))
     same: np.ndarray[tuple[int], np.dtype[np.bool_]] = row[lag:] == row[:-lag]
     return same

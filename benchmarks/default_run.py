@@ -1,10 +1,11 @@
 """What a default run takes: ``python -m benchmarks.default_run --json FILE``.
 
-Each run is a fresh process that writes into a folder of its own, after a run of few scenes that
-fills the caches. With ``--cold`` no loop is compiled before: the cache is a folder of its own.
-Seconds depend on the machine and on the hour; so a fixed piece of work is timed before and
-after, and what a run takes is told in units of that as well: these numbers compare across machines.
-With ``--tree DIR`` another checkout is measured in the same sitting.
+Each run is a fresh process that writes into a folder of its own, after a run of few
+scenes that fills the caches. With ``--cold`` no loop is compiled before: the cache is a
+folder of its own. Seconds depend on the machine and on the hour; so a fixed piece of
+work is timed before and after, and what a run takes is told in units of that as well:
+these numbers compare across machines. With ``--tree DIR`` another checkout is measured
+in the same sitting.
 """
 
 from __future__ import annotations
@@ -35,7 +36,11 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parent.parent
 EVERY_S = 0.2
 FEW = "40"  # Scenes of a run that calls every loop.
-STAGES = {"cells": "cells/*", "tables and verdict": "verdict.json", "page": "report.html"}
+STAGES = {
+    "cells": "cells/*",
+    "tables and verdict": "verdict.json",
+    "page": "report.html",
+}
 """A stage ends with the last of these files; before the first cell is the start."""
 
 
@@ -46,11 +51,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    command = Parser(prog="python -m benchmarks.default_run", description=__doc__.splitlines()[0])
+    command = Parser(
+        prog="python -m benchmarks.default_run", description=__doc__.splitlines()[0]
+    )
     add = command.add_argument
-    add("--dataset", nargs="+", default=["students03", "plaza"], metavar="NAME", help="recordings")
-    add("--tree", nargs="+", type=Path, default=[ROOT], metavar="DIR", help="checkouts to measure")
-    add("--cold", action="store_true", help="measure a run that has to compile its loops")
+    add(
+        "--dataset",
+        nargs="+",
+        default=["students03", "plaza"],
+        metavar="NAME",
+        help="recordings",
+    )
+    add(
+        "--tree",
+        nargs="+",
+        type=Path,
+        default=[ROOT],
+        metavar="DIR",
+        help="checkouts to measure",
+    )
+    add(
+        "--cold",
+        action="store_true",
+        help="measure a run that has to compile its loops",
+    )
     add("--json", type=Path, metavar="FILE", help="write the figures there, too")
     add("options", nargs="*", metavar="OPTION", help="options of the matrix, after --")
     return command
@@ -74,7 +98,9 @@ def _measure_all(options: argparse.Namespace) -> int:
     results = []
     for tree in options.tree:
         for dataset in options.dataset:
-            with tempfile.TemporaryDirectory(prefix="isac-track-default-run-") as folder:
+            with tempfile.TemporaryDirectory(
+                prefix="isac-track-default-run-"
+            ) as folder:
                 command = ["-m", "evaluation.matrix", "--dataset", dataset]
                 cache = Path(folder) / "cache" if options.cold else None
                 if not options.cold:
@@ -92,7 +118,10 @@ def _measure_all(options: argparse.Namespace) -> int:
                 "cpu_ratio": result["cpu_s"] / calibration,
             }
             results.append(result)
-            print(f"{result['tree']}, {dataset}: {result['wall_s']:.0f} s", file=sys.stderr)
+            print(
+                f"{result['tree']}, {dataset}: {result['wall_s']:.0f} s",
+                file=sys.stderr,
+            )
     columns = [
         *("tree", "dataset", "wall_s", "cpu_s", "peak_mb", "files", "disk_mb"),
         *("calibration_s", "ratio", "cpu_ratio", "load"),
@@ -111,7 +140,9 @@ def _shown(value: Any) -> str:  # noqa: ANN401 - a cell of a table
     return f"{value:,.1f}" if isinstance(value, float) else str(value)
 
 
-def measure(arguments: Sequence[str], *, tree: Path, cache: Path | None = None) -> dict[str, Any]:
+def measure(
+    arguments: Sequence[str], *, tree: Path, cache: Path | None = None
+) -> dict[str, Any]:
     """Run Python on a command of a checkout, whose last argument is the folder that it makes.
 
     Compiled loops are cached in the folder `cache`, by default where numba puts them.
@@ -119,8 +150,9 @@ def measure(arguments: Sequence[str], *, tree: Path, cache: Path | None = None) 
     Returns
     -------
     dict
-        Seconds of wall clock and of CPU, of all processes together; their peak memory, MB, shared
-        pages once; files and MB in the folder; the load before; and seconds by stage.
+        Seconds of wall clock and of CPU, of all processes together; their peak memory,
+        MB, shared pages once; files and MB in the folder; the load before; and seconds
+        by stage.
 
     Raises
     ------
@@ -155,7 +187,9 @@ def measure(arguments: Sequence[str], *, tree: Path, cache: Path | None = None) 
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     if process.returncode != 0:
         last = (complaints.splitlines() or [""])[-1]
-        raise DataError(f"`{' '.join(arguments)}` ended with {process.returncode}: {last}")
+        raise DataError(
+            f"`{' '.join(arguments)}` ended with {process.returncode}: {last}"
+        )
     files = [one for one in folder.rglob("*") if one.is_file()]
     return {
         "wall_s": wall_s,

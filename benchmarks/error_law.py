@@ -1,8 +1,9 @@
 """Does `radial_rts` see the error law, and what is that worth? `python -m benchmarks.error_law`.
 
-For either recording and law: of twenty releases of each level (half the people of 250 scenes, ten
-seeds) the share whose law is told rightly; then PLR in 500 scenes with the radial law built in, as
-inferred blind and as learnt, and what ten passes gain, with intervals over people.
+For either recording and law: of twenty releases of each level (half the people of 250
+scenes, ten seeds) the share whose law is told rightly; then PLR in 500 scenes with the
+radial law built in, as inferred blind and as learnt, and what ten passes gain, with
+intervals over people.
 """
 
 from __future__ import annotations
@@ -61,16 +62,25 @@ def main() -> int:
     return 0
 
 
-def _releases(settings: evaluation.Settings, seed: int) -> Iterator[tuple[Plugin, Release]]:
+def _releases(
+    settings: evaluation.Settings, seed: int
+) -> Iterator[tuple[Plugin, Release]]:
     """Yield both halves of what is shared at every level."""
     stages = settings.stages
     tracks = cut(datasets.load(settings.dataset).tracks, settings=stages, seed=seed)
     agents = stages.scenes.agents
-    order = track_order(n_tracks=len(tracks), n_scenes=N_SCENES, agents=agents, seed=seed)
+    order = track_order(
+        n_tracks=len(tracks), n_scenes=N_SCENES, agents=agents, seed=seed
+    )
     scenes = make_scenes(tracks, order=order, first=0, settings=stages, seed=seed)
     sensed = sense_scenes(scenes, settings=stages.sensing, seed=seed)
     block = attacked_block(
-        scenes=scenes, sensed=sensed, tracks=tracks, repeats=False, stages=stages, seed=seed
+        scenes=scenes,
+        sensed=sensed,
+        tracks=tracks,
+        repeats=False,
+        stages=stages,
+        seed=seed,
     )
     for level in axes(settings).mechanisms:
         release = sharing.share(level, sensed, "block", 0, seed=seed).without_sigma()
@@ -97,7 +107,9 @@ def _show(settings: evaluation.Settings, rights: dict[str, list[bool]]) -> None:
         ends = f"{gain:+.1f} [{100 * low:+.1f}, {100 * high:+.1f}]"
         right = f"{sum(rights[level.spec])}/{len(rights[level.spec])}"
         cells = [str(settings.dataset), law, level.spec, right]
-        print(f"| {' | '.join([*cells, *(f'{100 * one.value:.1f}' for one in values), ends])} |")
+        print(
+            f"| {' | '.join([*cells, *(f'{100 * one.value:.1f}' for one in values), ends])} |"
+        )
 
 
 if __name__ == "__main__":

@@ -1,9 +1,10 @@
 """Throw bytes at the readers of recordings: `python -m benchmarks.fuzz_readers --minutes 10`.
 
-Needs atheris (libFuzzer for Python), which is no part of the test extra. Every format gets an equal
-share of the time, in a process of its own, from the small files in ``tests/fuzz/corpus``. A reader
-gives tracks or an `IsacTrackError` of one line that names the file; any other exception, any
-warning, 10 s or 1 GB is a finding, and its input is kept under ``--out``.
+Needs atheris (libFuzzer for Python), which is no part of the test extra. Every format
+gets an equal share of the time, in a process of its own, from the small files in
+``tests/fuzz/corpus``. A reader gives tracks or an `IsacTrackError` of one line that
+names the file; any other exception, any warning, 10 s or 1 GB is a finding, and its
+input is kept under ``--out``.
 """
 
 from __future__ import annotations
@@ -33,14 +34,27 @@ LARGEST_BYTES = 4096
 
 def main() -> int:
     """Fuzz and print a line for each format; return 0, 1 with findings, 2 without atheris."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.fuzz_readers", description=__doc__)
-    parser.add_argument("--minutes", type=float, default=10.0, help="in all (default 10)")
-    parser.add_argument("--format", choices=SEEDS, action="append", help="only this (repeatable)")
-    parser.add_argument("--out", type=Path, default=Path("runs/fuzz"), help="folder of findings")
-    parser.add_argument("--in-process", nargs=argparse.REMAINDER, help=argparse.SUPPRESS)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.fuzz_readers", description=__doc__
+    )
+    parser.add_argument(
+        "--minutes", type=float, default=10.0, help="in all (default 10)"
+    )
+    parser.add_argument(
+        "--format", choices=SEEDS, action="append", help="only this (repeatable)"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("runs/fuzz"), help="folder of findings"
+    )
+    parser.add_argument(
+        "--in-process", nargs=argparse.REMAINDER, help=argparse.SUPPRESS
+    )
     options = parser.parse_args()
     if find_spec("atheris") is None:
-        print("error: needs atheris: python -m pip install atheris (Linux)", file=sys.stderr)
+        print(
+            "error: needs atheris: python -m pip install atheris (Linux)",
+            file=sys.stderr,
+        )
         return 2
     formats = options.format or list(SEEDS)
     if options.in_process is not None:
@@ -48,7 +62,8 @@ def main() -> int:
     options.out.mkdir(parents=True, exist_ok=True)
     print(f"{'format':<12}{'inputs':>10}{'edges':>8}{'corpus':>8}{'MB':>6}  finding")
     codes = [
-        _run(name, seconds=60 * options.minutes / len(formats), out=options.out) for name in formats
+        _run(name, seconds=60 * options.minutes / len(formats), out=options.out)
+        for name in formats
     ]
     return int(any(codes))
 
@@ -64,7 +79,11 @@ def _run(format_name: str, *, seconds: float, out: Path) -> int:
         command = [
             *(sys.executable, "-m", "benchmarks.fuzz_readers", "--format", format_name),
             *("--in-process", str(seeds), f"-max_total_time={max(1, round(seconds))}"),
-            *(f"-timeout={TIMEOUT_S}", f"-rss_limit_mb={MEMORY_MB}", f"-max_len={LARGEST_BYTES}"),
+            *(
+                f"-timeout={TIMEOUT_S}",
+                f"-rss_limit_mb={MEMORY_MB}",
+                f"-max_len={LARGEST_BYTES}",
+            ),
             *(f"-artifact_prefix={prefix}", "-print_final_stats=1"),
         ]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -72,10 +91,17 @@ def _run(format_name: str, *, seconds: float, out: Path) -> int:
         next(iter(re.findall(rf"stat::{name}:\s+(\d+)", done.stderr)), "?")
         for name in ("number_of_executed_units", "peak_rss_mb")
     )
-    edges, corpus = [("?", "?"), *re.findall(r"cov: (\d+).*?corp: (\d+)", done.stderr)][-1]
+    edges, corpus = [("?", "?"), *re.findall(r"cov: (\d+).*?corp: (\d+)", done.stderr)][
+        -1
+    ]
     kept = re.findall(r"Test unit written to (\S+)", done.stderr)
-    finding = ", ".join(kept) or ("" if done.returncode == 0 else done.stderr.strip()[-300:])
-    print(f"{format_name:<12}{inputs:>10}{edges:>8}{corpus:>8}{memory:>6}  {finding}", flush=True)
+    finding = ", ".join(kept) or (
+        "" if done.returncode == 0 else done.stderr.strip()[-300:]
+    )
+    print(
+        f"{format_name:<12}{inputs:>10}{edges:>8}{corpus:>8}{memory:>6}  {finding}",
+        flush=True,
+    )
     return done.returncode
 
 

@@ -1,8 +1,9 @@
 """What it costs to link, and how that grows with the gallery: ``python -m benchmarks.linkage``.
 
-Probes and candidates are 12 s of simulated walks, shared at fid:1 and linked as they come. The
-gallery is searched in blocks, so that memory does not grow with it; a built-in linker scores a
-pair alike whatever else is in the block, which is checked first. One thread.
+Probes and candidates are 12 s of simulated walks, shared at fid:1 and linked as they
+come. The gallery is searched in blocks, so that memory does not grow with it; a
+built-in linker scores a pair alike whatever else is in the block, which is checked
+first. One thread.
 """
 
 from __future__ import annotations
@@ -44,14 +45,22 @@ BLOCK = 500
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the table; return 0."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.linkage", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.linkage", description=__doc__
+    )
     parser.add_argument(
-        "--sizes", type=int, nargs="+", default=[100, 300, 1000, 3000, 10_000], metavar="G"
+        "--sizes",
+        type=int,
+        nargs="+",
+        default=[100, 300, 1000, 3000, 10_000],
+        metavar="G",
     )
     sizes = sorted(parser.parse_args(arguments).sizes)
     probe = released(n=N_PROBES, side="probe")
     gallery = released(n=sizes[-1], side="gallery")
-    print(f"{N_PROBES} probes, blocks of {BLOCK} candidates, {LEVEL}, microseconds a pair")
+    print(
+        f"{N_PROBES} probes, blocks of {BLOCK} candidates, {LEVEL}, microseconds a pair"
+    )
     print(f"{'linker':<12}{'G':>8}{'us / pair':>12}{'exponent':>10}{'peak MB':>10}")
     for name in LINKERS:
         fitted = fit(name)
@@ -104,14 +113,19 @@ def check_blocks(fitted: Any, probe: Release, gallery: Release) -> None:  # noqa
     whole = fitted(probe, gallery)
     half = np.arange(len(gallery) // 2)
     spread = float(whole.std()) or 1.0
-    assert np.allclose(fitted(probe, gallery.tracks(half)), whole[:, half], atol=1e-6 * spread)
+    assert np.allclose(
+        fitted(probe, gallery.tracks(half)), whole[:, half], atol=1e-6 * spread
+    )
 
 
 def released(*, n: int, side: str) -> Release:
     """Return n windows of simulated walks as they are shared; people come more than once."""
     rng = stream(0, "benchmark", side)
     tracks = datasets.load("plaza").tracks
-    start_s, end_s = tracks.t[tracks.offsets[:-1]], tracks.t[tracks.offsets[1:] - 1] - WINDOW_S
+    start_s, end_s = (
+        tracks.t[tracks.offsets[:-1]],
+        tracks.t[tracks.offsets[1:] - 1] - WINDOW_S,
+    )
     rows = rng.choice(np.flatnonzero(end_s >= start_s), n)
     (mechanism,) = plugins.parse("mechanisms", LEVEL)
     held = sensed(tracks, rows, rng.uniform(start_s[rows], end_s[rows]), side=side)
@@ -122,7 +136,10 @@ def released(*, n: int, side: str) -> Release:
 def windows(*, n: int) -> tuple[Sensed, Sensed]:
     """Return the first and the last window of n simulated people, as they are sensed."""
     tracks = datasets.load("plaza").tracks
-    start_s, end_s = tracks.t[tracks.offsets[:-1]], tracks.t[tracks.offsets[1:] - 1] - WINDOW_S
+    start_s, end_s = (
+        tracks.t[tracks.offsets[:-1]],
+        tracks.t[tracks.offsets[1:] - 1] - WINDOW_S,
+    )
     rows = np.flatnonzero(end_s >= start_s + WINDOW_S)[:n]
     first, last = (
         sensed(tracks, rows, at[rows], side=side)
@@ -135,7 +152,9 @@ def sensed(tracks: Tracks, rows: Ints, start_s: Floats, *, side: str) -> Sensed:
     """Return what a network holds of the windows of some tracks from `start_s` on."""
     stages, rng = StageSettings(), stream(0, "benchmark", side, "times")
     t_parts = [
-        sampling_times(start_s=at, end_s=at + WINDOW_S, settings=stages.resample, rng=rng)
+        sampling_times(
+            start_s=at, end_s=at + WINDOW_S, settings=stages.resample, rng=rng
+        )
         for at in start_s
     ]
     xy_parts = [walk(tracks[int(row)])(t) for row, t in zip(rows, t_parts, strict=True)]
@@ -149,7 +168,11 @@ def sensed(tracks: Tracks, rows: Ints, start_s: Floats, *, side: str) -> Sensed:
         seed=0,
     )
     return sense(
-        t=np.concatenate(t_parts), xy=xy, offsets=offsets, channel=channel, settings=stages.sensing
+        t=np.concatenate(t_parts),
+        xy=xy,
+        offsets=offsets,
+        channel=channel,
+        settings=stages.sensing,
     )
 
 

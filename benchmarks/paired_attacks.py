@@ -1,8 +1,8 @@
 """How much more do attacks rebuild than others? ``python -m benchmarks.paired_attacks ATTACK...``.
 
-PLR after an attack less that of the usual smoothers, in points, paired by person (95 % intervals),
-and its cost. An informed adversary learns on the recording's other half or on another one, a blind
-one sees the release alone.
+PLR after an attack less that of the usual smoothers, in points, paired by person (95 %
+intervals), and its cost. An informed adversary learns on the recording's other half or
+on another one, a blind one sees the release alone.
 """
 
 from __future__ import annotations
@@ -42,7 +42,9 @@ def walks(
     tracks: Cut, people: Ints, mechanism: Plugin, *, first: int, seed: int
 ) -> tuple[TrainingSet, Ints]:
     """Share each of some walks once, as the only agent of a scene; return who they are, too."""
-    scenes = make_scenes(tracks, order=people[:, None], first=first, settings=STAGES, seed=seed)
+    scenes = make_scenes(
+        tracks, order=people[:, None], first=first, settings=STAGES, seed=seed
+    )
     sensed = sense_scenes(scenes, settings=STAGES.sensing, seed=seed)
     release = mechanism.instance.share(sensed, stream(seed, "paired attacks", first))
     person = np.unique(np.array(tracks.group), return_inverse=True)[1][people]
@@ -56,7 +58,10 @@ def timed(what: Callable[..., Any], *given: object) -> tuple[Any, float]:
 
 
 def fitted(
-    attack: Plugin, taught: TrainingSet, mechanism: Plugin, adversary: frozenset[Knowledge]
+    attack: Plugin,
+    taught: TrainingSet,
+    mechanism: Plugin,
+    adversary: frozenset[Knowledge],
 ) -> Reconstructor:
     """Return the attack of an adversary, ready."""
     context = AttackContext(
@@ -87,11 +92,16 @@ def means(rows: Floats, person: Ints) -> list[intervals.Estimate]:
     """Return the mean of each row, (K, N), with replicates that all share."""
     n = int(person.max()) + 1
     sums = np.stack(
-        [intervals.cluster_sums(values=row, cluster=person, n_clusters=n) for row in rows]
+        [
+            intervals.cluster_sums(values=row, cluster=person, n_clusters=n)
+            for row in rows
+        ]
     )
     return intervals.ratio_estimates(
         numerator=sums,
-        denominator=np.broadcast_to(np.bincount(person, minlength=n), sums.shape).astype(float),
+        denominator=np.broadcast_to(
+            np.bincount(person, minlength=n), sums.shape
+        ).astype(float),
         weights=intervals.cluster_weights(n_clusters=n, n_replicates=2000, seed=0),
         is_share=[False] * len(rows),
     )
@@ -101,13 +111,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
     parser = Parser(prog="python -m benchmarks.paired_attacks", description=__doc__)
     parser.add_argument("attack", nargs="+")
-    parser.add_argument("--dataset", default="students03", help="the one that is attacked")
+    parser.add_argument(
+        "--dataset", default="students03", help="the one that is attacked"
+    )
     parser.add_argument("--learn-on", help="another one; none: its other half")
-    parser.add_argument("--people", type=int, default=500, help="so many tracks are attacked")
-    parser.add_argument("--taught", type=int, default=20, help="so many are learnt from")
+    parser.add_argument(
+        "--people", type=int, default=500, help="so many tracks are attacked"
+    )
+    parser.add_argument(
+        "--taught", type=int, default=20, help="so many are learnt from"
+    )
     parser.add_argument("--passes", type=int, default=4)
-    parser.add_argument("--over", action="append", metavar="SPEC", help="attacks to compare with")
-    parser.add_argument("--blind", action="store_true", help="the adversary knows nothing")
+    parser.add_argument(
+        "--over", action="append", metavar="SPEC", help="attacks to compare with"
+    )
+    parser.add_argument(
+        "--blind", action="store_true", help="the adversary knows nothing"
+    )
     parser.add_argument("--mechanism", action="append", metavar="SPEC")
     parser.add_argument("--seed", type=int, default=0)
     return exit_code(lambda: _run(parser.parse_args(arguments)))
@@ -116,7 +136,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(options: argparse.Namespace) -> int:
     seed = options.seed
     attacks = plugins.parse_all("attacks", (*options.attack, *(options.over or OTHERS)))
-    over = [one.spec for one in plugins.parse_all("attacks", tuple(options.over or OTHERS))]
+    over = [
+        one.spec for one in plugins.parse_all("attacks", tuple(options.over or OTHERS))
+    ]
     adversary = frozenset[Knowledge]() if options.blind else INFORMED
     victims, others = (
         cut(datasets.load(name).tracks, settings=STAGES, seed=seed)
@@ -128,19 +150,24 @@ def _run(options: argparse.Namespace) -> int:
     if not options.learn_on:
         half = folds(victims.group, seed=seed)
         parts = [(some[half[some] == one], drawn[half[drawn] != one]) for one in (0, 1)]
-    for mechanism in plugins.parse_all("mechanisms", tuple(options.mechanism or MECHANISMS)):
+    for mechanism in plugins.parse_all(
+        "mechanisms", tuple(options.mechanism or MECHANISMS)
+    ):
         rows, person, fit_s, use_s = [], [], [], []
         for own, them in parts:
             taught, _ = walks(
                 others, them[: options.taught], mechanism, first=MOST_SCENES, seed=seed
             )
             ready, took_s = zip(
-                *(timed(fitted, one, taught, mechanism, adversary) for one in attacks), strict=True
+                *(timed(fitted, one, taught, mechanism, adversary) for one in attacks),
+                strict=True,
             )
             fit_s.append(took_s)
             for first in range(0, options.passes * len(victims), len(victims)):
                 seen, who = walks(victims, own, mechanism, first=first, seed=seed)
-                found, took_s = zip(*(timed(plr, one, seen) for one in ready), strict=True)
+                found, took_s = zip(
+                    *(timed(plr, one, seen) for one in ready), strict=True
+                )
                 rows.append(found)
                 person.append(who)
                 use_s.append(took_s)
@@ -149,12 +176,19 @@ def _run(options: argparse.Namespace) -> int:
         cost_s = np.mean(fit_s, axis=0), 1000.0 * np.sum(use_s, axis=0) / who.size
         by_spec = dict(zip((one.spec for one in attacks), estimates, strict=True))
         for i in range(len(options.attack)):
-            text = f"{mechanism.spec:24} {attacks[i].spec:12} {100 * estimates[i].value:5.1f}"
+            text = (
+                f"{mechanism.spec:24} {attacks[i].spec:12}"
+                f" {100 * estimates[i].value:5.1f}"
+            )
             for name in over:
                 gain = intervals.difference(estimates[i], by_spec[name])
-                value, low, high = (100.0 * one for one in (gain.value, gain.ci_low, gain.ci_high))
+                value, low, high = (
+                    100.0 * one for one in (gain.value, gain.ci_low, gain.ci_high)
+                )
                 text += f"  {value:+5.2f} [{low:+.2f}, {high:+.2f}] over {name}"
-            text += f"  {cost_s[0][i]:.1f} s to fit, {cost_s[1][i]:.1f} s per 1,000 tracks"
+            text += (
+                f"  {cost_s[0][i]:.1f} s to fit, {cost_s[1][i]:.1f} s per 1,000 tracks"
+            )
             print(f"{text}, {estimates[i].n} people", flush=True)
     return DONE
 

@@ -1,9 +1,10 @@
 """CPU seconds of each part of a run: ``python -m benchmarks.rates`` writes what `--dry-run` reads.
 
-Cells of two levels are computed in this process, one after the other, after the same cells of a
-smaller run have compiled all loops. Every consumer's time is divided by the samples of its scenes,
-or by the pairs that it compares. Their scale is that of a whole run on an idle machine, the one of
-`docs/results/default_run.json`: what is measured here may share its machine with others.
+Cells of two levels are computed in this process, one after the other, after the same
+cells of a smaller run have compiled all loops. Every consumer's time is divided by the
+samples of its scenes, or by the pairs that it compares. Their scale is that of a whole
+run on an idle machine, the one of `docs/results/default_run.json`: what is measured
+here may share its machine with others.
 """
 
 from __future__ import annotations
@@ -47,7 +48,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _measure(arguments: Sequence[str] | None) -> int:
-    command = Parser(prog="python -m benchmarks.rates", description=__doc__.splitlines()[0])
+    command = Parser(
+        prog="python -m benchmarks.rates", description=__doc__.splitlines()[0]
+    )
     command.add_argument("--dataset", default="plaza", metavar="NAME", help="recording")
     options = command.parse_args(arguments)
     settings = Settings(
@@ -73,9 +76,13 @@ def _measure(arguments: Sequence[str] | None) -> int:
 def whole_run_factor() -> float:
     """Return by what rates are too high or low, as a whole run of preset paper on plaza tells."""
     runs = json.loads(WHOLE_RUN.read_text(encoding="utf-8"))
-    measured_s: float = next(run["stages"]["cells"] for run in runs if run["dataset"] == "plaza")
+    measured_s: float = next(
+        run["stages"]["cells"] for run in runs if run["dataset"] == "plaza"
+    )
     measured_rates.cache_clear()
-    settings = Settings(preset="paper", dataset="plaza", jobs=2, out=Path("not-written"))
+    settings = Settings(
+        preset="paper", dataset="plaza", jobs=2, out=Path("not-written")
+    )
     return 2.0 * measured_s / cells_cpu_s(plan(settings))
 
 
@@ -88,16 +95,22 @@ def _write(rates: Mapping[str, float]) -> None:
 def _spent(ready: Plan) -> dict[str, float]:
     """Return CPU seconds by part, per million samples or pairs.
 
-    What all levels of a piece of work share is made before its first: that is its `setup`.
+    What all levels of a piece of work share is made before its first: that is its
+    `setup`.
     """
     spent_s, sizes = defaultdict[str, float](float), defaultdict[str, float](float)
-    first_s, first_cells = defaultdict[str, float](float), list[tuple[str, str, float]]()
+    first_s, first_cells = (
+        defaultdict[str, float](float),
+        list[tuple[str, str, float]](),
+    )
     whole = defaultdict[str, float](float)
     for work in pieces_of(ready.units, ready):
         size, setup, before = size_of(work, ready), setup_of(work), process_time()
         whole[setup] += size
         stages, seed = ready.settings.stages, ready.settings.seed
-        for _, mechanism, consumer, _ in cells(work, tracks=ready.tracks, stages=stages, seed=seed):
+        for _, mechanism, consumer, _ in cells(
+            work, tracks=ready.tracks, stages=stages, seed=seed
+        ):
             now, name = process_time(), name_of(consumer)
             if mechanism is work.levels[0][0]:
                 first_s[setup] += now - before
@@ -108,7 +121,9 @@ def _spent(ready: Plan) -> dict[str, float]:
             before = now
     rates = {name: spent_s[name] / sizes[name] for name in sizes}
     for setup, total_s in first_s.items():
-        usual_s = sum(rates[name] * size for of, name, size in first_cells if of == setup)
+        usual_s = sum(
+            rates[name] * size for of, name, size in first_cells if of == setup
+        )
         rates[setup] = max(total_s - usual_s, 0.0) / whole[setup]
     return rates
 

@@ -1,16 +1,18 @@
 """How wall clock, CPU, memory and disk of a run grow: ``python -m benchmarks.scale``.
 
-Each axis is varied alone. Each point is a fresh process that writes into a folder of its own;
-repetitions go through all sizes in turn, so that other work on the machine hits them alike, and
-the figure is their median. Memory is that of all processes, shared pages once.
+Each axis is varied alone. Each point is a fresh process that writes into a folder of
+its own; repetitions go through all sizes in turn, so that other work on the machine
+hits them alike, and the figure is their median. Memory is that of all processes, shared
+pages once.
 
-Exponents are least-squares slopes of log(amount) on log(size). The raw one flatters: most of a
-small run is start-up (imports, the data set, figures, the page). The one that is judged is that of
-what comes on top of the smallest size, (T - T0) on (n - n0): it is 1 for any a + b n, however large
-a. Points that take less than a tenth of T0 beyond it are left out, since noise decides there.
+Exponents are least-squares slopes of log(amount) on log(size). The raw one flatters:
+most of a small run is start-up (imports, the data set, figures, the page). The one that
+is judged is that of what comes on top of the smallest size, (T - T0) on (n - n0): it is
+1 for any a + b n, however large a. Points that take less than a tenth of T0 beyond it
+are left out, since noise decides there.
 
-Options after ``--`` go to every run: ``python -m benchmarks.scale --axis people -- --set
-linkage.candidates=100``.
+Options after ``--`` go to every run: ``python -m benchmarks.scale --axis people --
+--set linkage.candidates=100``.
 """
 
 from __future__ import annotations
@@ -37,14 +39,28 @@ from isac_track.rng import stream
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-AMOUNTS = {"wall_s": "wall (s)", "cpu_s": "CPU (s)", "peak_mb": "peak (MB)", "disk_mb": "disk (MB)"}
+AMOUNTS = {
+    "wall_s": "wall (s)",
+    "cpu_s": "CPU (s)",
+    "peak_mb": "peak (MB)",
+    "disk_mb": "disk (MB)",
+}
 LEAST_SHARE = 0.1
 """Of the smallest run: what a point must take beyond it to count."""
 MOST_MEMORY_RATIO = 1.25
 """Most of a peak is libraries; memory that followed the scenes would be at 100 times."""
 COPY_EVERY_S = 1000.0
 """Shift in time between copies of a recording: the plaza lasts 600 s."""
-SMALL = ("--dataset", "plaza", "--predictor", "least_squares", "--attack", "none", "--task", "none")
+SMALL = (
+    "--dataset",
+    "plaza",
+    "--predictor",
+    "least_squares",
+    "--attack",
+    "none",
+    "--task",
+    "none",
+)
 TWO_LEVELS = ("--mechanism", "raw", "--mechanism", "fixed:0.7")
 
 
@@ -86,13 +102,32 @@ def parser() -> argparse.ArgumentParser:
     command = Parser(
         prog="python -m benchmarks.scale",
         description=__doc__,
-        epilog="exit codes: 0 all limits met, 1 a limit not met or not to be told, "
-        "2 wrong usage, 130 interrupted",
+        epilog=(
+            "exit codes: 0 all limits met, 1 a limit not met or not to be told, "
+            "2 wrong usage, 130 interrupted"
+        ),
     )
     add = command.add_argument
-    add("--axis", action="append", choices=AXES, metavar="NAME", help=f"of {', '.join(AXES)}")
-    add("--size", action="append", type=positive, metavar="N", help="in place of the axis' own")
-    add("--recording", default="plaza", metavar="NAME|PATH", help="where the people are from")
+    add(
+        "--axis",
+        action="append",
+        choices=AXES,
+        metavar="NAME",
+        help=f"of {', '.join(AXES)}",
+    )
+    add(
+        "--size",
+        action="append",
+        type=positive,
+        metavar="N",
+        help="in place of the axis' own",
+    )
+    add(
+        "--recording",
+        default="plaza",
+        metavar="NAME|PATH",
+        help="where the people are from",
+    )
     add("--quick", action="store_true", help="about a tenth of the sizes")
     add("--repeats", type=positive, default=1, metavar="N", help="default: %(default)s")
     add("--json", type=Path, metavar="FILE", help="write the figures there, too")
@@ -103,7 +138,9 @@ def parser() -> argparse.ArgumentParser:
 def positive(text: str) -> int:
     """Return an option's value that must be a whole number of at least 1."""
     if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"must be a whole number of at least 1, got {text!r}")
+        raise argparse.ArgumentTypeError(
+            f"must be a whole number of at least 1, got {text!r}"
+        )
     return int(text)
 
 
@@ -112,10 +149,14 @@ def _measure_all(options: argparse.Namespace) -> int:
     results = []
     for name in dict.fromkeys(options.axis or AXES):
         axis = AXES[name]
-        sizes = sorted({*(options.size or (axis.quick if options.quick else axis.sizes))})
+        sizes = sorted(
+            {*(options.size or (axis.quick if options.quick else axis.sizes))}
+        )
         runs: dict[int, list[dict[str, Any]]] = {size: [] for size in sizes}
         before_s = calibration_s()
-        _measured(axis, sizes[0], options)  # fills the file cache and compiles: not kept
+        _measured(
+            axis, sizes[0], options
+        )  # fills the file cache and compiles: not kept
         for _ in range(options.repeats):
             for size in sizes:
                 runs[size].append(_measured(axis, size, options))
@@ -124,7 +165,9 @@ def _measure_all(options: argparse.Namespace) -> int:
         about = {"axis": name, "base": " ".join([axis.base, *options.options])}
         about["calibration_s"] = (before_s + calibration_s()) / 2.0
         results.append(about | judged(axis, runs))
-    shown = finite({"python": sys.version.split()[0], "cores": os.cpu_count(), "axes": results})
+    shown = finite(
+        {"python": sys.version.split()[0], "cores": os.cpu_count(), "axes": results}
+    )
     _show(results)
     if options.json is not None:
         options.json.write_text(json.dumps(shown, indent=1) + "\n", encoding="utf-8")
@@ -138,7 +181,9 @@ def _measured(axis: Axis, size: int, options: argparse.Namespace) -> dict[str, A
         return measure(command, tree=ROOT)
 
 
-def judged(axis: Axis, runs: Mapping[int, Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
+def judged(
+    axis: Axis, runs: Mapping[int, Sequence[Mapping[str, Any]]]
+) -> dict[str, Any]:
     """Return an axis' points, exponents and whether they are within its limits, ready for JSON.
 
     `runs` are those of each size, `AMOUNTS` and whatever else `measure` tells of each.
@@ -159,18 +204,26 @@ def judged(axis: Axis, runs: Mapping[int, Sequence[Mapping[str, Any]]]) -> dict[
         ],
         "exponents": {name: asdict(one) for name, one in growth.items()},
         "memory_ratio": ratio,
-        "limits": {"exponent": axis.most_exponent, "memory_ratio": axis.most_memory_ratio},
+        "limits": {
+            "exponent": axis.most_exponent,
+            "memory_ratio": axis.most_memory_ratio,
+        },
         "ok": ok and ratio <= axis.most_memory_ratio,
     }
 
 
 def grown(sizes: Sequence[int], amounts: Sequence[float]) -> Growth:
     """Return the exponents of an amount in size, both ascending in size."""
-    n, taken = np.asarray(sizes, dtype=np.float64), np.asarray(amounts, dtype=np.float64)
+    n, taken = (
+        np.asarray(sizes, dtype=np.float64),
+        np.asarray(amounts, dtype=np.float64),
+    )
     net = taken - taken[0]
     used = (net > 0) & (net >= LEAST_SHARE * taken[0])
     more, on_top = n[used] - n[0], net[used]
-    return Growth(_slope(n, taken), _slope(more, on_top), _slope(more[-2:], on_top[-2:]))
+    return Growth(
+        _slope(n, taken), _slope(more, on_top), _slope(more[-2:], on_top[-2:])
+    )
 
 
 def _slope(n: np.ndarray[Any, Any], taken: np.ndarray[Any, Any]) -> float:
@@ -193,10 +246,10 @@ def _show(results: Sequence[Mapping[str, Any]]) -> None:
     for result in results:
         limits, ratio = result["limits"], result["memory_ratio"]
         print(
-            f"{result['axis']} ({result['base']}): net exponent of time at most "
-            f"{limits['exponent']:g}, memory {ratio:.2f} times (at most "
-            f"{limits['memory_ratio']:g}): "
-            f"{'ok' if result['ok'] else 'NOT MET'}; calibration {result['calibration_s']:.2f} s"
+            f"{result['axis']} ({result['base']}): net exponent of time at most"
+            f" {limits['exponent']:g}, memory {ratio:.2f} times (at most"
+            f" {limits['memory_ratio']:g}): {'ok' if result['ok'] else 'NOT MET'};"
+            f" calibration {result['calibration_s']:.2f} s"
         )
 
 
@@ -229,7 +282,12 @@ def write_people(path: Path, *, n_people: int, recording: str) -> None:
 
 def _of_people(size: int, folder: Path, recording: str) -> list[str]:
     write_people(folder / "people.csv", n_people=size, recording=recording)
-    return ["--dataset", str(folder / "people.csv"), "--set", f"linkage.most_people={size}"]
+    return [
+        "--dataset",
+        str(folder / "people.csv"),
+        "--set",
+        f"linkage.most_people={size}",
+    ]
 
 
 def _of_scenes(size: int, _folder: Path, _recording: str) -> list[str]:

@@ -1,7 +1,7 @@
 """Our filter and smoother and those of four libraries, on the same walks; see `benchmarks.beside`.
 
-Peers get their transition and noise matrices ready-made, outside the clock, and slow ones only a
-few walks. simdkalman knows one step and one noise for all.
+Peers get their transition and noise matrices ready-made, outside the clock, and slow
+ones only a few walks. simdkalman knows one step and one noise for all.
 """
 
 # Peers are imported where they are used: any of them may be missing.
@@ -88,14 +88,23 @@ def per_track(batch: kalman.Batch) -> Iterator[Track]:
     for low, high in pairwise(batch.offsets):
         t, xy = batch.t[low:high], batch.xy[low:high]
         r = batch.variance[low:high, None, None] * np.eye(2)
-        yield t, xy, *matrices(np.diff(t, prepend=t[0])), r, (np.kron(xy[0], [1.0, 0.0]), cov)
+        yield (
+            t,
+            xy,
+            *matrices(np.diff(t, prepend=t[0])),
+            r,
+            (np.kron(xy[0], [1.0, 0.0]), cov),
+        )
 
 
 def together(run: Callable[[Any], tuple[Any, Any]], ready: list[Any]) -> States:
     """Return the states of all tracks, one after the other."""
     means, covs = zip(*map(run, ready), strict=True)
     mean, cov = np.concatenate(means), np.concatenate(covs)
-    return [mean.reshape(-1, 4)[:, ::2].astype(np.float64), cov[:, 0, 0].astype(np.float64)]
+    return [
+        mean.reshape(-1, 4)[:, ::2].astype(np.float64),
+        cov[:, 0, 0].astype(np.float64),
+    ]
 
 
 def filterpy(batch: kalman.Batch) -> Callable[[], States]:
@@ -140,7 +149,9 @@ def stonesoup(batch: kalman.Batch) -> Callable[[], States]:
     from stonesoup.types.track import Track as Steps
     from stonesoup.updater.kalman import KalmanUpdater
 
-    model = linear.CombinedLinearGaussianTransitionModel([linear.ConstantVelocity(Q)] * 2)
+    model = linear.CombinedLinearGaussianTransitionModel(
+        [linear.ConstantVelocity(Q)] * 2
+    )
     predictor, updater = KalmanPredictor(model), KalmanUpdater(None)
     smoother, epoch = KalmanSmoother(model), datetime(2000, 1, 1, tzinfo=UTC)
 
@@ -162,9 +173,13 @@ def stonesoup(batch: kalman.Batch) -> Callable[[], States]:
             prediction = predictor.predict(track[-1], timestamp=one.timestamp)
             track.append(updater.update(SingleHypothesis(prediction, one)))
         states = smoother.smooth(track)
-        return np.array([s.state_vector for s in states]), np.array([s.covar for s in states])
+        return np.array([s.state_vector for s in states]), np.array(
+            [s.covar for s in states]
+        )
 
-    return partial(together, run, [(detections(one), one[-1]) for one in per_track(batch)])
+    return partial(
+        together, run, [(detections(one), one[-1]) for one in per_track(batch)]
+    )
 
 
 def simdkalman(batch: kalman.Batch) -> Callable[[], States]:
@@ -174,8 +189,15 @@ def simdkalman(batch: kalman.Batch) -> Callable[[], States]:
     f, q = matrices(np.array(STEP_S))
     kf = KalmanFilter(f[:2, :2], q[:2, :2], H[:1, :2], batch.variance[0])
     start = batch.xy[batch.offsets[:-1]][:, None]
-    series = (batch.xy.reshape(-1, N_SAMPLES, 2) - start).swapaxes(1, 2).reshape(-1, N_SAMPLES)
-    first = {"initial_value": np.zeros(2), "initial_covariance": np.diag(batch.prior_std) ** 2}
+    series = (
+        (batch.xy.reshape(-1, N_SAMPLES, 2) - start)
+        .swapaxes(1, 2)
+        .reshape(-1, N_SAMPLES)
+    )
+    first = {
+        "initial_value": np.zeros(2),
+        "initial_covariance": np.diag(batch.prior_std) ** 2,
+    }
 
     def run() -> States:
         states = kf.smooth(series, **first, observations=False).states

@@ -1,13 +1,14 @@
 """Does anything pile up? One process runs again and again: ``python -m benchmarks.soak``.
 
-Runs 0..N-1 differ in their seed; each goes into a folder that is removed after it. After each,
-with garbage collected, the process is looked at: memory, descriptors, threads, children, files.
-The folder for temporary files and the working directory are empty ones of its own, so that
-whatever is left behind shows, and nobody else's files do.
+Runs 0..N-1 differ in their seed; each goes into a folder that is removed after it.
+After each, with garbage collected, the process is looked at: memory, descriptors,
+threads, children, files. The folder for temporary files and the working directory are
+empty ones of its own, so that whatever is left behind shows, and nobody else's files
+do.
 
-The first two runs warm up: imports, compiled loops, caches with a bound, pools. From the third
-on, growth is the Theil-Sen slope, which no single run moves, times the number of runs, relative
-to the fitted level at the third run.
+The first two runs warm up: imports, compiled loops, caches with a bound, pools. From
+the third on, growth is the Theil-Sen slope, which no single run moves, times the number
+of runs, relative to the fitted level at the third run.
 """
 
 from __future__ import annotations
@@ -35,7 +36,13 @@ import psutil
 from scipy.stats import theilslopes
 
 import evaluation
-from benchmarks.processes import check_memory_is_told, command_of, descendants, rss_mb, tree_rss_mb
+from benchmarks.processes import (
+    check_memory_is_told,
+    command_of,
+    descendants,
+    rss_mb,
+    tree_rss_mb,
+)
 from benchmarks.scale import finite, positive
 from evaluation.experiment.presets import PRESETS
 from evaluation.reporting.terminal import aligned
@@ -103,8 +110,10 @@ def parser() -> argparse.ArgumentParser:
     command = Parser(
         prog="python -m benchmarks.soak",
         description=__doc__,
-        epilog="exit codes: 0 nothing grows or is left, 1 something does, 2 wrong usage, "
-        "130 interrupted",
+        epilog=(
+            "exit codes: 0 nothing grows or is left, 1 something does, 2 wrong usage, "
+            "130 interrupted"
+        ),
     )
     add = command.add_argument
     add(
@@ -118,7 +127,11 @@ def parser() -> argparse.ArgumentParser:
     add("--scenes", type=positive, metavar="N", help="default: the preset's")
     add("--dataset", metavar="NAME|PATH", help="default: as of evaluation.matrix")
     add("--jobs", type=positive, metavar="N", help="default: as of evaluation.matrix")
-    add("--json", action="store_true", help="print what was found as JSON, not as a table")
+    add(
+        "--json",
+        action="store_true",
+        help="print what was found as JSON, not as a table",
+    )
     return command
 
 
@@ -130,7 +143,8 @@ def _times(text: str) -> int:
     times = positive(text)
     if times < LEAST_TIMES:
         raise argparse.ArgumentTypeError(
-            f"growth is judged from run {WARM_UP + 1} on: at least {LEAST_TIMES} runs, got {times}"
+            f"growth is judged from run {WARM_UP + 1} on: at least {LEAST_TIMES} runs,"
+            f" got {times}"
         )
     return times
 
@@ -160,7 +174,9 @@ def _soak(options: argparse.Namespace) -> int:
         left = {
             "files": sorted(map(str, files_left(watched, shared_before=shared_before))),
             "children": [name for name in children.values() if TRACKER not in name],
-            "threads": sorted(one.name for one in set(threading.enumerate()) - threads_before),
+            "threads": sorted(
+                one.name for one in set(threading.enumerate()) - threads_before
+            ),
         }
     kept = [name for name in children.values() if TRACKER in name]
     judged = _judge(states, left=left)
@@ -190,7 +206,9 @@ def own_place() -> Iterator[tuple[Path, Path]]:
         for name in PATH_VARIABLES:
             if before[name]:
                 parts = str(before[name]).split(os.pathsep)
-                os.environ[name] = os.pathsep.join(str(Path(part).resolve()) for part in parts)
+                os.environ[name] = os.pathsep.join(
+                    str(Path(part).resolve()) for part in parts
+                )
         working, temporary = place / "working", place / "temporary"
         working.mkdir()
         temporary.mkdir()
@@ -269,7 +287,9 @@ def shared_files() -> set[Path]:
     ours = {os.getpid(), *descendants(os.getpid())}
     found = set()
     for path in SHARED_MEMORY.iterdir() if SHARED_MEMORY.is_dir() else ():
-        makers = {int(text) for text in re.findall(r"(?<=[-_])[0-9]+(?=[-_])", path.name)}
+        makers = {
+            int(text) for text in re.findall(r"(?<=[-_])[0-9]+(?=[-_])", path.name)
+        }
         try:
             if path.lstat().st_uid == os.getuid() and (not makers or makers & ours):
                 found.add(path)
@@ -287,7 +307,9 @@ def growth(values: Sequence[float]) -> Growth:
         One a run, at least four, in any unit.
     """
     runs = np.arange(WARM_UP, len(values))
-    slope, level_at_0, low, high = theilslopes(np.asarray(values[WARM_UP:], dtype=float), runs)
+    slope, level_at_0, low, high = theilslopes(
+        np.asarray(values[WARM_UP:], dtype=float), runs
+    )
     level = level_at_0 + slope * WARM_UP
     scale = len(values) / level
     return Growth(
@@ -298,7 +320,9 @@ def growth(values: Sequence[float]) -> Growth:
     )
 
 
-def _judge(states: Sequence[State], *, left: dict[str, list[str]]) -> list[dict[str, Any]]:
+def _judge(
+    states: Sequence[State], *, left: dict[str, list[str]]
+) -> list[dict[str, Any]]:
     """Return what was judged, with value, limit and whether it is met."""
     judged: list[dict[str, Any]] = []
     for name, field in (
@@ -315,7 +339,8 @@ def _judge(states: Sequence[State], *, left: dict[str, list[str]]) -> list[dict[
             {"what": name, **asdict(found), "value": found.grown, "limit": MOST_GROWTH}
             | {"ok": found.ok}
         )
-    # Pools of libraries grow to their size in the first runs and stay: later runs add none.
+    # Pools of libraries grow to their size in the first runs and stay: later runs add
+    # none.
     for name, field in (("descriptors", "descriptors"), ("native threads", "threads")):
         third, last = (getattr(states[run], field) for run in (WARM_UP, -1))
         judged.append(
@@ -323,7 +348,12 @@ def _judge(states: Sequence[State], *, left: dict[str, list[str]]) -> list[dict[
             | {"ok": last <= third}
         )
     judged += [
-        {"what": f"{name} left at the end", "value": len(found), "limit": 0, "ok": not found}
+        {
+            "what": f"{name} left at the end",
+            "value": len(found),
+            "limit": 0,
+            "ok": not found,
+        }
         for name, found in left.items()
     ]
     return judged
@@ -349,7 +379,12 @@ def _show(
     rows = [[*head, "fds", "threads", "native", "children", "files"]]
     rows += [
         [
-            *(str(run), f"{state.wall_s:.1f}", f"{state.rss_mb:.1f}", f"{state.tree_mb:.1f}"),
+            *(
+                str(run),
+                f"{state.wall_s:.1f}",
+                f"{state.rss_mb:.1f}",
+                f"{state.tree_mb:.1f}",
+            ),
             *(f"{state.heap_mb:.1f}", str(state.blocks)),
             *(str(state.descriptors), str(state.python_threads), str(state.threads)),
             *(str(state.children), str(state.files)),

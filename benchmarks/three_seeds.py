@@ -1,9 +1,10 @@
 """What do runs of several seeds say as one? `python -m benchmarks.three_seeds OUT OUT OUT`.
 
-Of finished runs that differ in their seed alone: each number of the README's table as its mean over
-the seeds with a 95 % interval (people clustered, the variance between seeds included), and the runs
-behind it, with levels of both adding rules; and each item of the verdict with its mean effect, its
-error of prediction, its contrasts, and what the runs decide.
+Of finished runs that differ in their seed alone: each number of the README's table as
+its mean over the seeds with a 95 % interval (people clustered, the variance between
+seeds included), and the runs behind it, with levels of both adding rules; and each item
+of the verdict with its mean effect, its error of prediction, its contrasts, and what
+the runs decide.
 """
 
 from __future__ import annotations
@@ -42,7 +43,9 @@ class Run:
     out: Path
     table: Headline
     entries: Mapping[tuple[Where, Source], Mapping[str, Any]]  # Of the cells.
-    strongest: Mapping[tuple[str, str], Source]  # By task ("": who rebuilds) and mechanism.
+    strongest: Mapping[
+        tuple[str, str], Source
+    ]  # By task ("": who rebuilds) and mechanism.
 
     @property
     def columns(self) -> list[Shown]:
@@ -61,7 +64,9 @@ class Run:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print both tables; return the exit code."""
     command = Parser(prog="python -m benchmarks.three_seeds", description=__doc__)
-    command.add_argument("out", nargs="+", type=Path, metavar="OUT", help="folder of a run")
+    command.add_argument(
+        "out", nargs="+", type=Path, metavar="OUT", help="folder of a run"
+    )
     return exit_code(lambda: _show(command.parse_args(arguments).out))
 
 
@@ -77,7 +82,10 @@ def read(out: Path) -> Run:
     }
     epsilon_m = float(manifest["settings"]["stages"]["privacy.epsilon_m"])
     entries = {
-        ((cell["mechanism"], cell["level"]), Source(cell["consumer"], cell["knowledge"])): cell
+        (
+            (cell["mechanism"], cell["level"]),
+            Source(cell["consumer"], cell["knowledge"]),
+        ): cell
         for cell in manifest["cells"]
         if not cell.get("world")
     }
@@ -87,7 +95,11 @@ def read(out: Path) -> Run:
 def check_seed_alone(outs: Sequence[Path]) -> None:
     """Raise DataError if runs differ in more than their seeds."""
     identities = [
-        {name: value for name, value in read_manifest(out)["identity"].items() if name != "seed"}
+        {
+            name: value
+            for name, value in read_manifest(out)["identity"].items()
+            if name != "seed"
+        }
         for out in outs
     ]
     for out, other in zip(outs[1:], identities[1:], strict=True):
@@ -98,26 +110,36 @@ def check_seed_alone(outs: Sequence[Path]) -> None:
                 if other.get(key) != identities[0].get(key)
             )
             raise DataError(
-                f"{out} and {outs[0]} differ in {', '.join(keys)}, not in the seed alone"
+                f"{out} and {outs[0]} differ in {', '.join(keys)}, not in the seed"
+                " alone"
             )
 
 
-def pooled(runs: Sequence[Run], where: Where, number: int) -> tuple[Estimate, list[float]] | None:
+def pooled(
+    runs: Sequence[Run], where: Where, number: int
+) -> tuple[Estimate, list[float]] | None:
     """Return a column of the first table at a level over all runs, and each run's value."""
     columns = [run.columns[number] for run in runs]
-    known = [run.table.at(where, column) for run, column in zip(runs, columns, strict=True)]
+    known = [
+        run.table.at(where, column) for run, column in zip(runs, columns, strict=True)
+    ]
     each = [estimate for estimate in known if estimate is not None]
     if len(each) < len(runs):
         return None
     sums = []
     for run, column in zip(runs, columns, strict=True):
-        # A matching names mates for all probes at once: the runs' own intervals tell of it.
+        # A matching names mates for all probes at once: the runs' own intervals tell of
+        # it.
         entry = None if column.is_joint else run.entry(where, column)
         sums.append(read_sums(run.out, entry, column.measure.metric) if entry else None)
     counted = [run_sums for run_sums in sums if run_sums is not None]
     is_share = METRICS[columns[0].measure.metric].is_share
     whole = len(counted) == len(runs)
-    mean = over_seeds(stacked_sums(counted), is_share=is_share) if whole else by_intervals(each)
+    mean = (
+        over_seeds(stacked_sums(counted), is_share=is_share)
+        if whole
+        else by_intervals(each)
+    )
     return mean, [estimate.value for estimate in each]
 
 
@@ -167,10 +189,14 @@ def _decided(item: Mapping[str, Any]) -> Iterator[Decided]:
     """Yield the effect of an item, or its spread, its error of prediction, and its contrasts."""
     name, n = str(item["id"]), int(item["n"] or 0)
     has_spread = item.get("spread") is not None
-    effect = _number(item, "spread", n=n) if has_spread else _number(item, "effect", n=n)
+    effect = (
+        _number(item, "spread", n=n) if has_spread else _number(item, "effect", n=n)
+    )
     yield Decided(name, effect, str(item["decision"]))
     if item.get("prediction_error") is not None:
-        yield Decided(f"{name}, prediction error", _number(item, "prediction_error", n=n))
+        yield Decided(
+            f"{name}, prediction error", _number(item, "prediction_error", n=n)
+        )
     for contrast in item.get("contrasts", ()):
         levels = (contrast.get("level"), contrast.get("quartile"))
         place = " ".join(f"{at:g}" for at in levels if at is not None)
@@ -190,9 +216,14 @@ def _number(record: Mapping[str, Any], name: str, *, n: int) -> Estimate:
 
 def _text(mean: Estimate, each: Sequence[float]) -> str:
     """Return a share in %, its interval, and the runs' own values."""
-    value, low, high = (100.0 * number for number in (mean.value, mean.ci_low, mean.ci_high))
+    value, low, high = (
+        100.0 * number for number in (mean.value, mean.ci_low, mean.ci_high)
+    )
     ends = f"[{low:.1f}, {high:.1f}]" if math.isfinite(low) else "(no interval)"
-    return f"{value:6.1f} {ends:14} of {', '.join(f'{100.0 * other:.1f}' for other in each)}"
+    return (
+        f"{value:6.1f} {ends:14} of"
+        f" {', '.join(f'{100.0 * other:.1f}' for other in each)}"
+    )
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
 """Choose the trackers' process noise by likelihood: `python -m benchmarks.tune`.
 
-The defaults come from the bundled crowd alone, and from shared histories alone, never from the
-hidden futures. No recording was fitted, but the crowd's own constants were set by hand until its
-statistics agreed with those of Students03. Other recordings are shown beside it for comparison.
+The defaults come from the bundled crowd alone, and from shared histories alone, never
+from the hidden futures. No recording was fitted, but the crowd's own constants were set
+by hand until its statistics agreed with those of Students03. Other recordings are shown
+beside it for comparison.
 """
 
 from __future__ import annotations
@@ -51,7 +52,9 @@ def releases(dataset: str, *, n_scenes: int, seed: int) -> tuple[Release, ...]:
         If the data set is not here or its tracks are too short.
     """
     stages = StageSettings()
-    tracks = cut(datasets.load(dataset, download=False).tracks, settings=stages, seed=seed)
+    tracks = cut(
+        datasets.load(dataset, download=False).tracks, settings=stages, seed=seed
+    )
     order = track_order(n_tracks=len(tracks), n_scenes=n_scenes, agents=4, seed=seed)
     scenes = make_scenes(tracks, order=order, first=0, settings=stages, seed=seed)
     sensed = sense_scenes(scenes, settings=stages.sensing, seed=seed)
@@ -61,11 +64,13 @@ def releases(dataset: str, *, n_scenes: int, seed: int) -> tuple[Release, ...]:
     )
 
 
-def tune(tracker: Tracker, names: tuple[str, ...], *, shared: tuple[Release, ...]) -> Tracker:
+def tune(
+    tracker: Tracker, names: tuple[str, ...], *, shared: tuple[Release, ...]
+) -> Tracker:
     """Return the tracker with the parameters of the largest likelihood, to two digits.
 
-    The gate is open (a likelihood over what the gate let through would reward a narrow one),
-    and the whole history counts.
+    The gate is open (a likelihood over what the gate let through would reward a narrow
+    one), and the whole history counts.
     """
     start = replace(tracker, gate=float("inf"), window=_WHOLE_HISTORY)
 
@@ -76,10 +81,14 @@ def tune(tracker: Tracker, names: tuple[str, ...], *, shared: tuple[Release, ...
         return -float(sum(trial.log_likelihood(release).sum() for release in shared))
 
     first = np.log([getattr(tracker, name) for name in names])
-    found = minimize(loss, first, method="Nelder-Mead", options={"xatol": 5e-3, "fatol": 0.5})
+    found = minimize(
+        loss, first, method="Nelder-Mead", options={"xatol": 5e-3, "fatol": 0.5}
+    )
     best: dict[str, Any] = {
         name: float(f"{value:.2g}")
-        for name, value in zip(names, np.maximum(np.exp(found.x), LEAST_Q).tolist(), strict=True)
+        for name, value in zip(
+            names, np.maximum(np.exp(found.x), LEAST_Q).tolist(), strict=True
+        )
     }
     return replace(tracker, **best)
 
@@ -88,7 +97,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
     parser = Parser(
         prog="python -m benchmarks.tune",
-        description="Choose the trackers' process noise by likelihood on shared histories.",
+        description=(
+            "Choose the trackers' process noise by likelihood on shared histories."
+        ),
     )
     parser.add_argument("--scenes", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
@@ -105,7 +116,9 @@ def _run(options: argparse.Namespace) -> int:
 def _show(*, n_scenes: int, seed: int) -> None:
     print(f"{'tracker':<11} {'parameter':<10} {'default':>8}  largest likelihood on")
     names = ("plaza", "zara01", "students03")
-    print(f"{'':<31}  {names[0]:>10} (the default), for comparison {', '.join(names[1:])}")
+    print(
+        f"{'':<31}  {names[0]:>10} (the default), for comparison {', '.join(names[1:])}"
+    )
     found: dict[str, dict[str, Tracker]] = {}
     for dataset in names:
         try:
@@ -120,7 +133,11 @@ def _show(*, n_scenes: int, seed: int) -> None:
     for name, (tracker, parameters) in TUNED.items():
         for parameter in parameters:
             values = [
-                f"{getattr(found[dataset][name], parameter):>10g}" if dataset in found else ""
+                (
+                    f"{getattr(found[dataset][name], parameter):>10g}"
+                    if dataset in found
+                    else ""
+                )
                 for dataset in names
             ]
             default = getattr(tracker, parameter)

@@ -1,11 +1,12 @@
 """Does it matter that scenes share their background agents, too? `python -m benchmarks.two_way`.
 
-Intervals of scene rates cluster by the first agent alone. Scenes that share a background group
-would covary if it mattered who walks there: the sum of squared group totals of the missed-rate
-residuals is compared with what it is when the background agents are dealt to other scenes (999
-permutations); only the excess counts. It is itself noisy (several tenths for no effect at all):
-whether there is one is for the permutations to say. Two made-up cases, with an effect planted and
-without, show that the check would see one.
+Intervals of scene rates cluster by the first agent alone. Scenes that share a
+background group would covary if it mattered who walks there: the sum of squared group
+totals of the missed-rate residuals is compared with what it is when the background
+agents are dealt to other scenes (999 permutations); only the excess counts. It is
+itself noisy (several tenths for no effect at all): whether there is one is for the
+permutations to say. Two made-up cases, with an effect planted and without, show that
+the check would see one.
 """
 
 from __future__ import annotations
@@ -58,7 +59,9 @@ def main() -> int:
     return 0
 
 
-def background_excess(agents: pd.DataFrame, scenes: pd.DataFrame, name: str) -> tuple[float, float]:
+def background_excess(
+    agents: pd.DataFrame, scenes: pd.DataFrame, name: str
+) -> tuple[float, float]:
     """Return how much wider an interval would be that knew of the background, and its p-value.
 
     The variance by first agents is the sum of squares of their group totals.
@@ -73,14 +76,18 @@ def background_excess(agents: pd.DataFrame, scenes: pd.DataFrame, name: str) -> 
 
     def squares(members: Any) -> float:  # noqa: ANN401 - an array
         weights = np.repeat(residual, members.shape[1])
-        totals = np.bincount(members.reshape(-1), weights=weights, minlength=len(groups))
+        totals = np.bincount(
+            members.reshape(-1), weights=weights, minlength=len(groups)
+        )
         return float((totals**2).sum())
 
     first, background = squares(role[:, :1]), squares(role[:, 1:])
     rng = stream(0, "test", "background", name)
     dealt = np.array([squares(rng.permutation(role[:, 1:])) for _ in range(999)])
     p_value = (1 + (dealt >= background).sum()) / 1000
-    return float(np.sqrt(1 + max(background - dealt.mean(), 0.0) / first)), float(p_value)
+    return float(np.sqrt(1 + max(background - dealt.mean(), 0.0) / first)), float(
+        p_value
+    )
 
 
 def planted(*, is_seen: bool) -> tuple[pd.DataFrame, pd.DataFrame]:

@@ -1,11 +1,12 @@
 """Is the verdict right where the truth is known? `python -m benchmarks.verdict_worlds`.
 
-Simulated runs, 200 of each world, at the level of who is linked and what their windows give away,
-summed by cluster. People walk alone or in groups. Each has a trait that makes it easier or harder
-to link under all mechanisms; luck is alike at the levels of a family, and a little is each level's
-own. The descriptor falls with the noise; how often people are linked is a function of it, but where
-a world says otherwise. Told are the worlds with any wrong decision, the right ones, and what was
-right where the power that was printed promised at least 80 %. Exit code 1 if a target is missed.
+Simulated runs, 200 of each world, at the level of who is linked and what their windows
+give away, summed by cluster. People walk alone or in groups. Each has a trait that
+makes it easier or harder to link under all mechanisms; luck is alike at the levels of a
+family, and a little is each level's own. The descriptor falls with the noise; how often
+people are linked is a function of it, but where a world says otherwise. Told are the
+worlds with any wrong decision, the right ones, and what was right where the power that
+was printed promised at least 80 %. Exit code 1 if a target is missed.
 """
 
 from __future__ import annotations
@@ -110,12 +111,16 @@ def linked_task(world: World, *, seed: int) -> LinkedTask:
             spread = 0.2 * habit + 0.1 * common + 0.2 * rng.normal(size=world.people)
             mean = 0.9 * np.exp(-1.6 * depth) if world.descriptor == "true" else 0.5
             values = mean * np.exp(spread - 0.045)
-            values = np.full(world.people, 0.5) if world.descriptor == "constant" else values
+            values = (
+                np.full(world.people, 0.5) if world.descriptor == "constant" else values
+            )
             descriptors[name] = np.array([summed(values), summed(ones)])
         hits = summed((drawn < ndtri(share)).astype(np.float64))
         linker = Source(f"{TASK}/shape", "blind")
         chance, probes = summed(0.01 * ones), summed(ones)
-        levels.append(LinkedLevel(one.name, one.level, linker, hits, chance, probes, descriptors))
+        levels.append(
+            LinkedLevel(one.name, one.level, linker, hits, chance, probes, descriptors)
+        )
     names = tuple(f"{name:05d}" for name in range(cluster[-1] + 1))
     return LinkedTask(TASK, 100, names, tuple(levels))
 
@@ -123,7 +128,9 @@ def linked_task(world: World, *, seed: int) -> LinkedTask:
 def said_of(world: World, *, seed: int) -> dict[str, Any]:
     """Return the items, controls and descriptors on trial of a world."""
     task = linked_task(world, seed=seed)
-    return validity([task], families=families(), preset="paper", dataset="worlds", seed=seed)
+    return validity(
+        [task], families=families(), preset="paper", dataset="worlds", seed=seed
+    )
 
 
 @dataclass(frozen=True)
@@ -155,12 +162,18 @@ def tally(world: World, *, times: int, seed: int = 0) -> Tally:
         said = said_of(world, seed=seed + place)
         found = [one["decision"] for one in said["items"]]
         decisions.update(found)
-        wrong += any(one in (rules.TRACKS, rules.DOES_NOT) and one != right for one in found)
-        sure = [one for one in said["items"] if one["power_if"][truth][right] >= LEAST_RIGHT]
+        wrong += any(
+            one in (rules.TRACKS, rules.DOES_NOT) and one != right for one in found
+        )
+        sure = [
+            one for one in said["items"] if one["power_if"][truth][right] >= LEAST_RIGHT
+        ]
         promised += len(sure)
         kept += sum(one["decision"] == right for one in sure)
         controls += any(one["decision"] == rules.DOES_NOT for one in said["controls"])
-        needed += [one["n_needed"] for one in said["items"] if one["n_needed"] is not None]
+        needed += [
+            one["n_needed"] for one in said["items"] if one["n_needed"] is not None
+        ]
     median = float(np.median(needed)) if needed else np.nan
     return Tally(times, wrong, decisions, promised, kept, controls, median)
 
@@ -179,7 +192,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         world = replace(WORLDS[name], people=options.people)
         one = tally(world, times=options.times)
         items = one.decisions.total()
-        right, between = (one.decisions[of] / items for of in (world.right, rules.BETWEEN))
+        right, between = (
+            one.decisions[of] / items for of in (world.right, rules.BETWEEN)
+        )
         kept = one.kept / one.promised if one.promised else np.nan
         wrong = f"{one.wrong}/{one.worlds}"
         print(

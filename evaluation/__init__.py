@@ -1,6 +1,7 @@
 """The evaluation matrix: mechanisms x consumers, with intervals.
 
-``evaluation.run(settings)`` gives the same results as ``python -m evaluation.matrix``, as data
+``evaluation.run(settings)`` gives the same results as ``python -m evaluation.matrix``,
+as data
 frames::
 
     import evaluation
@@ -27,14 +28,24 @@ def _check_own_packages() -> None:
     """Refuse a user's own folder of the name of one of our packages: it would be imported."""
     for name in ("isac_track", "predictors", "attacks"):
         found = find_spec(name)
-        at = "nowhere" if found is None or found.origin is None else Path(found.origin).parent
+        at = (
+            "nowhere"
+            if found is None or found.origin is None
+            else Path(found.origin).parent
+        )
         if at == Path(__file__).parent.with_name(name):
             continue
-        message = f"{at} has the name of the package {name!r} of isac-track, and stands before it"
-        message += (
-            "; say `isac-track matrix` instead of `python -m evaluation.matrix`, or rename it"
+        message = (
+            f"{at} has the name of the package {name!r} of isac-track, and stands"
+            " before it"
         )
-        if sys.argv and sys.argv[0] == "-m":  # a command, not a notebook: it ends in one line
+        message += (
+            "; say `isac-track matrix` instead of `python -m evaluation.matrix`, or"
+            " rename it"
+        )
+        if (
+            sys.argv and sys.argv[0] == "-m"
+        ):  # a command, not a notebook: it ends in one line
             sys.stderr.write(f"error: {message}\n")
             raise SystemExit(2)
         raise ImportError(message)
@@ -51,7 +62,9 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever the name stands fo
         raise AttributeError(f"module 'evaluation' has no attribute {name!r}")
     from importlib import import_module  # noqa: PLC0415 - as above
 
-    home = {"Settings": "experiment.settings", "run": "results"}.get(name, "reporting.finished")
+    home = {"Settings": "experiment.settings", "run": "results"}.get(
+        name, "reporting.finished"
+    )
     return getattr(import_module(f"evaluation.{home}"), name)
 
 

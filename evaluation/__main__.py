@@ -15,9 +15,18 @@ COMMANDS = {
     "matrix": ("evaluation.matrix", "run the evaluation matrix"),
     "report": ("evaluation.report", "redraw tables and figures of a run"),
     "compare": ("evaluation.compare", "put two runs side by side"),
-    "design": ("evaluation.design", "choose a level that meets a target, with yes or no"),
-    "publish": ("evaluation.publish", "copy a run without ids' key, true walks and paths"),
-    "sensitivity": ("evaluation.sensitivity", "repeat a run's verdict under other assumptions"),
+    "design": (
+        "evaluation.design",
+        "choose a level that meets a target, with yes or no",
+    ),
+    "publish": (
+        "evaluation.publish",
+        "copy a run without ids' key, true walks and paths",
+    ),
+    "sensitivity": (
+        "evaluation.sensitivity",
+        "repeat a run's verdict under other assumptions",
+    ),
     "study": ("evaluation.study", "answer several recordings as one"),
     "calibrate": ("evaluation.calibrate", "refit the constants of the sensing model"),
     "datasets": ("isac_track.datasets.__main__", "list and fetch data sets"),
@@ -38,10 +47,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"isac-track {__version__}")
         return 0
     if words[0] not in COMMANDS:
-        hint = did_you_mean(words[0], COMMANDS, quote="'") or f"; known: {', '.join(COMMANDS)}"
+        hint = (
+            did_you_mean(words[0], COMMANDS, quote="'")
+            or f"; known: {', '.join(COMMANDS)}"
+        )
         print(f"error: unknown command {words[0]!r}{hint}", file=sys.stderr)
         return 2
-    # As with `python -m`, a plug-in may lie in the working folder; last, to shadow nothing.
+    # As with `python -m`, a plug-in may lie in the working folder; last, to shadow
+    # nothing.
     sys.path.append(str(Path.cwd()))
     module = import_module(COMMANDS[words[0]][0])
     code: int = module.main(words[1:])

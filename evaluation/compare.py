@@ -45,7 +45,9 @@ def _run(options: argparse.Namespace) -> int:
         try:
             options.csv.write_bytes(to_csv(comparison.rows))
         except OSError as error:
-            raise DataError(f"cannot write {options.csv}: {error.strerror or error}") from None
+            raise DataError(
+                f"cannot write {options.csv}: {error.strerror or error}"
+            ) from None
     if options.json:
         found = to_json(comparison, every=options.all)
         print(json.dumps(found, indent=1, allow_nan=False), flush=True)

@@ -49,19 +49,32 @@ def _plan(arguments: Sequence[str]) -> int:
     """Answer from closed forms; what takes a second to import is not."""
     command = Parser(
         prog="python -m evaluation.design --plan",
-        description="Find the noise that keeps the attacked PLR below a limit, without a run.",
-        epilog="exit codes: 0 the noise is printed; 1 so it is, but another limit takes a run; "
-        "2 wrong usage.",
+        description=(
+            "Find the noise that keeps the attacked PLR below a limit, without a run."
+        ),
+        epilog=(
+            "exit codes: 0 the noise is printed; 1 so it is, but another limit takes a"
+            " run; 2 wrong usage."
+        ),
     )
     add = command.add_argument
     add("--plan", action="store_true", help="answer without a run")
     about = "largest share of positions that a smoother may know"
     add("--max-plr", type=float, required=True, metavar="X", help=about)
-    add("--max-missed", type=float, metavar="X", help="takes a run: the command is printed")
+    add(
+        "--max-missed",
+        type=float,
+        metavar="X",
+        help="takes a run: the command is printed",
+    )
     add("--max-rank1", type=float, metavar="X", help="the same")
     for name, default, about in (
         ("epsilon", steady.EPSILON_M, "distance below which a position is known, m"),
-        ("q", steady.Q_M2_PER_S3, "spectral density of the people's acceleration, m^2/s^3"),
+        (
+            "q",
+            steady.Q_M2_PER_S3,
+            "spectral density of the people's acceleration, m^2/s^3",
+        ),
         ("dt", steady.INTERVAL_S, "time between samples, s"),
     ):
         shown = f"{about} (default: {default:g})"
@@ -85,7 +98,11 @@ def _plan(arguments: Sequence[str]) -> int:
 
 def _run(arguments: Sequence[str]) -> int:
     """Answer from a run."""
-    from evaluation.reporting.design_words import answer_of, show, to_json  # noqa: PLC0415 - heavy
+    from evaluation.reporting.design_words import (  # noqa: PLC0415 - heavy
+        answer_of,
+        show,
+        to_json,
+    )
 
     options = _parser().parse_args(arguments)
     answer = answer_of(options.out, _question(options))
@@ -99,20 +116,34 @@ def _run(arguments: Sequence[str]) -> int:
 def _parser() -> Parser:
     from evaluation.analysis.families import ADDING_RULES  # noqa: PLC0415 - heavy
     from evaluation.analysis.metrics import METRICS  # noqa: PLC0415 - heavy
-    from evaluation.verdict.what_to_share import HORIZON_S, LIMITS, USUAL  # noqa: PLC0415 - heavy
+    from evaluation.verdict.what_to_share import (  # noqa: PLC0415 - heavy
+        HORIZON_S,
+        LIMITS,
+        USUAL,
+    )
 
     words = {
-        "missed": "largest share of conflicts that the robot misses, at the false alarms of raw",
+        "missed": (
+            "largest share of conflicts that the robot misses, at the false alarms"
+            " of raw"
+        ),
         "false_alarm": "largest share of false alarms in the scenes without a conflict",
         "plr": "largest share of positions known (PLR), to epsilon and to 4/3 of it",
-        "rank1": "largest share of people that an attack re-identifies (rank 1), in every task",
-        "linkage_share": "largest share of raw's re-identification after a silence, above chance; "
-        "1 asks nothing",
+        "rank1": (
+            "largest share of people that an attack re-identifies (rank 1), in every"
+            " task"
+        ),
+        "linkage_share": (
+            "largest share of raw's re-identification after a silence, above chance; "
+            "1 asks nothing"
+        ),
     }
     command = Parser(
         prog="python -m evaluation.design",
-        description="Choose a noise level for a site: which levels of a run keep within limits of "
-        "privacy and utility, what each costs, and which adversary breaks it.",
+        description=(
+            "Choose a noise level for a site: which levels of a run keep within limits"
+            " of privacy and utility, what each costs, and which adversary breaks it."
+        ),
         epilog=_EPILOG,
     )
     add = command.add_argument
@@ -126,21 +157,41 @@ def _parser() -> Parser:
         option = f"--max-{name.replace('_', '-')}"
         add(option, type=float, default=usual, metavar=unit, help=f"{about}{default}")
     about = "a further adversary that must not break it: repeats, anchor, companions, "
-    add("--against", action="append", default=[], metavar="NAME", help=f"{about}insider")
+    add(
+        "--against", action="append", default=[], metavar="NAME", help=f"{about}insider"
+    )
     about = "choose by future conflicts or by all (default: missed_future)"
     choices = ("missed_future", "missed")
     add("--criterion", choices=choices, default=choices[0], help=about)
-    about = f"horizon of the conflicts, s; `run` for that of the run (default: {HORIZON_S:g})"
+    about = (
+        "horizon of the conflicts, s; `run` for that of the run (default:"
+        f" {HORIZON_S:g})"
+    )
     add("--horizon", default=f"{HORIZON_S:g}", metavar="S", help=about)
-    add("--predictor", metavar="NAME", default="", help="the robot (default: the best of the run)")
+    add(
+        "--predictor",
+        metavar="NAME",
+        default="",
+        help="the robot (default: the best of the run)",
+    )
     about = "family of mechanisms, such as fid; repeatable (default: all of the run)"
     add("--family", action="append", default=[], metavar="NAME", help=about)
-    about = "limit PLR, AEL and MEL of the sent positions, not of the strongest reconstruction"
+    about = (
+        "limit PLR, AEL and MEL of the sent positions, not of the strongest"
+        " reconstruction"
+    )
     add("--as-shared", action="store_true", help=about)
-    about = "adding rule that must hold (default: both); a network can only add independent noise"
+    about = (
+        "adding rule that must hold (default: both); a network can only add independent"
+        " noise"
+    )
     add("--adding", choices=[*ADDING_RULES, "both"], default="both", help=about)
     add("--json", action="store_true", help="print one JSON object and nothing else")
-    add("--verbose", action="store_true", help="print all numbers and reasons, not 12 lines")
+    add(
+        "--verbose",
+        action="store_true",
+        help="print all numbers and reasons, not 12 lines",
+    )
     add("--plan", action="store_true", help="answer without a run; see --plan --help")
     return command
 
@@ -148,7 +199,11 @@ def _parser() -> Parser:
 def _question(options: argparse.Namespace) -> Question:
     """Return the question that was typed; SettingsError for what no question can be."""
     from evaluation.analysis.families import ADDING_RULES  # noqa: PLC0415 - heavy
-    from evaluation.verdict.what_to_share import LIMITS, Criterion, Question  # noqa: PLC0415 - heavy
+    from evaluation.verdict.what_to_share import (  # noqa: PLC0415 - heavy
+        LIMITS,
+        Criterion,
+        Question,
+    )
 
     horizon_s = None
     if options.horizon != "run":
@@ -157,7 +212,9 @@ def _question(options: argparse.Namespace) -> Question:
         except ValueError:
             horizon_s = math.nan
         if not 0.0 < horizon_s < math.inf:
-            raise SettingsError(f"--horizon takes a time in s or `run`, got {options.horizon!r}")
+            raise SettingsError(
+                f"--horizon takes a time in s or `run`, got {options.horizon!r}"
+            )
     asked = {name: getattr(options, f"max_{name}") for name in LIMITS}
     return Question(
         limits={name: limit for name, limit in asked.items() if limit is not None},

@@ -34,24 +34,35 @@ examples:
 """
 _PRESETS = "; ".join(f"{name}: {preset.summary}" for name, preset in PRESETS.items())
 _DATA = (
-    "a known data set (downloaded if need be), your own file, or a folder of sessions (default: "
-    "students03 if it is here, else the simulated plaza)"
+    "a known data set (downloaded if need be), your own file, or a folder of sessions"
+    " (default: students03 if it is here, else the simulated plaza)"
 )
 _REPLACES = "repeatable; replaces the preset's, with a + before each adds to them: +{}"
 _OF_ATTACKS = _REPLACES.format("my_attack")
-_ATTACK = f"a reconstruction, a linker, or LINKER@RECONSTRUCTION; `none` for none; {_OF_ATTACKS}"
+_ATTACK = (
+    "a reconstruction, a linker, or LINKER@RECONSTRUCTION; `none` for none;"
+    f" {_OF_ATTACKS}"
+)
 _PREDICTOR = f"the robot's predictor; `none` for none; {_REPLACES.format('my_tracker')}"
 _TASK = f"what is to be linked; `none` for none; {_REPLACES.format('handover-2s')}"
 _ADVERSARY = (
-    f"beside {', '.join(USUAL)}: {', '.join(one for one in ADVERSARIES if one not in USUAL)}; "
-    "repeatable; see docs/threat-model.md"
+    f"beside {', '.join(USUAL)}:"
+    f" {', '.join(one for one in ADVERSARIES if one not in USUAL)}; repeatable; see"
+    " docs/threat-model.md"
 )
-_MECHANISM = "sharing mechanism: name[:VALUE][,key=value...], a sweep as LOW..HIGH/COUNT"
-_TIMEOUT = "kill and leave out a cell that takes longer than this many seconds (default: never)"
-_EXECUTOR = "compute on this machine (local, default) or on a Dask cluster; see docs/cluster.md"
+_MECHANISM = (
+    "sharing mechanism: name[:VALUE][,key=value...], a sweep as LOW..HIGH/COUNT"
+)
+_TIMEOUT = (
+    "kill and leave out a cell that takes longer than this many seconds (default:"
+    " never)"
+)
+_EXECUTOR = (
+    "compute on this machine (local, default) or on a Dask cluster; see docs/cluster.md"
+)
 _PRECISION = (
-    "half-width of the intervals of missed conflicts (0.01: ±1 point); 250 scenes computed first "
-    "tell how many scenes that takes; not with --scenes"
+    "half-width of the intervals of missed conflicts (0.01: ±1 point); 250 scenes"
+    " computed first tell how many scenes that takes; not with --scenes"
 )
 _OPTIONS: Final[dict[str, tuple[type, str, str]]] = {
     # Key of --config: its type, its metavar, and what --help says.
@@ -59,16 +70,36 @@ _OPTIONS: Final[dict[str, tuple[type, str, str]]] = {
     "dataset": (str, "NAME|PATH", _DATA),
     "format": (str, "NAME", "format of your own file; see docs/data.md"),
     "fps": (float, "N", "frames per second of your own file"),
-    "unit": (str, "m|cm|mm", "unit of lengths in your own file (default: its header's, else m)"),
-    "columns": (str, "t=NAME,...", "your columns for t, id, x, y, group: t=time[ms],x=pos_x[cm]"),
+    "unit": (
+        str,
+        "m|cm|mm",
+        "unit of lengths in your own file (default: its header's, else m)",
+    ),
+    "columns": (
+        str,
+        "t=NAME,...",
+        "your columns for t, id, x, y, group: t=time[ms],x=pos_x[cm]",
+    ),
     "on_duplicate": (
         str,
         "error|first|mean",
         "what to do with an id at two places at one time (default: error)",
     ),
-    "crs": (str, "degrees", "x is longitude and y latitude: project them to local metres"),
-    "drop_frozen": (float, "S", "drop stretches of S seconds or more at exactly one place"),
-    "session": (list, "FILE", "a file of several sessions of one recording; repeatable"),
+    "crs": (
+        str,
+        "degrees",
+        "x is longitude and y latitude: project them to local metres",
+    ),
+    "drop_frozen": (
+        float,
+        "S",
+        "drop stretches of S seconds or more at exactly one place",
+    ),
+    "session": (
+        list,
+        "FILE",
+        "a file of several sessions of one recording; repeatable",
+    ),
     "scenes": (int, "N", "Monte Carlo scenes (default: the preset's)"),
     "precision": (float, "H", _PRECISION),
     "seed": (int, "N", "base seed of every random stream (default: 0)"),
@@ -77,7 +108,11 @@ _OPTIONS: Final[dict[str, tuple[type, str, str]]] = {
     "attack": (list, "SPEC", _ATTACK),
     "task": (list, "NAME", _TASK),
     "adversary": (list, "NAME", _ADVERSARY),
-    "jobs": (int, "N", "worker processes (default: the cores, at most 8; 1 for little work)"),
+    "jobs": (
+        int,
+        "N",
+        "worker processes (default: the cores, at most 8; 1 for little work)",
+    ),
     "cell_timeout": (float, "S", _TIMEOUT),
     "executor": (str, "local|dask", _EXECUTOR),
     "scheduler": (str, "ADDRESS", "address of the Dask cluster, as tcp://host:8786"),
@@ -89,7 +124,12 @@ _FLAGS_OF_RUN: Final = (
     "keep_ids",
     "fresh",
 )  # Those that a file may set, too.
-_MAY_BE_NONE: Final = ("mechanism", "predictor", "attack", "task")  # Axes: an empty list is none.
+_MAY_BE_NONE: Final = (
+    "mechanism",
+    "predictor",
+    "attack",
+    "task",
+)  # Axes: an empty list is none.
 _MOST_CONFIG: Final = 2**20  # Bytes of a config file; longer ones are something else.
 
 
@@ -97,7 +137,9 @@ def parser() -> argparse.ArgumentParser:
     """Return the command line of the matrix."""
     command = Parser(
         prog="python -m evaluation.matrix",
-        description="Evaluate sharing mechanisms: what a robot can still foresee, what leaks.",
+        description=(
+            "Evaluate sharing mechanisms: what a robot can still foresee, what leaks."
+        ),
         epilog=_EXIT,
     )
     add = command.add_argument
@@ -109,13 +151,19 @@ def parser() -> argparse.ArgumentParser:
     add("--config", type=Path, metavar="FILE.toml", help="the same keys from a file")
     for option, about in {
         "--persistent-ids": "ids are the same people in all sessions",
-        "--keep-scores": "also keep the raw scores of all linkage attacks: some hundred MB",
-        "--keep-ids": "keep the ids of the recording in the files of the run, not pseudonyms",
+        "--keep-scores": (
+            "also keep the raw scores of all linkage attacks: some hundred MB"
+        ),
+        "--keep-ids": (
+            "keep the ids of the recording in the files of the run, not pseudonyms"
+        ),
         "--no-pictures": "store no true walks, and draw neither figures nor the page",
         "--fresh": "replace the run in the folder instead of continuing it",
         "--verbose": "print all tables and notices, not the first screen alone",
         "--list": "list what can be named, and stop",
-        "--dry-run": "say what would be computed and how long it takes, or what is wrong; stop",
+        "--dry-run": (
+            "say what would be computed and how long it takes, or what is wrong; stop"
+        ),
     }.items():
         add(option, action="store_true", help=about)
     return command
@@ -127,9 +175,17 @@ def settings_from(options: argparse.Namespace) -> Settings:
     Raises SettingsError for anything unknown, malformed or contradictory.
     """
     stage_values: dict[str, Any] = {}
-    given = [_read_config(options.config, stage_values), options] if options.config else [options]
-    named = ((key, getattr(one, key)) for one in given for key in (*_OPTIONS, *_FLAGS_OF_RUN))
-    values = {key: value for key, value in named if value is not None and value is not False}
+    given = (
+        [_read_config(options.config, stage_values), options]
+        if options.config
+        else [options]
+    )
+    named = (
+        (key, getattr(one, key)) for one in given for key in (*_OPTIONS, *_FLAGS_OF_RUN)
+    )
+    values = {
+        key: value for key, value in named if value is not None and value is not False
+    }
     for text in options.set:
         name, equals, value = text.partition("=")
         if not equals:
@@ -137,12 +193,18 @@ def settings_from(options: argparse.Namespace) -> Settings:
         stage_values[name.strip()] = value.strip()
     for key in ("fps", "format", "unit", "columns", "crs"):
         if key in values and not values.keys() & {"dataset", "session"}:
-            raise SettingsError(f"--{key} describes your own file: name it with --dataset PATH")
+            raise SettingsError(
+                f"--{key} describes your own file: name it with --dataset PATH"
+            )
     for key in ("mechanism", "predictor", "attack", "task"):
         specs = values.pop(key, None)
         if specs and "none" in specs and len(specs) > 1:
-            raise SettingsError(f"--{key} none empties the axis and cannot be mixed with others")
-        values[f"{key}s"] = None if specs is None else [one for one in specs if one != "none"]
+            raise SettingsError(
+                f"--{key} none empties the axis and cannot be mixed with others"
+            )
+        values[f"{key}s"] = (
+            None if specs is None else [one for one in specs if one != "none"]
+        )
     return Settings(
         adversaries=values.pop("adversary", ()),
         cell_timeout_s=values.pop("cell_timeout", None),
@@ -154,7 +216,10 @@ def settings_from(options: argparse.Namespace) -> Settings:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
-    kept = "interrupted; finished cells are kept, the same command continues (without --fresh)"
+    kept = (
+        "interrupted; finished cells are kept, the same command continues (without"
+        " --fresh)"
+    )
     return exit_code(lambda: _command(arguments), interrupted=kept)
 
 
@@ -165,12 +230,17 @@ def _command(arguments: Sequence[str] | None) -> int:
         sys.stderr.writelines(f"{line}\n" for line in listing.broken())
         return DONE
     settings = settings_from(options)
-    from evaluation.reporting.progress import progress_bar  # noqa: PLC0415 - as said below
+    from evaluation.reporting.progress import (  # noqa: PLC0415 - as said below
+        progress_bar,
+    )
     from evaluation.runs.workers import ahead  # noqa: PLC0415 - as said below
 
     said: list[str] = []
     whole = options.verbose or options.dry_run
-    with progress_bar(said) as update, ahead(0 if options.dry_run else _n_workers(settings)):
+    with (
+        progress_bar(said) as update,
+        ahead(0 if options.dry_run else _n_workers(settings)),
+    ):
         update(0, None, "reading the recording")
         # Heavy imports only now: --help, --list and a typing error answer at once.
         from evaluation.experiment.plan import plan  # noqa: PLC0415 - as said
@@ -179,7 +249,9 @@ def _command(arguments: Sequence[str] | None) -> int:
             from evaluation.results import sized  # noqa: PLC0415 - as said
 
             if options.dry_run:
-                raise SettingsError("--precision computes 250 scenes first: leave out --dry-run")
+                raise SettingsError(
+                    "--precision computes 250 scenes first: leave out --dry-run"
+                )
             settings = sized(settings, progress=update)
         ready = plan(settings)
         rehearsed = _rehearsed(ready) if options.dry_run else []
@@ -190,12 +262,16 @@ def _command(arguments: Sequence[str] | None) -> int:
         print(*said, *rehearsed, sep="\n", file=sys.stderr)
         if options.dry_run:
             return DONE
-        # What draws and shows is heavier still: until here, the user knows what is under way.
+        # What draws and shows is heavier still: until here, the user knows what is
+        # under way.
         from evaluation.reporting.tables import show  # noqa: PLC0415 - as said
         from evaluation.results import run  # noqa: PLC0415 - as said
-        from evaluation.runs.execute import FailedCellsWarning  # noqa: PLC0415 - as said
+        from evaluation.runs.execute import (  # noqa: PLC0415 - as said
+            FailedCellsWarning,
+        )
 
-        gc.freeze()  # what was imported stays: looking through it again and again takes a second
+        # what was imported stays: looking through it again and again takes a second
+        gc.freeze()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FailedCellsWarning)  # told below
             shows = not options.no_pictures
@@ -215,14 +291,23 @@ def _rehearsed(ready: "Plan") -> list[str]:
 
     notices = rehearse(ready)
     time = in_words(expected_s(ready), jobs=ready.jobs)
-    lines = [*(f"notice: {one}" for one in notices), f"{time}, with loops compiled and idle cores"]
+    lines = [
+        *(f"notice: {one}" for one in notices),
+        f"{time}, with loops compiled and idle cores",
+    ]
     return [line for text in lines for line in announcements.wrapped(text)]
 
 
 def _n_workers(settings: Settings) -> int:
     """Return how many workers a run will take: they start while it is planned."""
-    from evaluation.experiment.axes import axes, jobs_of, most_workers  # noqa: PLC0415 - as said
-    from evaluation.experiment.fingerprint import has_strangers  # noqa: PLC0415 - as said
+    from evaluation.experiment.axes import (  # noqa: PLC0415 - as said
+        axes,
+        jobs_of,
+        most_workers,
+    )
+    from evaluation.experiment.fingerprint import (  # noqa: PLC0415 - as said
+        has_strangers,
+    )
 
     crossed = axes(settings)
     jobs = min(jobs_of(crossed, settings), most_workers(crossed, settings))
@@ -241,7 +326,9 @@ def _read_config(path: Path, stage_values: dict[str, Any]) -> argparse.Namespace
         words = []
         for key, value in tomllib.loads(content.decode("utf-8-sig")).items():
             if isinstance(value, dict):
-                stage_values |= {f"{key}.{name}": inner for name, inner in value.items()}
+                stage_values |= {
+                    f"{key}.{name}": inner for name, inner in value.items()
+                }
             else:
                 words += _words_of(key, value)
         return parser().parse_args(words)
@@ -262,7 +349,9 @@ def _words_of(key: str, value: Any) -> list[str]:  # noqa: ANN401 - of any type 
         return [option] if value else []
     if key not in _OPTIONS:
         known = ", ".join((*_OPTIONS, *_FLAGS_OF_RUN))
-        raise SettingsError(f"unknown key {key!r}; known: {known} and tables of stage settings")
+        raise SettingsError(
+            f"unknown key {key!r}; known: {known} and tables of stage settings"
+        )
     several = value if isinstance(value, list) else [value]
     if isinstance(value, list) and _OPTIONS[key][0] is not list:
         raise SettingsError(f"{key} takes one value, not a list: got {quoted(value)}")

@@ -14,8 +14,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
     command = Parser(
         prog="python -m evaluation.publish",
-        description="Copy a finished run without the key of its pseudonyms, without true walks and "
-        "without the place of its recording. Tables and page are made anew from the copied cells.",
+        description=(
+            "Copy a finished run without the key of its pseudonyms, without true walks"
+            " and without the place of its recording. Tables and page are made anew"
+            " from the copied cells."
+        ),
     )
     command.add_argument("out", type=Path, help="folder of a run")
     about = "folder of the copy, which must not exist (default: OUT-published)"

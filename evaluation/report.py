@@ -15,13 +15,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
     command = Parser(
         prog="python -m evaluation.report",
-        description="Redraw summary, tables and figures of a run folder from its finished cells.",
+        description=(
+            "Redraw summary, tables and figures of a run folder from its finished"
+            " cells."
+        ),
     )
     add = command.add_argument
     add("out", type=Path, help="folder of a run, as given to the matrix by --out")
     add("--pdf", action="store_true", help="also write every figure as PDF, for print")
     add("--verbose", action="store_true", help="print all tables, as in tables.txt")
-    about = "also write its tables, the glossary and a picture of a walk into README and docs"
+    about = (
+        "also write its tables, the glossary and a picture of a walk into README and"
+        " docs"
+    )
     add("--docs", action="store_true", help=about)
     return exit_code(lambda: _redraw(command.parse_args(arguments)))
 

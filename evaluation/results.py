@@ -26,11 +26,21 @@ from evaluation.analysis.keys import Key, Source, horizons_in, judged_at
 from evaluation.analysis.levels import levels
 from evaluation.analysis.linked_people import Choices, read_probes
 from evaluation.analysis.matching import FUTURE, Sweeps, matched
-from evaluation.analysis.metrics import ACHIEVED, ASSIGNED, EXPOSURE, SUCCESS, SUCCESS_OF_100
+from evaluation.analysis.metrics import (
+    ACHIEVED,
+    ASSIGNED,
+    EXPOSURE,
+    SUCCESS,
+    SUCCESS_OF_100,
+)
 from evaluation.analysis.own_plugins import Estimates, plugin_records
 from evaluation.analysis.pooled import Answered, answered, answers_of, to_frame
 from evaluation.analysis.strongest import HEADLINE, cross_fitted, strongest
-from evaluation.analysis.strongest_table import Strongest, strongest_on_each, strongest_table
+from evaluation.analysis.strongest_table import (
+    Strongest,
+    strongest_on_each,
+    strongest_table,
+)
 from evaluation.experiment.constants import (
     BLOCK_SCENES,
     MOST_SCENES,
@@ -56,7 +66,11 @@ from evaluation.runs.files import FRAMES, check_sound, locked, to_csv, write_who
 from evaluation.runs.manifest import FAILED_COLUMNS, read_manifest
 from evaluation.runs.workers import ahead, aside, given_back
 from evaluation.verdict import sections as verdict
-from evaluation.verdict.what_to_share import default_question, leading_handover, recommend
+from evaluation.verdict.what_to_share import (
+    default_question,
+    leading_handover,
+    recommend,
+)
 from isac_track.config import StageSettings
 from isac_track.datasets import Dataset
 from isac_track.errors import DataError, SettingsError
@@ -67,7 +81,12 @@ _one_thread = partial(threadpool_limits, limits=1, user_api="blas")
 """Keep linear algebra to this thread: its matrices are small, and others would only spin."""
 _DRAWN: Final = (*ACHIEVED, ASSIGNED, SUCCESS_OF_100)
 """What is compared of linkers, and has replicates."""
-_OF_PEOPLE: Final = (EXPOSURE, SUCCESS, ASSIGNED, TPR)  # What is asked of who is linked.
+_OF_PEOPLE: Final = (
+    EXPOSURE,
+    SUCCESS,
+    ASSIGNED,
+    TPR,
+)  # What is asked of who is linked.
 
 
 def run(
@@ -111,8 +130,8 @@ def run(
 ) -> Results:
     """Run the matrix and return its results as data frames.
 
-    Every option but the last four is one of `Settings`; None leaves it as `settings` has it, which
-    by default are those of preset `quick`.
+    Every option but the last four is one of `Settings`; None leaves it as `settings`
+    has it, which by default are those of preset `quick`.
 
     Parameters
     ----------
@@ -121,10 +140,11 @@ def run(
     preset : str, optional
         Axes that a name stands for: `smoke`, `paper` and others; `--list` names all.
     dataset : str, Path or DataFrame, optional
-        A known name, a file, a folder of sessions, or a frame with the columns t (s), id, x, y (m).
+        A known name, a file, a folder of sessions, or a frame with the columns t (s),
+        id, x, y (m).
     mechanisms, predictors, attacks : sequence of SPECs or plug-in objects, optional
-        They replace the preset's. `"+SPEC"` adds to them, and so do objects after a `"+"`:
-        `attacks=["+", MyAttack()]`. An empty list is none.
+        They replace the preset's. `"+SPEC"` adds to them, and so do objects after a
+        `"+"`: `attacks=["+", MyAttack()]`. An empty list is none.
     tasks : sequence of str, optional
         What is to be linked, as above.
     adversaries : sequence of str, optional
@@ -154,10 +174,11 @@ def run(
     format, fps, unit, columns, on_duplicate, crs, drop_frozen : optional
         How a file of one's own is read, as `isac_track.datasets.load` takes them.
     sessions, persistent_ids : optional
-        Files that are sessions of one recording, and whether ids are the same people in all.
+        Files that are sessions of one recording, and whether ids are the same people in
+        all.
     progress : bool or callable
-        Whether to show the data and how far the run is, or what is called with cells finished,
-        cells to do, and what is under way.
+        Whether to show the data and how far the run is, or what is called with cells
+        finished, cells to do, and what is under way.
     ready : Plan, optional
         A plan of `plan`, instead of all settings.
     pictures : bool
@@ -175,15 +196,23 @@ def run(
     >>> evaluation.run(preset="smoke", attacks=["+my_attack"])  # doctest: +SKIP
     """
     given = locals()  # before any other name: the options as they were given
-    options = {one.name: given[one.name] for one in fields(Settings) if given[one.name] is not None}
+    options = {
+        one.name: given[one.name]
+        for one in fields(Settings)
+        if given[one.name] is not None
+    }
     options |= unknown
     told = progress if callable(progress) else lambda *_: None
     if ready is None:
         ready = plan(sized((settings or Settings()).changed(**options), progress=told))
     elif settings is not None or options:
-        raise SettingsError("a ready plan has its settings already: leave out all others")
+        raise SettingsError(
+            "a ready plan has its settings already: leave out all others"
+        )
     folder.check_folder(ready.out)
-    shown: AbstractContextManager[Callable[[int, int, str], None]] = contextlib.nullcontext(told)
+    shown: AbstractContextManager[Callable[[int, int, str], None]] = (
+        contextlib.nullcontext(told)
+    )
     if progress is True:
         shown = progress_bar([], heading=[*plan_lines(ready)])
     with shown as update:
@@ -199,7 +228,8 @@ def _carried_out(
         with ahead():
             execute(ready, update, keeps_walks=walks)
             _try_candidates(ready, update)
-        # One helps that is new: those of cells hold much, and strangers' plug-ins ran in them.
+        # One helps that is new: those of cells hold much, and strangers' plug-ins ran
+        # in them.
         with ahead(int(ready.jobs > 1), (__name__,)):
             return build(ready.out, pictures=pictures)
 
@@ -207,17 +237,25 @@ def _carried_out(
 def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> Settings:
     """Return settings with as many scenes as the precision that they ask for takes; see docs.
 
-    A pilot of 250 scenes, in a folder beside the run's, shows the half-width h of the widest
-    interval of a missed-conflict rate: 250 (h / precision)^2 scenes, rounded up to whole blocks.
-    Raises SettingsError if that is more than a run takes, or nobody foresees conflicts.
+    A pilot of 250 scenes, in a folder beside the run's, shows the half-width h of the
+    widest interval of a missed-conflict rate: 250 (h / precision)^2 scenes, rounded up
+    to whole blocks. Raises SettingsError if that is more than a run takes, or nobody
+    foresees conflicts.
     """
     if settings.precision is None or settings.utility_scenes is not None:
         return settings
     usual = plan(settings)
     if not usual.axes.predictors:
-        raise SettingsError("--precision is about missed conflicts: add --predictor NAME")
+        raise SettingsError(
+            "--precision is about missed conflicts: add --predictor NAME"
+        )
     out = usual.out.with_name(f"{usual.out.name}-pilot")
-    alone: dict[str, Any] = {"precision": None, "scenes": BLOCK_SCENES, "attacks": (), "tasks": ()}
+    alone: dict[str, Any] = {
+        "precision": None,
+        "scenes": BLOCK_SCENES,
+        "attacks": (),
+        "tasks": (),
+    }
     alone["stages"] = settings.stages.changed({"conflict.horizons_s": ()})
     ready = plan(settings.changed(**alone, out=out))
     done = None if settings.fresh else _finished(ready)
@@ -225,12 +263,14 @@ def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> S
     missed = pilot.measured[pilot.measured["metric"] == "missed_conflict_rate"]
     half = float((missed["ci_high"] - missed["ci_low"]).max()) / 2.0
     if not half > 0.0:
-        raise DataError("250 scenes show no interval of a missed-conflict rate: name --scenes")
+        raise DataError(
+            "250 scenes show no interval of a missed-conflict rate: name --scenes"
+        )
     n_scenes = BLOCK_SCENES * max(math.ceil((half / settings.precision) ** 2), 1)
     if n_scenes > MOST_SCENES:
         raise SettingsError(
-            f"--precision {settings.precision:g} takes {n_scenes:,} scenes (+- {half:.3f} after "
-            f"{BLOCK_SCENES}); a run has at most {MOST_SCENES:,}"
+            f"--precision {settings.precision:g} takes {n_scenes:,} scenes (+-"
+            f" {half:.3f} after {BLOCK_SCENES}); a run has at most {MOST_SCENES:,}"
         )
     return settings.changed(utility_scenes=n_scenes, pilot_half_width=half)
 
@@ -238,14 +278,17 @@ def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> S
 def rebuild(out: Path | str, *, pdf: bool = False) -> Results:
     """Write tables, figures and page of a run folder anew, with `pdf` figures as PDF, too.
 
-    Raises IsacTrackError if the folder holds no run, or a cell is missing or not as it was written.
+    Raises IsacTrackError if the folder holds no run, or a cell is missing or not as it
+    was written.
     """
     out = Path(out)
     if pdf:
         check_drawing()
     manifest = read_manifest(out)
     with locked(out), _one_thread():
-        check_sound(out, (name for entry in manifest["cells"] for name in entry["files"]))
+        check_sound(
+            out, (name for entry in manifest["cells"] for name in entry["files"])
+        )
         return build(out, pdf=pdf)
 
 
@@ -273,13 +316,18 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     """Return all that the cells of a run tell, and how much was looked at for flags."""
     manifest = read_manifest(out)
     dataset = manifest["dataset"]["name"]
-    predictors, known = manifest["settings"]["predictors"], families_in(manifest["cells"])
+    predictors, known = (
+        manifest["settings"]["predictors"],
+        families_in(manifest["cells"]),
+    )
     with aside(partial(_of_links, out, manifest)) as of_links:
         scenes = _of_scenes(out, manifest)
         links = of_links()
     linked, sums = links.estimates, links.sums | scenes.attacked
     found = scenes.estimates
-    flagged, looked = weak_attacks.flags(found, slow=weak_attacks.slow_attacks(manifest))
+    flagged, looked = weak_attacks.flags(
+        found, slow=weak_attacks.slow_attacks(manifest)
+    )
     sweeps = Sweeps({**found, **scenes.own.at_raw_alarms, **linked}, known)
     best = strongest(sweeps.found, known)
     few = {key: one for key, one in sweeps.found.items() if key.metric in _OF_PEOPLE}
@@ -297,13 +345,22 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     of_run = out, manifest, Sweeps(few, known), best, choices
     with aside(partial(_of_people, *of_run)) as of_people:
         at_equal = [matched(sweeps, predictors=predictors, dataset=dataset)]
-        frontiers = [frontier(sweeps, predictors=predictors, dataset=dataset, attacks=on_each)]
+        frontiers = [
+            frontier(sweeps, predictors=predictors, dataset=dataset, attacks=on_each)
+        ]
         for horizon_s, robots in scenes.later.items():
             at_horizon = Sweeps(judged_at(sweeps.found, robots.every), known)
-            about: dict[str, Any] = {"dataset": dataset, "world": horizon_world(horizon_s)}
-            frontiers.append(frontier(at_horizon, predictors=predictors, attacks=on_each, **about))
+            about: dict[str, Any] = {
+                "dataset": dataset,
+                "world": horizon_world(horizon_s),
+            }
+            frontiers.append(
+                frontier(at_horizon, predictors=predictors, attacks=on_each, **about)
+            )
             at_equal.append(
-                matched(at_horizon, predictors=predictors[:1], criteria=(FUTURE,), **about)
+                matched(
+                    at_horizon, predictors=predictors[:1], criteria=(FUTURE,), **about
+                )
             )
         tidy = summary.to_frame(
             {**found, **linked}, worlds=scenes.worlds, known=known, dataset=dataset
@@ -311,7 +368,9 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         far = weak_attacks.far_from_optimum(gaps(tidy))
         speeds = by_speed(out, manifest, sweeps.found, known=known, best=best)
         in_galleries, across = of_people()
-    estimates = {key: one for of in crossed.values() for key, one in of.estimates.items()}
+    estimates = {
+        key: one for of in crossed.values() for key, one in of.estimates.items()
+    }
     judged = Sweeps({**sweeps.found, **estimates}, known)
     later = {
         horizon_s: Sweeps(judged_at(judged.found, robots.every), known)
@@ -327,7 +386,9 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     )
     if own := manifest.get("own_plugins"):
         leading = leading_handover(best)
-        beside = Estimates(sweeps.found, scenes.estimates_later, sums, known, on_each, leading)
+        beside = Estimates(
+            sweeps.found, scenes.estimates_later, sums, known, on_each, leading
+        )
         said["plugins"] = plugin_records(own, beside)
     said["robots"] = horizons.beaten_by_standing_still(found, scenes.estimates_later)
     every_match = pd.concat(at_equal, ignore_index=True)
@@ -336,13 +397,19 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         manifest=manifest,
         summary=tidy,
         paper_table=paper.paper_table(sweeps, dataset=dataset),
-        claims=paper.claims(sweeps, every_match, dataset=dataset, history=manifest["history"]),
+        claims=paper.claims(
+            sweeps, every_match, dataset=dataset, history=manifest["history"]
+        ),
         matched=every_match,
         frontier=pd.concat(frontiers, ignore_index=True),
         levels=_levels_of(manifest, scenes, links, attacks=on_each),
         attacked=strongest_table(on_each, sweeps.found, dataset=dataset),
-        decisions=pd.concat([robots.decided for robots in scenes.judged], ignore_index=True),
-        curves=pd.concat([robots.curves for robots in scenes.judged], ignore_index=True),
+        decisions=pd.concat(
+            [robots.decided for robots in scenes.judged], ignore_index=True
+        ),
+        curves=pd.concat(
+            [robots.curves for robots in scenes.judged], ignore_index=True
+        ),
         flags=pd.concat([flagged, far], ignore_index=True) if len(far) else flagged,
         linkability=links.table,
         galleries=in_galleries,
@@ -412,7 +479,10 @@ class _Scenes:
 def _of_scenes(out: Path, manifest: Mapping[str, Any]) -> _Scenes:
     found, scored, attacked = summary.estimates(out, manifest)
     dataset = manifest["dataset"]["name"]
-    own, later = _judged(scored, manifest, found, dataset=dataset), dict[float, _Judged]()
+    own, later = (
+        _judged(scored, manifest, found, dataset=dataset),
+        dict[float, _Judged](),
+    )
     worlds: dict[str, Mapping[Key, Estimate]] = {}
     for horizon_s in horizons_in(manifest["cells"]):
         world = horizon_world(horizon_s)
@@ -424,7 +494,9 @@ def _of_scenes(out: Path, manifest: Mapping[str, Any]) -> _Scenes:
         of = summary.estimates(out, manifest, world=world)[0]
         of |= linked_gaps(summary.linkage_estimates(card))
         # Nothing is paired with them: their replicates are as large as a run's own.
-        worlds[world] = {key: replace(one, replicates=np.zeros(0)) for key, one in of.items()}
+        worlds[world] = {
+            key: replace(one, replicates=np.zeros(0)) for key, one in of.items()
+        }
     return _Scenes(found, attacked, worlds, own, later)
 
 
@@ -435,7 +507,9 @@ def _judged(
     *,
     dataset: str,
 ) -> _Judged:
-    curves, decided, at_raw_alarms = decisions(scored, manifest, estimates, dataset=dataset)
+    curves, decided, at_raw_alarms = decisions(
+        scored, manifest, estimates, dataset=dataset
+    )
     among = {
         name
         for name, family in families_in(manifest["cells"]).items()
@@ -454,7 +528,9 @@ def _try_candidates(ready: Plan, update: Callable[[int, int, str], None]) -> Non
     # What those levels rest on; of all that is linked the leading handover.
     known = families_in(entries)
     names = {
-        name for name, family in known.items() if family.protects or family.family in (RAW, CLEAN)
+        name
+        for name, family in known.items()
+        if family.protects or family.family in (RAW, CLEAN)
     }
     leading = leading_handover({Source(entry["consumer"]).task for entry in entries})
     needed = [
@@ -467,31 +543,52 @@ def _try_candidates(ready: Plan, update: Callable[[int, int, str], None]) -> Non
     few = manifest | {"cells": needed}
     scenes, links = _of_scenes(ready.out, few), _of_links(ready.out, few)
     estimates = {**scenes.estimates, **links.estimates}
-    attacks = strongest_on_each(estimates, links.sums | scenes.attacked, families_in(needed))
+    attacks = strongest_on_each(
+        estimates, links.sums | scenes.attacked, families_in(needed)
+    )
     table = _levels_of(few, scenes, links, attacks=attacks)
-    dataset, question = manifest["dataset"]["name"], default_question(families_in(needed))
+    dataset, question = (
+        manifest["dataset"]["name"],
+        default_question(families_in(needed)),
+    )
     offers = recommend(table, question, dataset=dataset).candidates
     wheres = {offer.where for offer in offers}
-    specs = [entry["spec"] for entry in needed if (entry["mechanism"], entry["level"]) in wheres]
-    n_cells = ready.n_cells  # All are finished: these are few, and not told as a part of them.
+    specs = [
+        entry["spec"]
+        for entry in needed
+        if (entry["mechanism"], entry["level"]) in wheres
+    ]
+    n_cells = (
+        ready.n_cells
+    )  # All are finished: these are few, and not told as a part of them.
     report = partial(_tell_trial, update, n_cells)
     execute_trial(trial(ready, specs=specs), report)
 
 
 def _tell_trial(
-    update: Callable[[int, int, str], None], n_cells: int, _done: int, _total: int, text: str
+    update: Callable[[int, int, str], None],
+    n_cells: int,
+    _done: int,
+    _total: int,
+    text: str,
 ) -> None:
     update(n_cells, n_cells, f"levels to propose: {text}")
 
 
 def _levels_of(
-    manifest: Mapping[str, Any], scenes: _Scenes, links: _Links, *, attacks: Sequence[Strongest]
+    manifest: Mapping[str, Any],
+    scenes: _Scenes,
+    links: _Links,
+    *,
+    attacks: Sequence[Strongest],
 ) -> pd.DataFrame:
     """Return what a site gets and pays at each level."""
     return levels(
         {**scenes.estimates, **scenes.own.at_raw_alarms, **links.estimates},
         attacks=attacks,
-        horizons={horizon_world(at): robots.every for at, robots in scenes.later.items()},
+        horizons={
+            horizon_world(at): robots.every for at, robots in scenes.later.items()
+        },
         best={"": scenes.own.best}
         | {horizon_world(at): robots.best for at, robots in scenes.later.items()},
         linked=links.table,
@@ -511,7 +608,9 @@ def _of_people(
     probes = read_probes(out, manifest, sweeps, strongest=best, choices=choices)
     dataset, seed = manifest["dataset"]["name"], manifest["identity"]["seed"]
     in_galleries = galleries(probes, sweeps.found, dataset=dataset, seed=seed)
-    return in_galleries, verdict.of_people(probes, sweeps, strongest=best, manifest=manifest)
+    return in_galleries, verdict.of_people(
+        probes, sweeps, strongest=best, manifest=manifest
+    )
 
 
 def _as_csv(frames: Sequence[pd.DataFrame]) -> list[bytes]:
@@ -521,18 +620,26 @@ def _as_csv(frames: Sequence[pd.DataFrame]) -> list[bytes]:
 def _draw(results: Results, *, pdf: bool) -> None:
     figures = figure.figures_of(results)
     folder.note_figures(results.out, [one.name for one in figures])
-    figure.write(figures, folder=results.out / "figures", dataset=results.dataset, pdf=pdf)
+    figure.write(
+        figures, folder=results.out / "figures", dataset=results.dataset, pdf=pdf
+    )
     page.write(results, figures=figures)
 
 
-def study(asked: Sequence[tuple[str, Settings]], *, out: Path) -> tuple[list[Answered], int]:
+def study(
+    asked: Sequence[tuple[str, Settings]], *, out: Path
+) -> tuple[list[Answered], int]:
     """Run what is not finished, answer all runs as one, and write `study.csv` and `study.html`.
 
-    `asked` are the error law and the settings of each run, whose folder is in `out`. Returns the
-    answers, and how many cells failed. Raises IsacTrackError for anything that a user can mend.
+    `asked` are the error law and the settings of each run, whose folder is in `out`.
+    Returns the answers, and how many cells failed. Raises IsacTrackError for anything
+    that a user can mend.
     """
     plans, known = list[tuple[str, Plan]](), dict[str | None, Dataset]()
-    for law, settings in asked:  # all are checked first, and each recording is read once
+    for (
+        law,
+        settings,
+    ) in asked:  # all are checked first, and each recording is read once
         plans.append((law, plan(settings, dataset=known.get(settings.dataset))))
         known[settings.dataset] = plans[-1][1].dataset
     _refuse_copies(plans)
@@ -548,7 +655,9 @@ def study(asked: Sequence[tuple[str, Settings]], *, out: Path) -> tuple[list[Ans
             simulated |= {results.dataset}
     of = answered(rows, simulated=simulated)
     write_whole(out / "study.csv", to_csv(to_frame(rows, of)))
-    shown = study_page.render(of, simulated=simulated, runs=[one.out.name for _, one in plans])
+    shown = study_page.render(
+        of, simulated=simulated, runs=[one.out.name for _, one in plans]
+    )
     write_whole(out / "study.html", shown.encode())
     return of, n_failed
 
@@ -561,8 +670,9 @@ def _refuse_copies(plans: Sequence[tuple[str, Plan]]) -> None:
         first = first_of.setdefault(ready.dataset.sha256, name)
         if first != name:
             raise SettingsError(
-                f"{first} and {name} hold the same bytes: one recording twice is not two; "
-                "leave out one, or give --seed twice for further draws of one recording"
+                f"{first} and {name} hold the same bytes: one recording twice is not"
+                " two; leave out one, or give --seed twice for further draws of one"
+                " recording"
             )
 
 
@@ -571,7 +681,9 @@ def _finished(ready: Plan) -> Results | None:
     try:
         manifest = read_manifest(ready.out)
         same = manifest["identity"] == ready.identity and manifest["code"] == ready.code
-        is_done = same and manifest.get("state") == "finished" and not manifest.get("failed")
+        is_done = (
+            same and manifest.get("state") == "finished" and not manifest.get("failed")
+        )
         return load(ready.out) if is_done else None
     except DataError:
         return None

@@ -1,8 +1,8 @@
 """Does a verdict hold under other assumptions? `python -m evaluation.sensitivity OUT`.
 
 Each variant changes one assumption of a finished run and is a run of its own in
-OUT/sensitivity/VARIANT, with the attacks that the verdict is about. OUT/sensitivity.csv holds what
-becomes of every item; docs/sensitivity.md says how to read it.
+OUT/sensitivity/VARIANT, with the attacks that the verdict is about. OUT/sensitivity.csv
+holds what becomes of every item; docs/sensitivity.md says how to read it.
 """
 
 import json
@@ -14,7 +14,13 @@ from pathlib import Path
 from typing import Any
 
 from evaluation.experiment.variants import BASE, Variant, chosen, settings_of
-from isac_track.command_line import DONE, FAILED_CELLS, Parser, check_interrupt, exit_code
+from isac_track.command_line import (
+    DONE,
+    FAILED_CELLS,
+    Parser,
+    check_interrupt,
+    exit_code,
+)
 from isac_track.errors import DataError, IsacTrackError, SettingsError
 
 _EXIT = """\
@@ -37,7 +43,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add = command.add_argument
     add("out", type=Path, metavar="OUT", nargs="?", help="folder of a finished run")
     about = (
-        "of --list, or STAGE.KEY=, law=, epsilon=, predictor=, recording=; replaces those of --list"
+        "of --list, or STAGE.KEY=, law=, epsilon=, predictor=, recording=; replaces"
+        " those of --list"
     )
     add("--variant", action="append", metavar="NAME", help=about)
     about = "a class of your own that the run used, package.module:Class; repeatable"
@@ -45,18 +52,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
     about = "a further variant with this setting; repeatable"
     add("--set", action="append", default=[], metavar="STAGE.KEY=VALUE", help=about)
     add("--list", action="store_true", help="list the variants, and stop")
-    add("--scenes", type=int, metavar="N", help="scenes of each variant (default: the run's)")
-    add("--jobs", type=int, metavar="N", help="worker processes, as in evaluation.matrix")
+    add(
+        "--scenes",
+        type=int,
+        metavar="N",
+        help="scenes of each variant (default: the run's)",
+    )
+    add(
+        "--jobs",
+        type=int,
+        metavar="N",
+        help="worker processes, as in evaluation.matrix",
+    )
     add("--fresh", action="store_true", help="replace earlier runs of the variants")
-    add("--json", action="store_true", help="print one JSON object instead of the table")
-    kept = "interrupted; finished cells are kept, the same command continues (without --fresh)"
+    add(
+        "--json", action="store_true", help="print one JSON object instead of the table"
+    )
+    kept = (
+        "interrupted; finished cells are kept, the same command continues (without"
+        " --fresh)"
+    )
     return exit_code(lambda: _command(command.parse_args(arguments)), interrupted=kept)
 
 
 def _command(options: Namespace) -> int:
     manifest = None
     if options.out is not None:
-        from evaluation.runs.manifest import read_manifest  # noqa: PLC0415 - --help answers at once
+        from evaluation.runs.manifest import (  # noqa: PLC0415 - --help answers at once
+            read_manifest,
+        )
         from evaluation.runs.people import with_paths  # noqa: PLC0415 - as above
 
         manifest = with_paths(options.out, read_manifest(options.out))
@@ -70,7 +94,9 @@ def _command(options: Namespace) -> int:
     return DONE
 
 
-def _run(options: Namespace, variants: Sequence[Variant], manifest: Mapping[str, Any]) -> int:
+def _run(
+    options: Namespace, variants: Sequence[Variant], manifest: Mapping[str, Any]
+) -> int:
     from evaluation.experiment.plan import plan  # noqa: PLC0415 - as above
     from evaluation.reporting import difference_tables  # noqa: PLC0415 - for --help
     from evaluation.results import run  # noqa: PLC0415 - for --help
@@ -80,7 +106,9 @@ def _run(options: Namespace, variants: Sequence[Variant], manifest: Mapping[str,
 
     attacks = held.attacks_of(held.read_verdict(options.out)["items"])
     if manifest.get("state") != "finished":
-        raise DataError(f"the run in {options.out} is not finished; run the matrix again")
+        raise DataError(
+            f"the run in {options.out} is not finished; run the matrix again"
+        )
     same = {name: getattr(options, name) for name in ("scenes", "jobs", "trust")}
     same |= {"manifest": manifest, "attacks": attacks}
     outcomes: list[dict[str, Any]] = []
@@ -97,12 +125,18 @@ def _run(options: Namespace, variants: Sequence[Variant], manifest: Mapping[str,
             # `evaluation.report` draws those that matter.
             run(ready=ready, progress=False, pictures=False)
         except IsacTrackError as error:
-            if variant.name == BASE:  # without it nothing can be said, every other one may fail
+            if (
+                variant.name == BASE
+            ):  # without it nothing can be said, every other one may fail
                 raise
             why = str(error)
         check_interrupt()
         seconds = round(time.monotonic() - started, 1)
-        told = {"name": variant.name, "state": "failed" if why else "finished", "why": why}
+        told = {
+            "name": variant.name,
+            "state": "failed" if why else "finished",
+            "why": why,
+        }
         outcomes.append(told | {"seconds": seconds, "left_out": list(left_out)})
         notices = [f"notice: left out: {one}" for one in left_out]
         end = f"failed: {why}" if why else f"done in {seconds:.0f} s"
@@ -111,7 +145,9 @@ def _run(options: Namespace, variants: Sequence[Variant], manifest: Mapping[str,
         write_whole(options.out / held.TABLE, to_csv(rows))
     if options.json:
         found = difference_tables.variants_json(rows, outcomes, out=options.out)
-        print(json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False), flush=True)
+        print(
+            json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False), flush=True
+        )
     else:
         difference_tables.show_variants(rows, left_out=not_shown)
     failed = [outcome for outcome in outcomes if outcome["why"]]

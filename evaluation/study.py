@@ -1,6 +1,7 @@
 """Several recordings, one answer: `python -m evaluation.study`; see docs/compare.md.
 
-A run folder for each recording, seed and law, and over all of them `study.csv` and `study.html`.
+A run folder for each recording, seed and law, and over all of them `study.csv` and
+`study.html`.
 """
 
 import argparse
@@ -36,7 +37,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
     command = Parser(
         prog="python -m evaluation.study",
-        description="Run the matrix over several recordings, seeds and laws; answer them as one.",
+        description=(
+            "Run the matrix over several recordings, seeds and laws; answer them as"
+            " one."
+        ),
         epilog=_EXIT,
     )
     add = command.add_argument
@@ -44,7 +48,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--dataset", action="append", metavar="NAME|PATH", required=True, help=about)
     about = "of every run (default: %(default)s)"
     add("--preset", default=DEFAULT, choices=list(PRESETS), help=about)
-    add("--seed", action="append", metavar="N", type=int, help="base seed; repeatable (default: 0)")
+    add(
+        "--seed",
+        action="append",
+        metavar="N",
+        type=int,
+        help="base seed; repeatable (default: 0)",
+    )
     about = "law of the sensing error; repeatable (default: radial)"
     add("--law", action="append", choices=LAWS, help=about)
     about = "change a stage setting of every run, as in evaluation.matrix; repeatable"
@@ -58,7 +68,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--drop-frozen", metavar="S", type=float, help="as in evaluation.matrix")
     add("--out", metavar="DIR", type=Path, required=True, help="folder of the study")
     add("--jobs", metavar="N", type=int, help="worker processes of a run")
-    add("--executor", metavar="local|dask", default="local", help="as in evaluation.matrix")
+    add(
+        "--executor",
+        metavar="local|dask",
+        default="local",
+        help="as in evaluation.matrix",
+    )
     add("--scheduler", metavar="ADDRESS", help="address of the Dask cluster")
     kept = "interrupted; finished runs are kept, the same command continues"
     return exit_code(lambda: _study(command.parse_args(arguments)), interrupted=kept)
@@ -80,7 +95,10 @@ def settings_typed(texts: Sequence[str]) -> dict[str, str]:
 
 def _study(options: argparse.Namespace) -> int:
     axes = options.dataset, options.seed or [0], options.law or LAWS[:1]
-    same = {name: getattr(options, name) for name in ("preset", "jobs", "executor", "scheduler")}
+    same = {
+        name: getattr(options, name)
+        for name in ("preset", "jobs", "executor", "scheduler")
+    }
     how = ("columns", "on_duplicate", "crs", "drop_frozen")
     asked_of_files = {name: getattr(options, name) for name in how}
     same |= {name: value for name, value in asked_of_files.items() if value is not None}
@@ -92,7 +110,9 @@ def _study(options: argparse.Namespace) -> int:
     for dataset, seed, law in product(*map(dict.fromkeys, axes)):
         out = options.out / f"{Path(dataset).stem}-{options.preset}-{seed}-{law}"
         stages = StageSettings().changed(changed | {_LAW: law})
-        asked.append((law, Settings(dataset=dataset, seed=seed, stages=stages, out=out, **same)))
+        asked.append(
+            (law, Settings(dataset=dataset, seed=seed, stages=stages, out=out, **same))
+        )
     from evaluation.analysis.pooled import QUESTIONS  # noqa: PLC0415 - as said
     from evaluation.results import study  # noqa: PLC0415 - --help answers at once
     from evaluation.runs.execute import FailedCellsWarning  # noqa: PLC0415 - as said

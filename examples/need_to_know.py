@@ -3,10 +3,11 @@
     python examples/need_to_know.py --dataset plaza
     python examples/need_to_know.py --dataset students03 --policy ahead:1..2/3 --mechanism raw
 
-Prints what a log discloses and lets an adversary know, how long it lets people be followed,
-then what each robot misses, with 95 % intervals over people and routes.
+Prints what a log discloses and lets an adversary know, how long it lets people be
+followed, then what each robot misses, with 95 % intervals over people and routes.
 docs/need-to-know.md explains every column.
 """
+
 # ruff: noqa: T201 - a comparison is printed
 
 import argparse
@@ -96,7 +97,9 @@ class Row:
     predictor: str = ""
     horizon_s: float = 0.0
     adversary: str = ""  # Who follows people by the log.
-    note: str = ""  # Estimator of the adversary; or that `withheld_share` is by construction.
+    note: str = (
+        ""  # Estimator of the adversary; or that `withheld_share` is by construction.
+    )
 
 
 @dataclass(frozen=True)
@@ -128,7 +131,9 @@ def tasks_of(patrol, mechanism, predictors, *, settings, seed, reference=None):
 
 def compare(tracks, *, mechanisms, policies, predictors, adversaries, settings, seed):
     """Yield the rows of a recording: of the log, of who follows, of each robot."""
-    patrol = make_patrol(placed(tracks, settings=settings), settings=settings, seed=seed)
+    patrol = make_patrol(
+        placed(tracks, settings=settings), settings=settings, seed=seed
+    )
     guesses = guesses_from_map(patrol, epsilon_m=settings.privacy.epsilon_m)
     reference = tasks_of(patrol, Raw(), predictors, settings=settings, seed=seed)
     for mechanism in mechanisms:
@@ -144,7 +149,10 @@ def compare(tracks, *, mechanisms, policies, predictors, adversaries, settings, 
         for policy in policies:
             disclosure = disclose(network, policy.instance, name=policy.spec)
             known = known_places(
-                network, disclosure, guesses=guesses, epsilon_m=settings.privacy.epsilon_m
+                network,
+                disclosure,
+                guesses=guesses,
+                epsilon_m=settings.privacy.epsilon_m,
             )
             yield Row(
                 mechanism.spec,
@@ -171,7 +179,9 @@ def compare(tracks, *, mechanisms, policies, predictors, adversaries, settings, 
                     note=adversary,
                 )
             for predictor, task in tasks.items():
-                is_built_in = is_by_construction(network, policy.instance, task.predictor)
+                is_built_in = is_by_construction(
+                    network, policy.instance, task.predictor
+                )
                 for horizon in horizon_scans(settings):
                     yield Row(
                         mechanism.spec,
@@ -199,7 +209,9 @@ def table(rows, names, *, note):
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for row in rows:
         numbers = [written(name, row.metrics[name]) for name in names]
-        lines.append("| " + " | ".join([row.mechanism, row.policy, *numbers, row.note]) + " |")
+        lines.append(
+            "| " + " | ".join([row.mechanism, row.policy, *numbers, row.note]) + " |"
+        )
     return lines
 
 
@@ -209,21 +221,39 @@ def report(rows, *, settings):
     logs = [row for row in rows if not row.predictor and not row.adversary]
     by_map = written("known_by_map", logs[0].metrics["known_by_map"])
     n = logs[0].metrics["known_share"].n
-    yield f"Log of a fleet, in % of person-time (people_seen, plr_walk: of people; n = {n})."
-    yield f"Known: within {epsilon_m:g} m, true identities. Known by the map alone: {by_map} %."
+    yield (
+        "Log of a fleet, in % of person-time (people_seen, plr_walk: of people; n ="
+        f" {n})."
+    )
+    yield (
+        f"Known: within {epsilon_m:g} m, true identities. Known by the map alone:"
+        f" {by_map} %."
+    )
     yield ""
     yield from table(logs, KNOWLEDGE, note="estimator")
     if following := [row for row in rows if row.adversary]:
         yield ""
-        yield "Followed by the log alone: no identities, pseudonyms fresh in every answer."
+        yield (
+            "Followed by the log alone: no identities, pseudonyms fresh in every"
+            " answer."
+        )
         yield ""
         yield from table(following, FOLLOWED, note="adversary")
-    tasks = dict.fromkeys((row.predictor, row.horizon_s) for row in rows if row.predictor)
+    tasks = dict.fromkeys(
+        (row.predictor, row.horizon_s) for row in rows if row.predictor
+    )
     for predictor, horizon_s in tasks:
-        ours = [row for row in rows if (row.predictor, row.horizon_s) == (predictor, horizon_s)]
+        ours = [
+            row
+            for row in rows
+            if (row.predictor, row.horizon_s) == (predictor, horizon_s)
+        ]
         n = ours[0].metrics["missed_future_rate"].n
         yield ""
-        yield f"Robot {predictor}, horizon {horizon_s:.2f} s, in % (n = {n} clusters of people)."
+        yield (
+            f"Robot {predictor}, horizon {horizon_s:.2f} s, in % (n = {n} clusters of"
+            " people)."
+        )
         yield ""
         yield from table(ours, UTILITY, note="note")
 
@@ -232,10 +262,21 @@ def options(words):
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--dataset", default="plaza")
     parser.add_argument("--seed", type=int, default=0)
-    for name, usual in (("mechanism", MECHANISMS), ("policy", POLICIES), ("predictor", PREDICTORS)):
-        parser.add_argument(f"--{name}", action="append", metavar="SPEC", help=" ".join(usual))
-    about = f"who follows people by the log: {' '.join(ADVERSARIES)} (default: blind), or none"
-    parser.add_argument("--adversary", action="append", choices=[*ADVERSARIES, "none"], help=about)
+    for name, usual in (
+        ("mechanism", MECHANISMS),
+        ("policy", POLICIES),
+        ("predictor", PREDICTORS),
+    ):
+        parser.add_argument(
+            f"--{name}", action="append", metavar="SPEC", help=" ".join(usual)
+        )
+    about = (
+        f"who follows people by the log: {' '.join(ADVERSARIES)} (default: blind), or"
+        " none"
+    )
+    parser.add_argument(
+        "--adversary", action="append", choices=[*ADVERSARIES, "none"], help=about
+    )
     parser.add_argument("--set", action="append", default=[], metavar="STAGE.KEY=VALUE")
     return parser.parse_args(words)
 
@@ -256,7 +297,9 @@ def main(words=None):
                 mechanisms=plugins_named("mechanisms", given.mechanism or MECHANISMS),
                 policies=plugins_named("policies", given.policy or POLICIES),
                 predictors=plugins_named("predictors", given.predictor or PREDICTORS),
-                adversaries=[name for name in given.adversary or ["blind"] if name != "none"],
+                adversaries=[
+                    name for name in given.adversary or ["blind"] if name != "none"
+                ],
                 settings=settings,
                 seed=given.seed,
             )

@@ -8,19 +8,38 @@ from isac_track.compiling import FLOAT, compiled, read, together, written
 from isac_track.types import Floats, Ints
 
 
-@compiled(together(*[read(2)] * 4), read(1), read(1, "int64"), together(*[FLOAT] * 5), written(2))
+@compiled(
+    together(*[read(2)] * 4),
+    read(1),
+    read(1, "int64"),
+    together(*[FLOAT] * 5),
+    written(2),
+)
 def described(
-    places: tuple[Floats, ...], t: Floats, offsets: Ints, rule: tuple[float, ...], out: Floats
+    places: tuple[Floats, ...],
+    t: Floats,
+    offsets: Ints,
+    rule: tuple[float, ...],
+    out: Floats,
 ) -> None:
     """Fill `out` (7, N) with what `isac_track.privacy.described` returns of every track.
 
-    The `rule` is the cosine and sine of the turn, epsilon and the wider distance in m, and 1 if a
-    sample lasts by the intervals beside it, 0 if all last their mean.
+    The `rule` is the cosine and sine of the turn, epsilon and the wider distance in m,
+    and 1 if a sample lasts by the intervals beside it, 0 if all last their mean.
     """
-    (xy, truth, moved_to, moved_from), (cos, sin, epsilon_m, wide_m, by_segment) = places, rule
+    (xy, truth, moved_to, moved_from), (cos, sin, epsilon_m, wide_m, by_segment) = (
+        places,
+        rule,
+    )
     for i in range(offsets.size - 1):
         own = slice(offsets[i], offsets[i + 1])
-        shared, true, to, since, clock = xy[own], truth[own], moved_to[own], moved_from[own], t[own]
+        shared, true, to, since, clock = (
+            xy[own],
+            truth[own],
+            moved_to[own],
+            moved_from[own],
+            t[own],
+        )
         n = clock.size
         total_m2 = run_s = leaked_s = longest_s = 0.0
         leaked = leaked_wide = segments = leaks = 0

@@ -21,13 +21,17 @@ INTERRUPTED: Final = 130
 _PIPE_CLOSED: Final = 141
 _NO_ROOM: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _LIMITS: Final = {
-    errno.EAGAIN: "the system starts no further process or thread (see ulimit -u and -v)",
+    errno.EAGAIN: (
+        "the system starts no further process or thread (see ulimit -u and -v)"
+    ),
     errno.EMFILE: "too many files are open (see ulimit -n)",
     errno.ENFILE: "too many files are open in the whole system",
     errno.ENOMEM: "there is not enough memory",
 }
 """What the system says when it has no more to give."""
-_NO_PLACE: Final = "failed to map segment"  # Of a library that finds no place in memory.
+_NO_PLACE: Final = (
+    "failed to map segment"  # Of a library that finds no place in memory.
+)
 _NOT_LOADED: Final = f"{_LIMITS[errno.ENOMEM]} to load what a run takes"
 _asked = threading.Event()
 
@@ -62,7 +66,9 @@ def exit_code(command: Callable[[], int], *, interrupted: str = "interrupted") -
         _hush()
         return _PIPE_CLOSED
     except OSError as error:
-        if error.errno not in _NO_ROOM:  # files are told by their names: it is what is said here
+        if (
+            error.errno not in _NO_ROOM
+        ):  # files are told by their names: it is what is said here
             raise
         _hush()
         fault = f"the output cannot be written ({error.strerror}); send it elsewhere"
@@ -81,7 +87,9 @@ def _limits_told() -> Iterator[None]:
     try:
         yield
     except MemoryError:
-        fault = f"{_LIMITS[errno.ENOMEM]}; ask for less at once (fewer --jobs or --scenes)"
+        fault = (
+            f"{_LIMITS[errno.ENOMEM]}; ask for less at once (fewer --jobs or --scenes)"
+        )
         raise IsacTrackError(fault) from None
     except ImportError as error:
         if _NO_PLACE not in str(error):
@@ -89,14 +97,20 @@ def _limits_told() -> Iterator[None]:
         raise IsacTrackError(_NOT_LOADED) from None
     except RecursionError:
         depth = sys.getrecursionlimit()
-        fault = f"calls go deeper than this Python allows (sys.setrecursionlimit: {depth})"
+        fault = (
+            f"calls go deeper than this Python allows (sys.setrecursionlimit: {depth})"
+        )
         raise IsacTrackError(fault) from None
     except RuntimeError as error:
-        if "can't start new thread" not in str(error):  # Python's only name for that limit
+        if "can't start new thread" not in str(
+            error
+        ):  # Python's only name for that limit
             raise
         raise IsacTrackError(f"{_LIMITS[errno.EAGAIN]}; use fewer --jobs") from None
     except OSError as error:
-        if _NO_PLACE in f"{error} {error.__context__}":  # of llvmlite, which hides it in its own
+        if (
+            _NO_PLACE in f"{error} {error.__context__}"
+        ):  # of llvmlite, which hides it in its own
             raise IsacTrackError(_NOT_LOADED) from None
         if error.errno not in _LIMITS:
             raise
@@ -118,7 +132,10 @@ def check_interrupt() -> None:
 def may_be_ctrl_c() -> bool:
     """Whether a KeyboardInterrupt that was caught may be the user's; else a plug-in raised it."""
     handler = signal.getsignal(signal.SIGINT)
-    if handler is signal.SIG_IGN or threading.current_thread() is not threading.main_thread():
+    if (
+        handler is signal.SIG_IGN
+        or threading.current_thread() is not threading.main_thread()
+    ):
         return False
     return handler is not _remember or _asked.is_set()
 
@@ -146,5 +163,7 @@ def _remember(_signal: int, _frame: FrameType | None) -> None:
 
 
 def _unless_interrupted(lost: Any) -> None:  # noqa: ANN401 - typed in stubs alone
-    if not issubclass(lost.exc_type, KeyboardInterrupt):  # of that `check_interrupt` knows
+    if not issubclass(
+        lost.exc_type, KeyboardInterrupt
+    ):  # of that `check_interrupt` knows
         sys.__unraisablehook__(lost)

@@ -1,7 +1,7 @@
 """Compile a loop with numba at its first call, say so in one line, and cache it where possible.
 
-Only the private modules of compiled loops import this one, and they are imported at first use:
-importing numba takes longer than a command may take to print its help.
+Only the private modules of compiled loops import this one, and they are imported at
+first use: importing numba takes longer than a command may take to print its help.
 """
 
 import contextlib
@@ -24,10 +24,15 @@ from numba.core import event
 _Loop = TypeVar("_Loop", bound="Callable[..., object]")
 FLOAT, INT = numba.float64, numba.int64
 
-# The cache does not notice a change of these options: delete it after one (__pycache__/*.nb?).
-# FMA only: "contract" leaves NaN, infinity and the order of operations as IEEE 754 has them.
-# The numpy error model drops a test for zero before every division.
-_OPTIONS: dict[str, Any] = {"nogil": True, "fastmath": {"contract"}, "error_model": "numpy"}
+# The cache does not notice a change of these options: delete it after one
+# (__pycache__/*.nb?). FMA only: "contract" leaves NaN, infinity and the order of
+# operations as IEEE 754 has them. The numpy error model drops a test for zero before
+# every division.
+_OPTIONS: dict[str, Any] = {
+    "nogil": True,
+    "fastmath": {"contract"},
+    "error_model": "numpy",
+}
 _CHECKSUM: Final = ".sha256"  # Ends the name of the file that holds a loop's checksum.
 
 
@@ -58,7 +63,8 @@ class _Notice(event.Listener):
         if not self.cached:
             once = "a few seconds, on every start: no cache can be written "
             once += "(NUMBA_CACHE_DIR may name a folder for it)"
-        # A line, not a warning: users who turn warnings into errors must not lose their run.
+        # A line, not a warning: users who turn warnings into errors must not lose their
+        # run.
         if not self.said:
             print(f"isac-track: compiling filters, {once}", file=sys.stderr, flush=True)  # noqa: T201 - so that users know why they wait
         self.said = True
@@ -74,12 +80,14 @@ _compiling = threading.RLock()  # Threads of a process compile a loop once.
 class Loop:
     """A loop without a result for fixed argument types, compiled when it is first needed.
 
-    The machine code comes from numba's cache where there is one. Where none can be written, or
-    it cannot take the code (a full disk), the loop is compiled for this process alone. Cached code
-    that is damaged is removed and compiled again.
+    The machine code comes from numba's cache where there is one. Where none can be
+    written, or it cannot take the code (a full disk), the loop is compiled for this
+    process alone. Cached code that is damaged is removed and compiled again.
     """
 
-    def __init__(self, function: Callable[..., None], arguments: tuple[object, ...]) -> None:
+    def __init__(
+        self, function: Callable[..., None], arguments: tuple[object, ...]
+    ) -> None:
         self.function = function
         self._arguments = arguments
         self._machine_code: Callable[..., None] | None = None
@@ -108,7 +116,9 @@ class Loop:
                 return _from_cache(self.function, signature)
             except (RuntimeError, OSError):  # numba: "no locator available"
                 _notice.cached = False
-        machine_code: Callable[..., None] = numba.njit(signature, **_OPTIONS)(self.function)
+        machine_code: Callable[..., None] = numba.njit(signature, **_OPTIONS)(
+            self.function
+        )
         return machine_code
 
 
@@ -124,7 +134,8 @@ def compiled(*arguments: object) -> Callable[[Callable[..., None]], Loop]:
 def prepared(name: str, *, quietly: bool = False) -> bool:
     """Load or compile a loop; return whether that filled the cache.
 
-    The `name` is ``package.module:loop``. If `quietly`, no line says that it is compiled once.
+    The `name` is ``package.module:loop``. If `quietly`, no line says that it is
+    compiled once.
     """
     module, _, loop = name.partition(":")
     before = _notice.compiled
@@ -163,17 +174,21 @@ def _from_cache(loop: Callable[..., None], signature: object) -> Callable[..., N
 class _CachedLoop:
     """The files that numba's cache holds of a loop, and their checksum in a file beside them.
 
-    numba notices neither a file that a power loss cut short nor code that was garbled: the first
-    ends the program, the second computes something else.
+    numba notices neither a file that a power loss cut short nor code that was garbled:
+    the first ends the program, the second computes something else.
     """
 
     def __init__(self, loop: Callable[..., object]) -> None:
         code = loop.__code__
-        stem = f"{Path(code.co_filename).stem}.{loop.__qualname__}-{code.co_firstlineno}."
+        stem = (
+            f"{Path(code.co_filename).stem}.{loop.__qualname__}-{code.co_firstlineno}."
+        )
         self._folder: Path | None = None
         self._name = ""
         tag = f"py{sys.version_info.major}{sys.version_info.minor}{getattr(sys, 'abiflags', '')}"
-        with contextlib.suppress(Exception):  # no folder can be written to: there are no files
+        with contextlib.suppress(
+            Exception
+        ):  # no folder can be written to: there are no files
             dispatcher: Any = numba.njit(**_OPTIONS)(loop)
             dispatcher.enable_caching()
             self._folder = Path(dispatcher.stats.cache_path)
@@ -192,13 +207,17 @@ class _CachedLoop:
     def _checksum(self) -> str:
         whole = hashlib.sha256()
         for path in self.files():
-            whole.update(path.name.encode() + b"\0" + hashlib.sha256(path.read_bytes()).digest())
+            whole.update(
+                path.name.encode() + b"\0" + hashlib.sha256(path.read_bytes()).digest()
+            )
         return whole.hexdigest()
 
     def is_damaged(self) -> bool:
         """Whether the files are not those whose checksum was noted."""
         try:
-            return bool(self.files()) and self._note.read_text("ascii") != self._checksum()
+            return (
+                bool(self.files()) and self._note.read_text("ascii") != self._checksum()
+            )
         except UnicodeDecodeError:
             return True
         except OSError:  # nothing was noted: an older cache
@@ -212,13 +231,18 @@ class _CachedLoop:
                 path.unlink()
                 removed.append(path)
         if removed:
-            text = f"isac-track: {removed[0].parent} holds a damaged compiled filter, {self._name}"
+            text = (
+                f"isac-track: {removed[0].parent} holds a damaged compiled filter,"
+                f" {self._name}"
+            )
             print(f"{text}; it is compiled again", file=sys.stderr, flush=True)  # noqa: T201 - as above
         return bool(removed)
 
     def note_checksum(self, *, is_new: bool) -> None:
         """Note the checksum of files that numba has just written, or that have none."""
-        with contextlib.suppress(OSError):  # the files are good; without a note they are trusted
+        with contextlib.suppress(
+            OSError
+        ):  # the files are good; without a note they are trusted
             if self.files() and (is_new or not self._note.exists()):
                 temporary = self._note.with_name(f".{secrets.token_hex(8)}{_CHECKSUM}")
                 temporary.write_text(self._checksum(), "ascii")

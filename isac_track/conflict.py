@@ -10,12 +10,15 @@ _SMALLEST_STD_M = 1e-3
 _REACH_STD = 6.0
 
 
-def prediction_grid(*, t: Floats, offsets: Ints, window: int, horizon_steps: int) -> Floats:
+def prediction_grid(
+    *, t: Floats, offsets: Ints, window: int, horizon_steps: int
+) -> Floats:
     """Return the future timestamps of each track (eq. future_time_grid).
 
-    Step h lies h mean intervals after the last sample; the mean is over the last `window` samples
-    (q of the paper, at least 2), or all of a shorter track. `t` is (M,) s, `offsets` (N + 1,), and
-    the grid (N, H) s, `horizon_steps` at least 1. ValueError otherwise, or for a single sample.
+    Step h lies h mean intervals after the last sample; the mean is over the last
+    `window` samples (q of the paper, at least 2), or all of a shorter track. `t` is
+    (M,) s, `offsets` (N + 1,), and the grid (N, H) s, `horizon_steps` at least 1.
+    ValueError otherwise, or for a single sample.
     """
     if window < 2 or horizon_steps < 1:  # noqa: PLR2004 - an interval needs two samples
         raise ValueError("the window must be at least 2 samples and the horizon 1 step")
@@ -27,17 +30,22 @@ def prediction_grid(*, t: Floats, offsets: Ints, window: int, horizon_steps: int
     return np.asarray(t[last][:, None] + np.arange(horizon_steps) * interval_s[:, None])
 
 
-def seconds_grid(*, t: Floats, offsets: Ints, window: int, horizon_s: float) -> tuple[Floats, Ints]:
+def seconds_grid(
+    *, t: Floats, offsets: Ints, window: int, horizon_s: float
+) -> tuple[Floats, Ints]:
     """Return the future timestamps of each track up to a horizon in seconds, and their number.
 
-    The grid is that of `prediction_grid` with 1 + round(`horizon_s` / mean interval) steps, at
-    least 2. Tracks differ in their interval: a shorter grid repeats its last instant, which moves
-    neither the smallest separation nor the label. (N, H) s, and (N,) steps that differ.
+    The grid is that of `prediction_grid` with 1 + round(`horizon_s` / mean interval)
+    steps, at least 2. Tracks differ in their interval: a shorter grid repeats its last
+    instant, which moves neither the smallest separation nor the label. (N, H) s, and
+    (N,) steps that differ.
     """
     first = prediction_grid(t=t, offsets=offsets, window=window, horizon_steps=2)
     interval_s = first[:, 1] - first[:, 0]
     n_steps = 1 + np.maximum(np.rint(horizon_s / interval_s).astype(np.int64), 1)
-    grid = prediction_grid(t=t, offsets=offsets, window=window, horizon_steps=int(n_steps.max()))
+    grid = prediction_grid(
+        t=t, offsets=offsets, window=window, horizon_steps=int(n_steps.max())
+    )
     last = np.minimum(np.arange(grid.shape[1]), n_steps[:, None] - 1)
     return np.take_along_axis(grid, last, axis=1), n_steps
 
@@ -53,8 +61,8 @@ def robot_path(
     """Return the robot's nominal positions (eq. robot_nominal_path).
 
     It walks straight to its destination at constant speed and waits there. `start` and
-    `destination`, (S, 2) m, must differ (ValueError); `elapsed_s`, (S, A, H) s, is the time since
-    now on the clock of each of A agents. The positions are (S, A, H, 2) m.
+    `destination`, (S, 2) m, must differ (ValueError); `elapsed_s`, (S, A, H) s, is the
+    time since now on the clock of each of A agents. The positions are (S, A, H, 2) m.
     """
     way = destination - start
     length: Floats = np.hypot(way[:, 0], way[:, 1])
@@ -62,7 +70,9 @@ def robot_path(
         raise ValueError("a robot's destination must differ from its start")
     heading = way / length[:, None]
     travelled: Floats = np.minimum(speed_mps * elapsed_s, length[:, None, None])
-    return np.asarray(start[:, None, None, :] + travelled[..., None] * heading[:, None, None, :])
+    return np.asarray(
+        start[:, None, None, :] + travelled[..., None] * heading[:, None, None, :]
+    )
 
 
 def minimum_separation(*, robot: Floats, agents: Floats) -> Floats:
@@ -71,7 +81,9 @@ def minimum_separation(*, robot: Floats, agents: Floats) -> Floats:
     `robot` and `agents` are (S, A, H, 2) m; other shapes are a ValueError.
     """
     if robot.shape != agents.shape:
-        raise ValueError(f"robot {robot.shape} and agents {agents.shape} must have one shape")
+        raise ValueError(
+            f"robot {robot.shape} and agents {agents.shape} must have one shape"
+        )
     return np.asarray(np.sqrt(squared_lengths(robot - agents).min(axis=(1, 2))))
 
 
@@ -86,15 +98,17 @@ def time_to_conflict_s(
 ) -> Floats:
     """Return after how long any agent of a scene is inside the safety radius, (S,) s.
 
-    `robot` and `agents` are (S, A, H, 2) m, `elapsed_s`, (S, A, H) s, rises from 0, which is now.
-    0: somebody is inside already. NaN: nobody comes inside within the horizon.
+    `robot` and `agents` are (S, A, H, 2) m, `elapsed_s`, (S, A, H) s, rises from 0,
+    which is now. 0: somebody is inside already. NaN: nobody comes inside within the
+    horizon.
     """
     if robot.shape != agents.shape or robot.shape[:3] != elapsed_s.shape:
         raise ValueError(
-            f"robot {robot.shape}, agents {agents.shape} and times {elapsed_s.shape} must have one "
-            "shape"
+            f"robot {robot.shape}, agents {agents.shape} and times {elapsed_s.shape}"
+            " must have one shape"
         )
-    # The distance of `minimum_separation`, so that whoever is inside here is in conflict there.
+    # The distance of `minimum_separation`, so that whoever is inside here is in
+    # conflict there.
     distance_m = np.sqrt(squared_lengths(robot - agents))
     inside = is_conflict(separation_m=distance_m, safety_radius_m=safety_radius_m)
     first_s = np.where(inside, elapsed_s, np.inf).min(axis=(1, 2))
@@ -104,10 +118,12 @@ def time_to_conflict_s(
 def disc_probability(*, mean: Floats, cov: Floats, radius_m: float) -> Floats:
     """Return the probability (...,) that a planar Gaussian lies in a disc around the origin.
 
-    `mean` is (..., 2) m, `cov` (..., 2, 2) m^2. Integrated along one axis with the other in closed
-    form (Gauss-Legendre in the angle, 16 nodes); standard deviations below 1 mm count as that.
+    `mean` is (..., 2) m, `cov` (..., 2, 2) m^2. Integrated along one axis with the
+    other in closed form (Gauss-Legendre in the angle, 16 nodes); standard deviations
+    below 1 mm count as that.
     """
-    # Integrate along the axis of the smaller spread, where the closed form does the sharp part.
+    # Integrate along the axis of the smaller spread, where the closed form does the
+    # sharp part.
     half_trace = 0.5 * (cov[..., 0, 0] + cov[..., 1, 1])
     half_gap = 0.5 * (cov[..., 0, 0] - cov[..., 1, 1])
     reach = np.hypot(half_gap, cov[..., 0, 1])
@@ -117,7 +133,8 @@ def disc_probability(*, mean: Floats, cov: Floats, radius_m: float) -> Floats:
     narrow_m = np.sqrt(np.maximum(half_trace - reach, _SMALLEST_STD_M**2))
     along = cos * mean[..., 0] + sin * mean[..., 1]
     across = cos * mean[..., 1] - sin * mean[..., 0]
-    # Only where the wide axis has mass: a narrow Gaussian would fall between fixed nodes.
+    # Only where the wide axis has mass: a narrow Gaussian would fall between fixed
+    # nodes.
     low = np.clip((along - 5.0 * wide_m) / radius_m, -1.0, 1.0)
     high = np.clip((along + 5.0 * wide_m) / radius_m, -1.0, 1.0)
     first, last = np.arcsin(low), np.arcsin(high)
@@ -126,29 +143,41 @@ def disc_probability(*, mean: Floats, cov: Floats, radius_m: float) -> Floats:
         theta = first + 0.5 * (node + 1.0) * (last - first)
         x = radius_m * np.sin(theta)
         half_chord = radius_m * np.cos(theta)
-        density = np.exp(-0.5 * ((x - along) / wide_m) ** 2) / (np.sqrt(2.0 * np.pi) * wide_m)
-        inside = ndtr((half_chord - across) / narrow_m) - ndtr((-half_chord - across) / narrow_m)
+        density = np.exp(-0.5 * ((x - along) / wide_m) ** 2) / (
+            np.sqrt(2.0 * np.pi) * wide_m
+        )
+        inside = ndtr((half_chord - across) / narrow_m) - ndtr(
+            (-half_chord - across) / narrow_m
+        )
         total += weight * density * inside * half_chord
     probability: Floats = np.clip(0.5 * (last - first) * total, 0.0, 1.0)
     return probability
 
 
-def conflict_probability(*, robot: Floats, mean: Floats, cov: Floats, radius_m: float) -> Floats:
+def conflict_probability(
+    *, robot: Floats, mean: Floats, cov: Floats, radius_m: float
+) -> Floats:
     """Return the probability of a conflict in each scene, (S,).
 
-    `robot` and `mean` are (S, A, H, 2) m, `cov` is (S, A, H, 2, 2) m^2. Of one agent: that of the
-    step where it is likeliest to lie within the safety radius. The steps share one velocity error
-    and are nearly one event: this lower bound on the whole horizon is close, a product over them
-    would count one encounter twelve times. Agents are independent; beyond 6 std counts as 0.
+    `robot` and `mean` are (S, A, H, 2) m, `cov` is (S, A, H, 2, 2) m^2. Of one agent:
+    that of the step where it is likeliest to lie within the safety radius. The steps
+    share one velocity error and are nearly one event: this lower bound on the whole
+    horizon is close, a product over them would count one encounter twelve times. Agents
+    are independent; beyond 6 std counts as 0.
     """
     gap = mean - robot
     distance_m = np.sqrt(squared_lengths(gap))
-    widest_m = np.sqrt(np.maximum(np.trace(cov, axis1=-2, axis2=-1), _SMALLEST_STD_M**2))
+    widest_m = np.sqrt(
+        np.maximum(np.trace(cov, axis1=-2, axis2=-1), _SMALLEST_STD_M**2)
+    )
     near = distance_m < radius_m + _REACH_STD * widest_m
-    # To lie in the disc is no likelier than on its side of the tangent in front of it. Only steps
-    # that might be the likeliest by that are integrated: first the best bet, which few others beat.
+    # To lie in the disc is no likelier than on its side of the tangent in front of it.
+    # Only steps that might be the likeliest by that are integrated: first the best bet,
+    # which few others beat.
     x, y = np.moveaxis(gap, -1, 0) / np.maximum(distance_m, _SMALLEST_STD_M)
-    variance = x * x * cov[..., 0, 0] + 2.0 * x * y * cov[..., 0, 1] + y * y * cov[..., 1, 1]
+    variance = (
+        x * x * cov[..., 0, 0] + 2.0 * x * y * cov[..., 0, 1] + y * y * cov[..., 1, 1]
+    )
     std_m = np.sqrt(np.maximum(variance, 0.0) + _SMALLEST_STD_M**2)
     bound = np.where(near, ndtr((radius_m - distance_m) / std_m), 0.0)
     step = np.zeros(near.shape)
@@ -165,10 +194,13 @@ def missed_conflict_rate(*, conflict: Bools, predicted: Bools) -> float:
     return _share(~predicted, among=conflict)
 
 
-def missed_future_rate(*, conflict: Bools, inside_now: Bools, predicted: Bools) -> float:
+def missed_future_rate(
+    *, conflict: Bools, inside_now: Bools, predicted: Bools
+) -> float:
     """Return the missed share of the conflicts that are still to come; NaN without one.
 
-    Left out are the scenes where somebody is `inside_now`, within the safety radius at step 0.
+    Left out are the scenes where somebody is `inside_now`, within the safety radius at
+    step 0.
     """
     if inside_now.shape != conflict.shape:
         raise ValueError("conflict and inside_now must have one shape")
@@ -180,7 +212,9 @@ def false_alarm_rate(*, conflict: Bools, predicted: Bools) -> float:
     return _share(predicted, among=~conflict)
 
 
-def distance_mae_m(*, true_separation_m: Floats, predicted_separation_m: Floats) -> float:
+def distance_mae_m(
+    *, true_separation_m: Floats, predicted_separation_m: Floats
+) -> float:
     """Return the mean absolute error of separations, (N,) m each, or ValueError; NaN of none."""
     if true_separation_m.shape != predicted_separation_m.shape:
         raise ValueError("true and predicted separations must have one shape")

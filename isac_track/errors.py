@@ -9,12 +9,22 @@ from traceback import walk_tb
 
 _MOST_TOLD = 300  # Characters of a stranger's message.
 _NOT_STRANGE = frozenset(
-    ("isac_track", "predictors", "attacks", "evaluation", "numpy", "scipy", "numba", "dataclasses")
+    (
+        "isac_track",
+        "predictors",
+        "attacks",
+        "evaluation",
+        "numpy",
+        "scipy",
+        "numba",
+        "dataclasses",
+    )
 )
 """Packages that a plug-in's own source is not in."""
 _MOST_REPEATED = 100  # Characters of what a user typed.
 _LIMITS = (errno.ENOMEM, errno.EAGAIN, errno.EMFILE, errno.ENFILE)
-UNNAMED = "where it is defined"  # Stands for the file of a class whose code travelled without it.
+# Stands for the file of a class whose code travelled without it.
+UNNAMED = "where it is defined"
 
 
 class IsacTrackError(Exception):
@@ -40,8 +50,8 @@ class KnowledgeDenied(IsacTrackError):  # noqa: N818 - the contract's name
 def check_limits(error: BaseException) -> None:
     """Raise an error again, as MemoryError or OSError, if the machine is short of something.
 
-    A reader then does not blame a file. Libraries hide such errors in their own; the words of the
-    system remain.
+    A reader then does not blame a file. Libraries hide such errors in their own; the
+    words of the system remain.
     """
     if isinstance(error, MemoryError):
         raise MemoryError from None  # noqa: TRY004 - no argument has a wrong type
@@ -59,7 +69,9 @@ def told(error: BaseException) -> str:
         text = "(its message cannot be read)"
     words = " ".join(f"{name}: {text[: 10 * _MOST_TOLD]}".split()).removesuffix(":")
     # Half a surrogate pair or an escape sequence is shown as what it is.
-    line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in words)
+    line = "".join(
+        c if c.isprintable() else c.encode("unicode_escape").decode() for c in words
+    )
     return line if len(line) <= _MOST_TOLD else f"{line[:_MOST_TOLD]}..."
 
 
@@ -71,7 +83,9 @@ def raised_at(error: BaseException) -> str:
     file, line = "", 0
     for frame, number in walk_tb(error.__traceback__):
         name = frame.f_code.co_filename
-        is_ours = str(frame.f_globals.get("__name__", "")).partition(".")[0] in _NOT_STRANGE
+        is_ours = (
+            str(frame.f_globals.get("__name__", "")).partition(".")[0] in _NOT_STRANGE
+        )
         if name == file or not (file or is_ours):
             file, line = name, number
     return code_at(file, line) if file else ""

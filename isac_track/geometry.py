@@ -32,7 +32,8 @@ class Geometry:
 def geometry(tracks: Tracks, *, settings: SensingSettings, seed: int) -> Geometry:
     """Return the geometry of all tracks of a recording where they are sensed (`place.placed`).
 
-    The standard deviations are those of the model, along every recorded walk as it was walked.
+    The standard deviations are those of the model, along every recorded walk as it was
+    walked.
     """
     station_m = np.array([settings.bs_x_m, settings.bs_y_m])
     distance_m = np.maximum(np.hypot(*(tracks.xy - station_m).T), _LEAST_M)
@@ -47,9 +48,13 @@ def geometry(tracks: Tracks, *, settings: SensingSettings, seed: int) -> Geometr
         seed=seed,
     )
     owner = np.repeat(np.arange(sizes.size), sizes)
-    gain = link_gain(distance_m=distance_m, owner=owner, channel=channel, settings=settings)
+    gain = link_gain(
+        distance_m=distance_m, owner=owner, channel=channel, settings=settings
+    )
     info = information(gain=gain, settings=settings)
-    sigma_m = medians(sigma_from_information(information=info, settings=settings), tracks.offsets)
+    sigma_m = medians(
+        sigma_from_information(information=info, settings=settings), tracks.offsets
+    )
     is_capped: Bools = sigma_m >= settings.sigma_cap_m * (1.0 - _ROUNDING)
     return Geometry(
         distance_m=float(np.median(medians(distance_m, tracks.offsets))),

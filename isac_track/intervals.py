@@ -34,7 +34,9 @@ class Estimate:
     replicates: Floats = field(default_factory=lambda: np.zeros(0))
     """(B,) bootstrap replicates; the same row of weights in every estimate of a run."""
     closed_error: float | None = None  # Standard error where it has a closed form.
-    effective: float = np.nan  # Effective clusters, where their sizes are known: n^2 / sum m^2.
+    effective: float = (
+        np.nan
+    )  # Effective clusters, where their sizes are known: n^2 / sum m^2.
 
     @property
     def drawn(self) -> Floats:
@@ -58,8 +60,8 @@ class Estimate:
 def estimate_of(values: Floats, *, n: int, effective: float = np.nan) -> Estimate:
     """Return the estimate that a number and its replicates, (1 + B,), of `n` clusters make.
 
-    Replicates that are not finite are left out of the interval; of fewer than `LEAST_CLUSTERS`
-    effective clusters, where they are known, there is none.
+    Replicates that are not finite are left out of the interval; of fewer than
+    `LEAST_CLUSTERS` effective clusters, where they are known, there is none.
     """
     drawn, ends = values[1:], (np.nan, np.nan)
     if not effective < LEAST_CLUSTERS:
@@ -71,7 +73,9 @@ def difference(a: Estimate, b: Estimate) -> Estimate:
     """Return a - b, paired: both have their replicates from the same rows of weights."""
     n_drawn = min(a.replicates.size, b.replicates.size)
     drawn = a.replicates[:n_drawn] - b.replicates[:n_drawn]
-    return Estimate(a.value - b.value, *percentile_interval(drawn), min(a.n, b.n), drawn)
+    return Estimate(
+        a.value - b.value, *percentile_interval(drawn), min(a.n, b.n), drawn
+    )
 
 
 def wilson(*, hits: float, n: float) -> tuple[float, float]:
@@ -109,13 +113,13 @@ def jackknife_interval(
 ) -> tuple[float, float]:
     """Return the interval of a number by the delete-one-cluster jackknife.
 
-    With Student's t of one degree of freedom less than `effective` clusters; that of a share is one
-    of its logit, and of exactly 0 or 1 Wilson's of so many. `values`, (1 + C,), are the number of
-    all clusters, and without each in turn: what is no sum over clusters, such as the gallery of a
-    rank, stays.
+    With Student's t of one degree of freedom less than `effective` clusters; that of a
+    share is one of its logit, and of exactly 0 or 1 Wilson's of so many. `values`, (1 +
+    C,), are the number of all clusters, and without each in turn: what is no sum over
+    clusters, such as the gallery of a rank, stays.
 
-    Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 11; Kish, Survey Sampling,
-    1965 (the effective number).
+    Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 11; Kish, Survey
+    Sampling, 1965 (the effective number).
     """
     value, n = float(values[0]), values.size - 1
     if is_share and value in (0.0, 1.0):
@@ -133,23 +137,31 @@ def cluster_weights(
 ) -> Floats:
     """Return how often each cluster is drawn in each bootstrap replicate, (B, C).
 
-    One matrix serves every metric and mechanism of a run, so that all comparisons are paired;
-    `of` names what has draws of its own.
+    One matrix serves every metric and mechanism of a run, so that all comparisons are
+    paired; `of` names what has draws of its own.
     """
     counts = _counts(n_clusters, n_replicates, seed, *of)
-    return counts.astype(np.float64, order="F")  # whoever reads some clusters has them in one piece
+    return counts.astype(
+        np.float64, order="F"
+    )  # whoever reads some clusters has them in one piece
 
 
 @lru_cache(maxsize=2)  # of thousands of clusters half a second to draw
-def _counts(n_clusters: int, n_replicates: int, seed: int, *of: str) -> NDArray[np.uint8]:
+def _counts(
+    n_clusters: int, n_replicates: int, seed: int, *of: str
+) -> NDArray[np.uint8]:
     rng, p = stream(seed, "bootstrap", *of), np.full(n_clusters, 1.0 / n_clusters)
     # Counts are 1 on average: never hundreds.
-    return np.array([rng.multinomial(n_clusters, p).astype(np.uint8) for _ in range(n_replicates)])
+    return np.array(
+        [rng.multinomial(n_clusters, p).astype(np.uint8) for _ in range(n_replicates)]
+    )
 
 
 def cluster_sums(*, values: Floats, cluster: Ints, n_clusters: int) -> Floats:
     """Return the sum of `values`, (R,), within each cluster, (C,)."""
-    return np.asarray(np.bincount(cluster, weights=values, minlength=n_clusters).astype(np.float64))
+    return np.asarray(
+        np.bincount(cluster, weights=values, minlength=n_clusters).astype(np.float64)
+    )
 
 
 def effective_clusters(sizes: Floats) -> float:
@@ -163,15 +175,17 @@ def ratio_estimates(
 ) -> list[Estimate]:
     """Return sum(numerator) / sum(denominator) of each row with its clustered interval.
 
-    It is the percentile interval of whole clusters drawn with replacement (Davison and Hinkley,
-    1997, ch. 3.8). A share of exactly 0 or 1 has no spread to resample; its interval is Wilson's
-    with the clusters as the sample size. Of fewer than `FEW_CLUSTERS` effective clusters it is the
-    jackknife's, and not below 0 where no numerator is; below `LEAST_CLUSTERS` there is none (NaN),
-    but the exact one of a count: a share of which every cluster has as many trials and one outcome
-    of them. Where the denominator is 0 over all clusters there is no number either.
+    It is the percentile interval of whole clusters drawn with replacement (Davison and
+    Hinkley, 1997, ch. 3.8). A share of exactly 0 or 1 has no spread to resample; its
+    interval is Wilson's with the clusters as the sample size. Of fewer than
+    `FEW_CLUSTERS` effective clusters it is the jackknife's, and not below 0 where no
+    numerator is; below `LEAST_CLUSTERS` there is none (NaN), but the exact one of a
+    count: a share of which every cluster has as many trials and one outcome of them.
+    Where the denominator is 0 over all clusters there is no number either.
 
-    `numerator` and `denominator`, (K, C), are sums within each cluster: hits and trials (then the
-    ratio `is_share`, 0..1), or a sum and a count; `weights`, (B, C), are from `cluster_weights`.
+    `numerator` and `denominator`, (K, C), are sums within each cluster: hits and trials
+    (then the ratio `is_share`, 0..1), or a sum and a count; `weights`, (B, C), are from
+    `cluster_weights`.
     """
     # Rows in succession often have one denominator.
     is_new = np.append([True], (denominator[1:] != denominator[:-1]).any(axis=1))
@@ -201,7 +215,9 @@ def _interval_of_few(
     hits, trials = numerator[there], denominator[there]
     if effective >= LEAST_CLUSTERS:
         rest, of = (sums.sum() - np.append(0.0, sums) for sums in (hits, trials))
-        low, high = jackknife_interval(rest / of, effective=effective, is_share=is_share)
+        low, high = jackknife_interval(
+            rest / of, effective=effective, is_share=is_share
+        )
         return (low if hits.min() < 0.0 else max(0.0, low)), high
     is_count = (trials == trials[:1]).all() and np.isin(hits, (0.0, *trials[:1])).all()
     if is_share and is_count and hits.size:
@@ -218,8 +234,8 @@ def percentile_interval(replicates: Floats) -> tuple[float, float]:
 def percentile_intervals(replicates: Floats) -> Floats:
     """Return the ends of the percentile interval of each row of replicates, (K, B) -> (2, K).
 
-    The quantiles are numpy's, which takes several times as long for so few numbers. NaN, which
-    sorts last, is left out; a row without a number has no interval.
+    The quantiles are numpy's, which takes several times as long for so few numbers.
+    NaN, which sorts last, is left out; a row without a number has no interval.
     """
     if not replicates.size:
         return np.full((2, len(replicates)), np.nan)
@@ -228,7 +244,9 @@ def percentile_intervals(replicates: Floats) -> Floats:
     place = np.array([[tail], [1.0 - tail]]) * last
     below = place.astype(np.int64)
     both = np.stack([below, np.minimum(below + 1, last)])
-    a, b = np.partition(replicates, np.unique(both), axis=1)[np.arange(len(replicates)), both]
+    a, b = np.partition(replicates, np.unique(both), axis=1)[
+        np.arange(len(replicates)), both
+    ]
     part, step = place - below, b - a
     # From the nearer of the two, as numpy does it.
     return np.asarray(np.where(part < 0.5, a + step * part, b - step * (1.0 - part)))  # noqa: PLR2004 - half way

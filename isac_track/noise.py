@@ -16,15 +16,16 @@ def innovation_variance_m2(
 ) -> Floats:
     """Return the error variance per axis of each track, (N,) m^2, from its innovations.
 
-    The innovations are those of the shortest constant-velocity predictor, which carries the
-    line through two samples on to the third: a + b times the later less b times the earlier.
-    For independent errors of variance r and a straight walk they have the variance
-    r (1 + (1 + b)^2 + b^2), with b the ratio of the two steps; the mean of their squares over the
-    track, so scaled, estimates r. A filter's own innovations would mix in its process noise and,
-    behind a gate, shrink with what the gate cuts off; at ten samples a second a walk of
-    1 m/s^2 adds but a centimetre to these. If `running` it is what was known by each sample, (M,):
-    that of the samples up to it. ValueError if the shapes of `t`, (M,) s, `xy`, (M, 2) m, and
-    `offsets`, (N + 1,), disagree, a number is not finite or times do not increase.
+    The innovations are those of the shortest constant-velocity predictor, which carries
+    the line through two samples on to the third: a + b times the later less b times the
+    earlier. For independent errors of variance r and a straight walk they have the
+    variance r (1 + (1 + b)^2 + b^2), with b the ratio of the two steps; the mean of
+    their squares over the track, so scaled, estimates r. A filter's own innovations
+    would mix in its process noise and, behind a gate, shrink with what the gate cuts
+    off; at ten samples a second a walk of 1 m/s^2 adds but a centimetre to these. If
+    `running` it is what was known by each sample, (M,): that of the samples up to it.
+    ValueError if the shapes of `t`, (M,) s, `xy`, (M, 2) m, and `offsets`, (N + 1,),
+    disagree, a number is not finite or times do not increase.
     """
     if offsets.dtype.kind not in "iu":
         raise ValueError("offsets must be integers")
@@ -41,7 +42,9 @@ def innovation_variance_m2(
         variance = running_means(scaled, offsets, start=UNKNOWN_VARIANCE_M2)
     else:
         variance = np.empty(offsets.size - 1)
-        import_module("isac_track.kalman._linear_loops").innovation_level(t, xy, offsets, variance)
+        import_module("isac_track.kalman._linear_loops").innovation_level(
+            t, xy, offsets, variance
+        )
         variance[np.diff(offsets) < 3] = UNKNOWN_VARIANCE_M2  # noqa: PLR2004 - as many make one
     return np.asarray(np.maximum(variance, MIN_VARIANCE_M2))
 
@@ -49,8 +52,8 @@ def innovation_variance_m2(
 def scaled_innovations_m2(*, t: Floats, xy: Floats, offsets: Ints) -> Floats:
     """Return the squared innovations of `innovation_variance_m2`, each an estimate, (M - 2,) m^2.
 
-    They are those of the third of all samples, the fourth, and so on; those that reach from one
-    track into the next mean nothing. Of sound arrays: nothing is checked.
+    They are those of the third of all samples, the fourth, and so on; those that reach
+    from one track into the next mean nothing. Of sound arrays: nothing is checked.
     """
     step = np.diff(t)
     step[offsets[1:-1] - 1] = 1.0  # from one track to the next
@@ -63,8 +66,8 @@ def scaled_innovations_m2(*, t: Floats, xy: Floats, offsets: Ints) -> Floats:
 def running_means(inner: Floats, offsets: Ints, *, start: float) -> Floats:
     """Return the mean of a track's innovations up to each sample, (M,); `start` for its first two.
 
-    `inner`, (M - 2,), are those that end with the third of all samples, the fourth, and so on;
-    those that reach from one track into the next count nowhere.
+    `inner`, (M - 2,), are those that end with the third of all samples, the fourth, and
+    so on; those that reach from one track into the next count nowhere.
     """
     found = np.full(offsets[-1], start)
     total = np.concatenate([[0.0], np.cumsum(inner)])

@@ -12,9 +12,20 @@ from isac_track.patrols import Patrol, sense_people
 from isac_track.policies.query import Form, Query, SelectOn, View
 from isac_track.protocols import Mechanism, Policy, Predictor
 from isac_track.rng import stream
-from isac_track.types import Bools, Floats, Ints, Knowledge, Prediction, Release, Sensed, stretches
+from isac_track.types import (
+    Bools,
+    Floats,
+    Ints,
+    Knowledge,
+    Prediction,
+    Release,
+    Sensed,
+    stretches,
+)
 
-_CHUNK: Final = 2_000_000  # Samples of histories that are copied for a forecast at a time.
+_CHUNK: Final = (
+    2_000_000  # Samples of histories that are copied for a forecast at a time.
+)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -73,10 +84,12 @@ def share_patrol(
     if not np.array_equal(release.t, sensed.t):
         name = type(mechanism).__name__
         raise SettingsError(
-            f"{name} does not share every sample at its time; on patrols a policy selects "
-            "samples, such as window:SECONDS"
+            f"{name} does not share every sample at its time; on patrols a policy"
+            " selects samples, such as window:SECONDS"
         )
-    raw = Release(sensed.t, sensed.xy, sensed.sigma_raw, sensed.offsets, release.pseudonym)
+    raw = Release(
+        sensed.t, sensed.xy, sensed.sigma_raw, sensed.offsets, release.pseudonym
+    )
     return Network(
         patrol=patrol,
         mechanism=mechanism,
@@ -89,7 +102,9 @@ def share_patrol(
     )
 
 
-def _forecast_presences(patrol: Patrol, release: Release, predictor: Predictor) -> Prediction:
+def _forecast_presences(
+    patrol: Patrol, release: Release, predictor: Predictor
+) -> Prediction:
     """Return forecasts of all presences from their whole histories, (E, H)."""
     pairs = patrol.presences
     return forecast_runs(
@@ -103,14 +118,20 @@ def _forecast_presences(patrol: Patrol, release: Release, predictor: Predictor) 
 
 
 def forecast_runs(
-    release: Release, *, first: Ints, end: Ints, track: Ints, t_future: Floats, predictor: Predictor
+    release: Release,
+    *,
+    first: Ints,
+    end: Ints,
+    track: Ints,
+    t_future: Floats,
+    predictor: Predictor,
 ) -> Prediction:
     """Return a predictor's forecasts of U tracks at times (U, H) s.
 
     A track is made of runs of samples of the release: run a holds the samples
-    ``first[a]:end[a]`` and belongs to ``track[a]``, which rises from 0 to U - 1 without a
-    gap. A predictor sees the declared standard deviations if it requires them. There is a
-    covariance if the predictor has one.
+    ``first[a]:end[a]`` and belongs to ``track[a]``, which rises from 0 to U - 1 without
+    a gap. A predictor sees the declared standard deviations if it requires them. There
+    is a covariance if the predictor has one.
     """
     parts = []
     for tracks in _chunks(np.bincount(track, weights=end - first).astype(np.int64)):
@@ -238,5 +259,10 @@ def _answer_runs(selected: Bools, scene: _Scene, robot: int) -> Ints:
     person = np.searchsorted(scene.offsets, first, side="right") - 1
     shift = scene.shift[person]
     return np.stack(
-        [np.full(person.size, robot), scene.presence[person], first + shift, end + shift]
+        [
+            np.full(person.size, robot),
+            scene.presence[person],
+            first + shift,
+            end + shift,
+        ]
     )

@@ -1,8 +1,9 @@
 """Missed conflicts of a robot that raises as many false alarms as a reference.
 
-A robot that is told less may warn from farther away, at the cost of false alarms. To compare
-policies, each robot's alarm distance is set so that it is falsely alarmed at as many queries as
-the reference is at the safety radius: the same robot, sent everything, without noise.
+A robot that is told less may warn from farther away, at the cost of false alarms. To
+compare policies, each robot's alarm distance is set so that it is falsely alarmed at as
+many queries as the reference is at the safety radius: the same robot, sent everything,
+without noise.
 """
 
 from dataclasses import dataclass
@@ -10,7 +11,12 @@ from typing import Final
 
 import numpy as np
 
-from isac_track.intervals import LEAST_CLUSTERS, Estimate, effective_clusters, estimate_of
+from isac_track.intervals import (
+    LEAST_CLUSTERS,
+    Estimate,
+    effective_clusters,
+    estimate_of,
+)
 from isac_track.patrol_intervals import FEWEST_ROUTES, sum_clusters, two_way_weights
 from isac_track.patrol_utility import NEVER, false_alarm_queries
 from isac_track.patrols import Patrol
@@ -33,8 +39,8 @@ def alarm_curve(
 ) -> AlarmCurve:
     """Return the curve of robots by how near people are forecast, ``least_gaps``, (E, R) m.
 
-    `actual`, (E, R), are the scans until a true conflict, `cluster`, (E,), numbers the people
-    who walk together.
+    `actual`, (E, R), are the scans until a true conflict, `cluster`, (E,), numbers the
+    people who walk together.
     """
     is_future = (actual > 0) & (actual <= horizon)
     alarms, missed = [], []
@@ -50,25 +56,36 @@ def alarm_curve(
     )
 
 
-def missed_at_equal_alarms(curve: AlarmCurve, *, reference: Floats, seed: int) -> Estimate:
+def missed_at_equal_alarms(
+    curve: AlarmCurve, *, reference: Floats, seed: int
+) -> Estimate:
     """Return the share of future conflicts missed at the false alarms of a reference.
 
-    `reference`, (R,), are queries with a false alarm on the same routes. The alarm distance is
-    the farthest at which the robot has no more of them; between two distances both numbers are
-    interpolated. Every replicate of the two-way interval sets its own. A robot that stays below
-    the reference at every distance is taken at the longest.
+    `reference`, (R,), are queries with a false alarm on the same routes. The alarm
+    distance is the farthest at which the robot has no more of them; between two
+    distances both numbers are interpolated. Every replicate of the two-way interval
+    sets its own. A robot that stays below the reference at every distance is taken at
+    the longest.
     """
     n_clusters, n_routes = curve.trials.shape
-    people, routes = two_way_weights(n_clusters=n_clusters, n_routes=n_routes, seed=seed)
+    people, routes = two_way_weights(
+        n_clusters=n_clusters, n_routes=n_routes, seed=seed
+    )
     alarms, allowed = routes @ curve.alarms.T, routes @ reference
-    missed = np.stack([((people @ part) * routes).sum(axis=1) for part in curve.missed], axis=1)
+    missed = np.stack(
+        [((people @ part) * routes).sum(axis=1) for part in curve.missed], axis=1
+    )
     trials = ((people @ curve.trials) * routes).sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         values = _interpolated(missed, alarms, allowed) / trials
     effective = effective_clusters(curve.trials.sum(axis=1))
     n = int((curve.trials.sum(axis=1) > 0).sum())
-    if (curve.trials.sum(axis=0) > 0).sum() < FEWEST_ROUTES or effective < LEAST_CLUSTERS:
-        return Estimate(float(values[0]), n=n, replicates=values[1:], effective=effective)
+    if (
+        curve.trials.sum(axis=0) > 0
+    ).sum() < FEWEST_ROUTES or effective < LEAST_CLUSTERS:
+        return Estimate(
+            float(values[0]), n=n, replicates=values[1:], effective=effective
+        )
     return estimate_of(values, n=n, effective=effective)
 
 
@@ -82,4 +99,6 @@ def _interpolated(missed: Floats, alarms: Floats, allowed: Floats) -> Floats:
     share = np.ones(len(alarms))
     np.divide(allowed - low, high - low, out=share, where=high > low)
     share = np.clip(share, 0.0, 1.0)
-    return np.asarray((1.0 - share) * missed[rows, before] + share * missed[rows, after])
+    return np.asarray(
+        (1.0 - share) * missed[rows, before] + share * missed[rows, after]
+    )

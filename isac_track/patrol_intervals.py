@@ -1,8 +1,8 @@
 """Intervals of ratios over people and routes: both are drawn, each for itself.
 
-An estimate on patrols rests on which people were recorded and on which routes robots took.
-The pigeonhole bootstrap draws both with replacement and is conservative (Owen, Annals of
-Applied Statistics 1(2), 2007, 386-411).
+An estimate on patrols rests on which people were recorded and on which routes robots
+took. The pigeonhole bootstrap draws both with replacement and is conservative (Owen,
+Annals of Applied Statistics 1(2), 2007, 386-411).
 """
 
 from typing import Final
@@ -19,7 +19,9 @@ from isac_track.intervals import (
 )
 from isac_track.types import Bools, Floats, Ints
 
-FEWEST_ROUTES: Final = 20  # Independent routes, or fleets, without which there is no interval.
+FEWEST_ROUTES: Final = (
+    20  # Independent routes, or fleets, without which there is no interval.
+)
 REPLICATES: Final = 2000  # Bootstrap replicates.
 
 
@@ -65,17 +67,20 @@ def two_way_ratio(
 ) -> Estimate:
     """Return sum(numerator) / sum(denominator) with its two-way interval.
 
-    Both are (C, F), sums within C clusters of people and F routes; a share's numerator is
-    nowhere above its denominator. Draws are the same for all ratios of C clusters and F
-    routes, so that comparisons are paired. `n` counts clusters with a denominator. A share
-    of 0 or 1 has Wilson's interval. Without a denominator there is no number; below
-    `FEWEST_ROUTES` routes or `LEAST_CLUSTERS` effective clusters there is no interval.
+    Both are (C, F), sums within C clusters of people and F routes; a share's numerator
+    is nowhere above its denominator. Draws are the same for all ratios of C clusters
+    and F routes, so that comparisons are paired. `n` counts clusters with a
+    denominator. A share of 0 or 1 has Wilson's interval. Without a denominator there is
+    no number; below `FEWEST_ROUTES` routes or `LEAST_CLUSTERS` effective clusters there
+    is no interval.
     """
     n_clusters, n_routes = denominator.shape
     people, routes = two_way_weights(
         n_clusters=n_clusters, n_routes=n_routes, seed=seed, n_replicates=n_replicates
     )
-    top, bottom = (((people @ sums) * routes).sum(axis=1) for sums in (numerator, denominator))
+    top, bottom = (
+        ((people @ sums) * routes).sum(axis=1) for sums in (numerator, denominator)
+    )
     with np.errstate(divide="ignore", invalid="ignore"):
         values = top / bottom
     by_cluster, by_route = denominator.sum(axis=1), denominator.sum(axis=0)

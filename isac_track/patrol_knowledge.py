@@ -1,8 +1,8 @@
 """How much of people's time an adversary knows who holds the log of a fleet of robots.
 
-The adversary of this file knows which entries of the log are of one person: a ceiling. For
-every instant of every person present it states a position; the instant is known if that
-lies within epsilon of the truth.
+The adversary of this file knows which entries of the log are of one person: a ceiling.
+For every instant of every person present it states a position; the instant is known if
+that lies within epsilon of the truth.
 """
 
 from dataclasses import dataclass, replace
@@ -12,14 +12,25 @@ import numpy as np
 
 from isac_track.kalman import Batch, smooth_positions
 from isac_track.kalman.slow_errors import SlowError, filter_tracks
-from isac_track.noise import MIN_VARIANCE_M2, UNKNOWN_VARIANCE_M2, innovation_variance_m2
+from isac_track.noise import (
+    MIN_VARIANCE_M2,
+    UNKNOWN_VARIANCE_M2,
+    innovation_variance_m2,
+)
 from isac_track.patrol_answers import Disclosure, Network
 from isac_track.patrol_map import map_guesses
 from isac_track.patrol_utility import scans_left
 from isac_track.patrols import Patrol
 from isac_track.types import Bools, Floats, Ints, squared_lengths
 
-ESTIMATORS: Final = ("smooth", "radial", "radial_smooth", "interpolate", "hold", "extrapolate")
+ESTIMATORS: Final = (
+    "smooth",
+    "radial",
+    "radial_smooth",
+    "interpolate",
+    "hold",
+    "extrapolate",
+)
 """Ways to state a position between the entries of a log:
 
 - `smooth`: Rauch-Tung-Striebel at constant velocity, entries and instants together.
@@ -91,13 +102,15 @@ def known_places(
     """Count what the log of each fleet tells an adversary with true identities.
 
     A person without an entry is where `guesses`, (N, 2) m, have her: those of the map
-    (`guesses_from_map`). An instant counts as disclosed if the nearest scan of the person was
-    sent.
+    (`guesses_from_map`). An instant counts as disclosed if the nearest scan of the
+    person was sent.
     """
     patrol = network.patrol
     grid = patrol.grid
     guess = np.repeat(guesses, np.diff(grid.offsets), axis=0)
-    by_log: dict[bytes, FleetKnown] = {}  # Of this call alone: fleets often hold equal logs.
+    by_log: dict[
+        bytes, FleetKnown
+    ] = {}  # Of this call alone: fleets often hold equal logs.
     fleets = []
     for fleet in range(patrol.n_fleets):
         robots = np.arange(patrol.robots_per_fleet) + fleet * patrol.robots_per_fleet
@@ -112,7 +125,9 @@ def known_places(
         instants=np.diff(grid.offsets),
         disclosed=np.stack([fleet.disclosed for fleet in fleets], axis=-1),
         known=np.stack([fleet.known for fleet in fleets], axis=-1),
-        known_undisclosed=np.stack([fleet.known_undisclosed for fleet in fleets], axis=-1),
+        known_undisclosed=np.stack(
+            [fleet.known_undisclosed for fleet in fleets], axis=-1
+        ),
         known_by_map=_per_person(near_guess, grid.offsets),
         leaked=np.stack([fleet.leaked for fleet in fleets], axis=-1),
         seen=np.stack([fleet.seen for fleet in fleets], axis=-1),
@@ -154,7 +169,9 @@ def nearest_samples(patrol: Patrol) -> Ints:
     owner = np.repeat(np.arange(len(grid)), np.diff(grid.offsets))
     first_s, interval_s = people.t[people.offsets[:-1]], patrol.ahead_s[1]
     number = np.rint((grid.t - first_s[owner]) / interval_s).astype(np.int64)
-    sample: Ints = people.offsets[owner] + np.clip(number, 0, np.diff(people.offsets)[owner] - 1)
+    sample: Ints = people.offsets[owner] + np.clip(
+        number, 0, np.diff(people.offsets)[owner] - 1
+    )
     return sample
 
 
@@ -183,7 +200,9 @@ def declared_variance(network: Network) -> Floats:
     """Return the variance per axis of each shared sample, (M,) m^2, declared or estimated."""
     release, sigma = network.release, network.release.sigma
     if sigma is None:
-        variance = innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets)
+        variance = innovation_variance_m2(
+            t=release.t, xy=release.xy, offsets=release.offsets
+        )
         return np.repeat(variance, np.diff(release.offsets))
     return np.asarray(sigma**2 * (1.0 if network.sensed.law == "isotropic" else 0.5))
 
@@ -197,12 +216,16 @@ def _state_entries(network: Network, sent: Bools) -> tuple[Floats, Floats, Bools
     rows = np.flatnonzero(sent[patrol.presences.sample])
     sample, stay = patrol.presences.sample[rows], scans_left(patrol)[rows]
     n_scans = int(np.diff(patrol.query_scan).max(initial=1))
-    for step in reversed(range(n_scans)):  # The latest state is the one with the fewest steps.
+    for step in reversed(
+        range(n_scans)
+    ):  # The latest state is the one with the fewest steps.
         there = stay >= step
         entry, row = sample[there] + step, rows[there]
         xy[entry], is_entry[entry] = forecast.mean[row, step], True
         if forecast.cov is not None:
-            variance[entry] = np.trace(forecast.cov[row, step], axis1=-2, axis2=-1) / 2.0
+            variance[entry] = (
+                np.trace(forecast.cov[row, step], axis1=-2, axis2=-1) / 2.0
+            )
     return xy, variance, is_entry
 
 
@@ -211,8 +234,9 @@ def state_positions(
 ) -> Floats:
     """Return a position for every instant of N walks, (G, 2) m, by one of `ESTIMATORS`.
 
-    Walk n of the log is asked about at the times ``t[offsets[n]:offsets[n + 1]]``, rising. At
-    the instants of walks without an entry people are where `otherwise`, (G, 2) m, says.
+    Walk n of the log is asked about at the times ``t[offsets[n]:offsets[n + 1]]``,
+    rising. At the instants of walks without an entry people are where `otherwise`, (G,
+    2) m, says.
     """
     stated = otherwise.copy()
     in_log = np.diff(log.offsets) > 0
@@ -259,7 +283,9 @@ class Gaps:
         start_s = min(self.log.t.min(), self.t.min())
         span_s = max(self.log.t.max(), self.t.max()) - start_s + 1.0
         place = owner * span_s + (self.log.t - start_s)
-        after = np.searchsorted(place, self.person * span_s + (self.t - start_s), side="right")
+        after = np.searchsorted(
+            place, self.person * span_s + (self.t - start_s), side="right"
+        )
         before = np.clip(after - 1, first, last)
         after = np.clip(after, first, last)
         gap_s = self.log.t[after] - self.log.t[before]
@@ -271,7 +297,11 @@ class Gaps:
         """Return the places on lines between the entries, or of the entry before, (G, 2) m."""
         before, after, share = self.neighbours()
         xy = self.log.xy
-        return xy[before] if is_held else xy[before] + share[:, None] * (xy[after] - xy[before])
+        return (
+            xy[before]
+            if is_held
+            else xy[before] + share[:, None] * (xy[after] - xy[before])
+        )
 
 
 def _filtered(gaps: Gaps, *, is_causal: bool) -> Floats:

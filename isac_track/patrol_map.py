@@ -1,7 +1,7 @@
 """The adversary without a log: a map of where other people stand, and one guess for all.
 
-A map says where people are most often, not who is where. The best single guess from it is
-the place around which others spend most time.
+A map says where people are most often, not who is where. The best single guess from it
+is the place around which others spend most time.
 """
 
 from collections.abc import Sequence
@@ -16,13 +16,15 @@ from isac_track.types import Floats, Ints
 _CELLS_PER_RADIUS: Final = 4  # Of the map.
 
 
-def map_guesses(xy: Floats, offsets: Ints, *, group: Sequence[str], epsilon_m: float) -> Floats:
+def map_guesses(
+    xy: Floats, offsets: Ints, *, group: Sequence[str], epsilon_m: float
+) -> Floats:
     """Return the guess from the map of all other people for each of N people, (N, 2) m.
 
-    It is the centre of the cell within `epsilon_m` of which others spend the largest share
-    of their time, each person's share weighing the same. `xy` are (M, 2) m, one an instant,
-    `offsets` (N + 1,). People of one group are not others of each other. Without others it
-    is the middle of the map.
+    It is the centre of the cell within `epsilon_m` of which others spend the largest
+    share of their time, each person's share weighing the same. `xy` are (M, 2) m, one
+    an instant, `offsets` (N + 1,). People of one group are not others of each other.
+    Without others it is the middle of the map.
     """
     side_m = epsilon_m / _CELLS_PER_RADIUS
     low = xy.min(axis=0)

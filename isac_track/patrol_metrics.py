@@ -91,8 +91,8 @@ def is_by_construction(network: Network, policy: Policy, predictor: Predictor) -
     """Return whether `withheld_share` follows from how policy and robot are built.
 
     It does under `everything`, and where a policy decides by the very forecast that the
-    robot makes: by the same predictor, from the same positions of the same history. Then
-    the share is no finding.
+    robot makes: by the same predictor, from the same positions of the same history.
+    Then the share is no finding.
     """
     if isinstance(policy, Everything):
         return True
@@ -112,8 +112,8 @@ def utility_metrics(
     """Return the metrics of utility of a policy at a horizon, in scans, by name.
 
     `missed_conflict_rate`, `missed_future_rate`, `missed_future_at_equal_alarms`,
-    `withheld_share`, `missed_encounter_rate` and `false_alarms_per_min`. The horizon is one
-    of the settings. Where nobody is met, a rate has no value and `n` is 0.
+    `withheld_share`, `missed_encounter_rate` and `false_alarms_per_min`. The horizon is
+    one of the settings. Where nobody is met, a rate has no value and `n` is 0.
     """
     patrol, actual = task.network.patrol, task.actual
     answers = answer_forecasts(task.network, disclosure, task.predictor)
@@ -125,7 +125,11 @@ def utility_metrics(
     futures = missed_futures(actual, foreseen, horizon=horizon)
     withheld = withheld_conflicts(actual, foreseen, task.everything, horizon=horizon)
     encounters = missed_encounters(
-        patrol, task.entries, foreseen, lead=horizon, query_scans=query_scans(task.settings.patrol)
+        patrol,
+        task.entries,
+        foreseen,
+        lead=horizon,
+        query_scans=query_scans(task.settings.patrol),
     )
     alarms = false_alarms(patrol, actual, foreseen, horizon=horizon)
     cluster = cluster_numbers(patrol.people.group)
@@ -149,14 +153,17 @@ def utility_metrics(
     }
 
 
-def knowledge_metrics(known: Known, *, group: tuple[str, ...], seed: int) -> dict[str, Estimate]:
+def knowledge_metrics(
+    known: Known, *, group: tuple[str, ...], seed: int
+) -> dict[str, Estimate]:
     """Return the metrics of what an adversary knows, by name.
 
-    `known_share` and `known_undisclosed` are those of the estimator that knows most, with
-    true identities; `known_by_map` is known without a log. `people_seen` is the share of
-    people of whom the log has an entry, `plr_walk` the mean over people of the share of
-    their samples that were sent and leak. `known_worst_tenth` is the mean known share of the
-    people who are worst off. `group` names the cluster of each person.
+    `known_share` and `known_undisclosed` are those of the estimator that knows most,
+    with true identities; `known_by_map` is known without a log. `people_seen` is the
+    share of people of whom the log has an entry, `plr_walk` the mean over people of the
+    share of their samples that were sent and leak. `known_worst_tenth` is the mean
+    known share of the people who are worst off. `group` names the cluster of each
+    person.
     """
     n_fleets = known.disclosed.shape[1]
     per_fleet = np.ones((1, n_fleets))
@@ -179,7 +186,10 @@ def knowledge_metrics(known: Known, *, group: tuple[str, ...], seed: int) -> dic
         for name, (top, bottom) in ratios.items()
     }
     metrics["known_worst_tenth"] = worst_tenth(
-        known=known.known[known.best], instants=known.instants, cluster=cluster, seed=seed
+        known=known.known[known.best],
+        instants=known.instants,
+        cluster=cluster,
+        seed=seed,
     )
     return metrics
 

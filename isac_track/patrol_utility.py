@@ -1,6 +1,7 @@
 """What a robot on patrol foresees, misses, and is alarmed by in vain.
 
-Scans count time. Truth and forecast are held against each other up to a person's leaving.
+Scans count time. Truth and forecast are held against each other up to a person's
+leaving.
 """
 
 from dataclasses import dataclass
@@ -35,8 +36,8 @@ class Counts:
 def true_conflicts(patrol: Patrol, *, safety_radius_m: float) -> Ints:
     """Return after how many scans a person truly comes inside the safety radius, (E, R).
 
-    0: she is inside at the query. `NEVER`: not before she leaves, or beyond the reach of
-    all forecasts.
+    0: she is inside at the query. `NEVER`: not before she leaves, or beyond the reach
+    of all forecasts.
     """
     sample, reach = patrol.presences.sample, patrol.ahead_s.size - 1
     stay = np.minimum(scans_left(patrol), reach)
@@ -72,14 +73,18 @@ def _is_inside(patrol: Patrol, *, robot: int, safety_radius_m: float) -> Bools:
 
 
 def foreseen_conflicts(
-    network: Network, disclosure: Disclosure, *, predictor: Predictor, safety_radius_m: float
+    network: Network,
+    disclosure: Disclosure,
+    *,
+    predictor: Predictor,
+    safety_radius_m: float,
 ) -> Ints:
     """Return after how many scans a robot foresees a person inside, (E, R).
 
-    `NEVER` for people who are not in the answer, and after a person's leaving. The form of
-    the answer says who forecasts: the robot's `predictor` from samples, or the network,
-    whose state or flag the robot takes as it is. A flag is scored for each person by the
-    forecasts that it sums up.
+    `NEVER` for people who are not in the answer, and after a person's leaving. The form
+    of the answer says who forecasts: the robot's `predictor` from samples, or the
+    network, whose state or flag the robot takes as it is. A flag is scored for each
+    person by the forecasts that it sums up.
     """
     answers = answer_forecasts(network, disclosure, predictor)
     return conflicts_in(network.patrol, answers, safety_radius_m=safety_radius_m)
@@ -95,7 +100,9 @@ class AnswerForecasts:
     presence: Ints  # (B,)
 
 
-def conflicts_in(patrol: Patrol, answers: AnswerForecasts, *, safety_radius_m: float) -> Ints:
+def conflicts_in(
+    patrol: Patrol, answers: AnswerForecasts, *, safety_radius_m: float
+) -> Ints:
     """Return after how many scans forecasts come inside the radius, (E, R), or `NEVER`."""
     stay = scans_left(patrol)
     conflicts = np.full((stay.size, patrol.n_robots), NEVER)
@@ -112,14 +119,18 @@ def conflicts_in(patrol: Patrol, answers: AnswerForecasts, *, safety_radius_m: f
 def least_gaps(patrol: Patrol, answers: AnswerForecasts, *, horizon: int) -> Floats:
     """Return how near to the robot each person is forecast within a horizon, (E, R) m.
 
-    The horizon is in scans; a person counts up to her leaving. Infinite without an answer.
+    The horizon is in scans; a person counts up to her leaving. Infinite without an
+    answer.
     """
     stay = np.minimum(scans_left(patrol), horizon)
     least = np.full((stay.size, patrol.n_robots), np.inf)
     for robot in range(patrol.n_robots):
         ours = answers.robot == robot
         presence = answers.presence[ours]
-        mean, route = answers.mean[answers.row[ours]], patrol.robot_ahead(robot, presence)
+        mean, route = (
+            answers.mean[answers.row[ours]],
+            patrol.robot_ahead(robot, presence),
+        )
         square = squared_lengths(mean[:, : horizon + 1] - route[:, : horizon + 1])
         square[np.arange(horizon + 1) > stay[presence][:, None]] = np.inf
         least[presence, robot] = np.sqrt(square.min(axis=1))
@@ -155,10 +166,13 @@ def _forecast_samples(
     is_new[1:] = (np.diff(robot) != 0) | (np.diff(presence) != 0)
     begin = np.flatnonzero(is_new)
     n_runs = np.diff(np.append(begin, robot.size))
-    # Answers of one run are equal if their samples are; those with gaps stand for themselves.
+    # Answers of one run are equal if their samples are; those with gaps stand for
+    # themselves.
     alone = np.where(n_runs == 1, -1, np.arange(begin.size))
     last = begin + n_runs - 1
-    keys = np.stack([presence[begin], disclosure.first[begin], disclosure.end[last], alone])
+    keys = np.stack(
+        [presence[begin], disclosure.first[begin], disclosure.end[last], alone]
+    )
     _, chosen, row = np.unique(keys, axis=1, return_index=True, return_inverse=True)
     runs, starts = stretches(begin[chosen], n_runs[chosen])
     forecast = forecast_runs(
@@ -169,7 +183,9 @@ def _forecast_samples(
         t_future=network.patrol.t_ahead(presence[begin[chosen]]),
         predictor=predictor,
     )
-    return AnswerForecasts(forecast.mean, row.reshape(-1), robot[begin], presence[begin])
+    return AnswerForecasts(
+        forecast.mean, row.reshape(-1), robot[begin], presence[begin]
+    )
 
 
 def missed_conflicts(actual: Ints, foreseen: Ints, *, horizon: int) -> Counts:
@@ -182,11 +198,13 @@ def missed_futures(actual: Ints, foreseen: Ints, *, horizon: int) -> Counts:
     return Counts(hits=foreseen > horizon, trials=(actual > 0) & (actual <= horizon))
 
 
-def withheld_conflicts(actual: Ints, foreseen: Ints, everything: Ints, *, horizon: int) -> Counts:
+def withheld_conflicts(
+    actual: Ints, foreseen: Ints, everything: Ints, *, horizon: int
+) -> Counts:
     """Count the future conflicts that a policy withheld from a robot.
 
-    Trials are those that the robot foresees under `everything`, with the same mechanism and
-    draws; hits those that it does not foresee under the policy.
+    Trials are those that the robot foresees under `everything`, with the same mechanism
+    and draws; hits those that it does not foresee under the policy.
     """
     is_future = (actual > 0) & (actual <= horizon)
     return Counts(hits=foreseen > horizon, trials=is_future & (everything <= horizon))
@@ -197,10 +215,10 @@ def missed_encounters(
 ) -> Counts:
     """Count encounters of which a robot was not warned `lead` scans ahead, (N, R).
 
-    An encounter is the first time that a person is inside. The warning is the answer to the
-    last query at least `lead` scans before: a forecast over ``lead + query_scans`` scans
-    that foresees her inside. She is not eligible if the network had too few samples of her
-    by then to forecast her.
+    An encounter is the first time that a person is inside. The warning is the answer to
+    the last query at least `lead` scans before: a forecast over ``lead + query_scans``
+    scans that foresees her inside. She is not eligible if the network had too few
+    samples of her by then to forecast her.
     """
     pairs = patrol.presences
     wait = entries[pairs.person] - patrol.query_scan[pairs.query][:, None]
@@ -235,11 +253,13 @@ def false_alarms(patrol: Patrol, actual: Ints, foreseen: Ints, *, horizon: int) 
     return numbers
 
 
-def false_alarm_queries(patrol: Patrol, actual: Ints, foreseen: Ints, *, horizon: int) -> Ints:
+def false_alarm_queries(
+    patrol: Patrol, actual: Ints, foreseen: Ints, *, horizon: int
+) -> Ints:
     """Return at how many queries each robot is alarmed although nobody comes inside, (R,).
 
-    Both within the horizon, in scans. A longer alarm distance never lowers this number, which
-    it may do to that of `false_alarms`.
+    Both within the horizon, in scans. A longer alarm distance never lowers this number,
+    which it may do to that of `false_alarms`.
     """
     query, n_queries = patrol.presences.query, patrol.query_scan.size
     is_alarm = _any_person(foreseen <= horizon, query, n_queries)

@@ -1,14 +1,20 @@
 """The worst-off tenth of people: whom the logs of some fleets expose most, scored on others.
 
-The highest of many noisy shares are high by chance as well. So the tenth is chosen by the
-logs of one half of the fleets, and its mean is taken over the other half, and the reverse.
+The highest of many noisy shares are high by chance as well. So the tenth is chosen by
+the logs of one half of the fleets, and its mean is taken over the other half, and the
+reverse.
 """
 
 from typing import Final
 
 import numpy as np
 
-from isac_track.intervals import LEAST_CLUSTERS, Estimate, effective_clusters, estimate_of
+from isac_track.intervals import (
+    LEAST_CLUSTERS,
+    Estimate,
+    effective_clusters,
+    estimate_of,
+)
 from isac_track.patrol_intervals import FEWEST_ROUTES, two_way_weights
 from isac_track.types import Floats, Ints
 
@@ -27,7 +33,9 @@ def worst_tenth(*, known: Ints, instants: Ints, cluster: Ints, seed: int) -> Est
     n_clusters = int(cluster.max(initial=-1)) + 1
     if n_fleets < LEAST_FLEETS:
         return Estimate(np.nan, n=n_clusters)
-    people, routes = two_way_weights(n_clusters=n_clusters, n_routes=n_fleets, seed=seed)
+    people, routes = two_way_weights(
+        n_clusters=n_clusters, n_routes=n_fleets, seed=seed
+    )
     weights = people[:, cluster].T  # (N, 1 + B)
     is_even = np.arange(n_fleets) % 2 == 0
     even = _mean_shares(known[:, is_even], instants, routes[:, is_even])

@@ -48,10 +48,14 @@ class Patrol:
     robot_xy: Floats  # (R, K, 2) m, places of the robots at the scans.
     query_scan: Ints  # (Q,) scans at which the robots ask.
     query_s: float  # Time between two queries.
-    ahead_s: Floats  # (H,) s, instants of a forecast after now, one a scan; the first is 0.
+    ahead_s: (
+        Floats  # (H,) s, instants of a forecast after now, one a scan; the first is 0.
+    )
     presences: Presences
     robots_per_fleet: int
-    n_unseen: int  # Recorded people who are present at no scan or at no instant of the grid.
+    n_unseen: (
+        int  # Recorded people who are present at no scan or at no instant of the grid.
+    )
 
     @property
     def n_robots(self) -> int:
@@ -76,28 +80,36 @@ class Patrol:
     def robot_ahead(self, robot: int, presence: Ints) -> Floats:
         """Return where a robot is at these instants, (..., H, 2) m."""
         now = self.query_scan[self.presences.query[presence]]
-        return np.asarray(self.robot_xy[robot, now[:, None] + np.arange(self.ahead_s.size)])
+        return np.asarray(
+            self.robot_xy[robot, now[:, None] + np.arange(self.ahead_s.size)]
+        )
 
 
 def horizon_scans(settings: StageSettings) -> tuple[int, ...]:
     """Return the horizons of conflicts in scans: the paper's steps, then the further ones."""
     further_s = settings.conflict.horizons_s
     scan_s = settings.patrol.scan_s
-    steps = (settings.conflict.horizon_steps - 1, *(round(s / scan_s) for s in further_s))
+    steps = (
+        settings.conflict.horizon_steps - 1,
+        *(round(s / scan_s) for s in further_s),
+    )
     return tuple(max(1, step) for step in steps)
 
 
 def make_patrol(recorded: Tracks, *, settings: StageSettings, seed: int) -> Patrol:
     """Return the patrol through a recording, whose people stand where they are sensed.
 
-    `recorded` are tracks as `isac_track.place.placed` returns them. Each robot draws its
-    route from a stream of its own. DataError if nobody is present at a scan, or at a query.
+    `recorded` are tracks as `isac_track.place.placed` returns them. Each robot draws
+    its route from a stream of its own. DataError if nobody is present at a scan, or at
+    a query.
     """
     rules = settings.patrol
     start_s = float(recorded.t.min())
     end_s = min(float(recorded.t.max()), start_s + rules.segment_s)
     walks = _present_walks(recorded, settings=settings, start_s=start_s, end_s=end_s)
-    people = _on_clock(recorded, walks, start_s=start_s, end_s=end_s, step_s=rules.scan_s)
+    people = _on_clock(
+        recorded, walks, start_s=start_s, end_s=end_s, step_s=rules.scan_s
+    )
     grid = _on_clock(recorded, walks, start_s=start_s, end_s=end_s, step_s=rules.grid_s)
     scan = np.rint((people.t - start_s) / rules.scan_s).astype(np.int64)
     n_scans = int(scan.max()) + 1
@@ -109,7 +121,9 @@ def make_patrol(recorded: Tracks, *, settings: StageSettings, seed: int) -> Patr
         scan=scan,
         scan_s=clock_s,
         grid=grid,
-        robot_xy=_walk_robots(people.xy, clock_s - start_s, settings=settings, seed=seed),
+        robot_xy=_walk_robots(
+            people.xy, clock_s - start_s, settings=settings, seed=seed
+        ),
         query_scan=query_scan,
         query_s=rules.query_s,
         ahead_s=rules.scan_s * np.arange(float(n_ahead)),
@@ -127,7 +141,8 @@ def query_scans(rules: PatrolSettings) -> int:
 def sense_people(patrol: Patrol, *, settings: StageSettings, seed: int) -> Sensed:
     """Return what the network senses of everybody: one error for each person and sample.
 
-    What lasts of a link is that of the recorded walk; beam and error are the patrol's own.
+    What lasts of a link is that of the recorded walk; beam and error are the patrol's
+    own.
     """
     people = patrol.people
     channel = draw_walk_channel(
@@ -139,7 +154,11 @@ def sense_people(patrol: Patrol, *, settings: StageSettings, seed: int) -> Sense
         seed=seed,
     )
     return sense(
-        t=people.t, xy=people.xy, offsets=people.offsets, channel=channel, settings=settings.sensing
+        t=people.t,
+        xy=people.xy,
+        offsets=people.offsets,
+        channel=channel,
+        settings=settings.sensing,
     )
 
 
@@ -173,7 +192,12 @@ def _present_walks(
 
 
 def _on_clock(
-    recorded: Tracks, walks: dict[int, Walk], *, start_s: float, end_s: float, step_s: float
+    recorded: Tracks,
+    walks: dict[int, Walk],
+    *,
+    start_s: float,
+    end_s: float,
+    step_s: float,
 ) -> Tracks:
     """Return the walks at the ticks of a clock."""
     times, places = [], []

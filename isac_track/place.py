@@ -1,9 +1,10 @@
 """Where a recording stands relative to the base station: geometry is of the experiment.
 
-The origin of a file is an accident of whoever annotated it, and the noise depends on the distance
-from the station. A recording is therefore moved, as a whole, until the middle of its crowd lies
-where the robots start; station and robots have places of their own (`sensing.bs_x_m`,
-`scenes.robot_x_m`). Nothing is turned: the crowd keeps its orientation.
+The origin of a file is an accident of whoever annotated it, and the noise depends on
+the distance from the station. A recording is therefore moved, as a whole, until the
+middle of its crowd lies where the robots start; station and robots have places of their
+own (`sensing.bs_x_m`, `scenes.robot_x_m`). Nothing is turned: the crowd keeps its
+orientation.
 """
 
 from collections.abc import Sequence
@@ -23,8 +24,9 @@ _MOST_STEPS: Final = 500
 def geometric_median(points: Floats) -> Floats:
     """Return the point with the least sum of distances to `points`, (K, 2) m -> (2,) m.
 
-    Whatever shifts, turns or mirrors the points does the same to it. The distances are rounded
-    off within `ROUNDED_OFF_M`, without which an even number of points on a line has many medians.
+    Whatever shifts, turns or mirrors the points does the same to it. The distances are
+    rounded off within `ROUNDED_OFF_M`, without which an even number of points on a line
+    has many medians.
     """
     (median,) = geometric_medians(points, np.array([0, len(points)]))
     return np.asarray(median)
@@ -33,8 +35,8 @@ def geometric_median(points: Floats) -> Floats:
 def geometric_medians(xy: Floats, offsets: Ints) -> Floats:
     """Return the geometric median of the samples of each of N tracks, (M, 2) m -> (N, 2) m.
 
-    Newton's step where it brings the sum of distances down further than Weiszfeld's (Tohoku Math.
-    J. 43, 1937), which always does.
+    Newton's step where it brings the sum of distances down further than Weiszfeld's
+    (Tohoku Math. J. 43, 1937), which always does.
     """
     sizes = np.diff(offsets)
     origin = xy[offsets[:-1]]  # Nothing is lost of coordinates far from the file's own.
@@ -43,7 +45,10 @@ def geometric_medians(xy: Floats, offsets: Ints) -> Floats:
     left: Bools = np.ones(sizes.size, dtype=bool)
     for _ in range(_MOST_STEPS):
         rows = np.flatnonzero(left)
-        own, start = points[np.repeat(left, sizes)], np.cumsum(sizes[left]) - sizes[left]
+        own, start = (
+            points[np.repeat(left, sizes)],
+            np.cumsum(sizes[left]) - sizes[left],
+        )
         nearer = _step(own, median[left], start, sizes[left])
         left[rows] = np.sqrt(squared_lengths(nearer - median[left])) > _CLOSE_M
         median[rows] = nearer
@@ -75,7 +80,9 @@ def _step(points: Floats, median: Floats, start: Ints, sizes: Ints) -> Floats:
 
 
 def _distances(points: Floats, median: Floats, start: Ints, sizes: Ints) -> Floats:
-    square = squared_lengths(np.repeat(median, sizes, axis=0) - points) + ROUNDED_OFF_M**2
+    square = (
+        squared_lengths(np.repeat(median, sizes, axis=0) - points) + ROUNDED_OFF_M**2
+    )
     return np.asarray(np.add.reduceat(np.sqrt(square), start))
 
 
@@ -84,18 +91,28 @@ def placed(tracks: Tracks, *, settings: StageSettings) -> Tracks:
     return placed_together([tracks], settings=settings)[0]
 
 
-def placed_together(sessions: Sequence[Tracks], *, settings: StageSettings) -> tuple[Tracks, ...]:
+def placed_together(
+    sessions: Sequence[Tracks], *, settings: StageSettings
+) -> tuple[Tracks, ...]:
     """Return sessions where they are sensed, all in one frame.
 
-    With `sensing.place` *centred* the geometric median of the tracks' own medians comes to lie
-    where the robots start. It is that of all recorded tracks, however short, each of which counts
-    once: who stands for an hour weighs no more than who passes by. With *file* they stay.
+    With `sensing.place` *centred* the geometric median of the tracks' own medians comes
+    to lie where the robots start. It is that of all recorded tracks, however short,
+    each of which counts once: who stands for an hour weighs no more than who passes by.
+    With *file* they stay.
     """
     if settings.sensing.place == "file":
         return tuple(sessions)
-    origin = sessions[0].xy[0]  # Before anything else: far from it coordinates lose digits.
+    origin = sessions[0].xy[
+        0
+    ]  # Before anything else: far from it coordinates lose digits.
     near = [one.xy - origin for one in sessions]
-    medians = [geometric_medians(xy, one.offsets) for xy, one in zip(near, sessions, strict=True)]
+    medians = [
+        geometric_medians(xy, one.offsets)
+        for xy, one in zip(near, sessions, strict=True)
+    ]
     start_m = np.array([settings.scenes.robot_x_m, settings.scenes.robot_y_m])
     shift_m = start_m - geometric_median(np.concatenate(medians))
-    return tuple(derived(one, xy=xy + shift_m) for xy, one in zip(near, sessions, strict=True))
+    return tuple(
+        derived(one, xy=xy + shift_m) for xy, one in zip(near, sessions, strict=True)
+    )

@@ -1,8 +1,9 @@
 """Plug-ins by name: built-ins, entry points, ``package.module:Class``; in a notebook, objects.
 
-SPEC is ``name[:VALUE][,key=value...]``. VALUE sets the first field; for a mechanism that is the
-level. ``fid:1..1000/10`` is a sweep of ten levels, spaced as the class says (``sweep``).
-Parameters that differ from their default stay in the name: ``fid:adding=independent``.
+SPEC is ``name[:VALUE][,key=value...]``. VALUE sets the first field; for a mechanism
+that is the level. ``fid:1..1000/10`` is a sweep of ten levels, spaced as the class says
+(``sweep``). Parameters that differ from their default stay in the name:
+``fid:adding=independent``.
 """
 
 import contextlib
@@ -24,7 +25,14 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any, Literal, TypeAlias, Union
 
 from isac_track.command_line import may_be_ctrl_c
-from isac_track.errors import IsacTrackError, PluginError, SettingsError, did_you_mean, quoted, told
+from isac_track.errors import (
+    IsacTrackError,
+    PluginError,
+    SettingsError,
+    did_you_mean,
+    quoted,
+    told,
+)
 
 Kind: TypeAlias = Literal["mechanisms", "predictors", "attacks", "policies"]
 _SINGULAR: dict[Kind, str] = {
@@ -87,19 +95,25 @@ _METHOD: dict[Kind, str] = {
     "predictors": "predict",
     "policies": "select",
 }
-_WITH_LEVEL: tuple[Kind, ...] = ("mechanisms", "policies")  # Their first number is a level.
+_WITH_LEVEL: tuple[Kind, ...] = (
+    "mechanisms",
+    "policies",
+)  # Their first number is a level.
 _MOST_LEVELS = 1000
 _WHOLE_LIMIT = 10**12  # Names show 12 digits.
 _PATH = re.compile(r"([A-Za-z]:(?=[\\/]|[^:,=]*\.py\b)|[\\/]|\.[\\/]|[^:,=]*\\)[^:]*")
 """A path at the beginning of a SPEC: ./x.py, /x.py, C:\\x.py, a\\x.py; x and C:0.5 are none."""
-_CLASS_NAME = re.compile(r"([A-Z]\w*)(?::|$)")  # Behind a path; a value begins otherwise.
+_CLASS_NAME = re.compile(
+    r"([A-Z]\w*)(?::|$)"
+)  # Behind a path; a value begins otherwise.
 
 
 @dataclass(frozen=True, slots=True)
 class Plugin:
     """One configured plug-in: a mechanism or policy at one level, a predictor or an attack."""
 
-    name: str  # As in the result columns: family and non-default parameters, without the level.
+    # As in the result columns: family and non-default parameters, without the level.
+    name: str
     level: float | None
     """Level of a mechanism or policy; None where it has none or it is not a number."""
     spec: str  # Canonical SPEC that gives this very plug-in again.
@@ -108,7 +122,9 @@ class Plugin:
     family: str = ""  # Its name without parameters.
     adding: str = ""  # Adding rule that a mechanism declares; empty if it has none.
     protects: bool = True  # Whether a mechanism claims to protect: a control does not.
-    digest: str = ""  # Of what was given as an object: what its cells depend on beside its SPEC.
+    digest: str = (
+        ""  # Of what was given as an object: what its cells depend on beside its SPEC.
+    )
 
 
 def names(kind: Kind) -> dict[str, str]:
@@ -136,14 +152,16 @@ def broken(kind: Kind) -> dict[str, str]:
 
 @cache
 def _entry_points(kind: Kind) -> tuple[EntryPoint, ...]:
-    return tuple(sorted(entry_points(group=f"isac_track.{kind}"), key=lambda point: point.name))
+    return tuple(
+        sorted(entry_points(group=f"isac_track.{kind}"), key=lambda point: point.name)
+    )
 
 
 def parse(kind: Kind, spec: str) -> tuple[Plugin, ...]:
     """Return the plug-ins that a SPEC names: one, or one per level of a sweep.
 
-    It is a SettingsError if a name, parameter or value does not exist or does not fit, and a
-    PluginError if the plug-in cannot be imported or is not what its kind must be.
+    It is a SettingsError if a name, parameter or value does not exist or does not fit,
+    and a PluginError if the plug-in cannot be imported or is not what its kind must be.
     """
     name, pairs = _split(kind, spec)
     cls, origin = _load(kind, name)
@@ -163,15 +181,18 @@ def parse(kind: Kind, spec: str) -> tuple[Plugin, ...]:
             if not key and ".." in text:
                 texts = _sweep(text, is_log=getattr(cls, "sweep", "linear") == "log")
             given = [_read(one, hints[parameter], parameter) for one in texts]
-            changes = [{**change, parameter: one} for change in changes for one in given]
+            changes = [
+                {**change, parameter: one} for change in changes for one in given
+            ]
         return tuple(configured(kind, name, cls, origin, change) for change in changes)
 
 
 def plugins_of(kind: Kind, given: Any) -> tuple[Plugin, ...]:  # noqa: ANN401 - anything at all
     """Return the plug-ins that a SPEC or an object stands for.
 
-    An object is called as its SPEC would be: by its name if it has one, else `module:Class`.
-    SettingsError and PluginError as `parse` raises them, and for what is no plug-in.
+    An object is called as its SPEC would be: by its name if it has one, else
+    `module:Class`. SettingsError and PluginError as `parse` raises them, and for what
+    is no plug-in.
     """
     if isinstance(given, str):
         return parse(kind, given)
@@ -195,7 +216,9 @@ def parse_all(kind: Kind, given: Iterable[Any]) -> tuple[Plugin, ...]:
     found: dict[str, Plugin] = {}
     for one in (plugin for some in given for plugin in plugins_of(kind, some)):
         if found.setdefault(one.spec, one).digest != one.digest:
-            raise SettingsError(f"two {kind} are both called {one.spec!r}; rename one of them")
+            raise SettingsError(
+                f"two {kind} are both called {one.spec!r}; rename one of them"
+            )
     return tuple(found.values())
 
 
@@ -206,19 +229,24 @@ def _digest(given: object, origin: str) -> str:
     cls = type(given)
     own = dict(vars(cls))
     try:
-        # What two objects share is written once, so that only what was read is written alike.
+        # What two objects share is written once, so that only what was read is written
+        # alike.
         content = dumps(loads(dumps(given)))
         is_stable = content == dumps(loads(content))
-        # Reading defines a session's class anew in place: its methods forget the file they are in.
-        # Python 3.13 notes the first line of a class, which does not come back.
+        # Reading defines a session's class anew in place: its methods forget the file
+        # they are in. Python 3.13 notes the first line of a class, which does not come
+        # back.
         for name, value in own.items():
             if vars(cls).get(name) is not value:
                 setattr(cls, name, value)
     except Exception as error:  # a stranger's __reduce__ may do anything
         raise PluginError(
-            f"{origin} cannot be sent to a worker ({told(error)}); leave out what cannot be pickled"
+            f"{origin} cannot be sent to a worker ({told(error)}); leave out what"
+            " cannot be pickled"
         ) from error
-    return hashlib.sha256(content).hexdigest()[:16] if is_stable else secrets.token_hex(8)
+    return (
+        hashlib.sha256(content).hexdigest()[:16] if is_stable else secrets.token_hex(8)
+    )
 
 
 def kind_named(spec: str) -> Kind:
@@ -249,14 +277,18 @@ def _split(kind: Kind, spec: str) -> tuple[str, list[tuple[str, str]]]:
     """Return the name in a SPEC and its parameters, as text; VALUE has no name."""
     name, _, rest = _from_path(kind, spec.strip()).partition(":")
     attribute = rest.partition(":")[0]
-    may_be_module = name.isidentifier() and attribute.isidentifier() and name not in names(kind)
+    may_be_module = (
+        name.isidentifier() and attribute.isidentifier() and name not in names(kind)
+    )
     pairs: list[tuple[str, str]] = []
     with _naming(spec):
         # A module without a package is a file of one's own.
         if "." in name or (may_be_module and find_spec(name) is not None):
             name, rest = f"{name}:{attribute}", rest.partition(":")[2]
             if not attribute.isidentifier():
-                raise SettingsError("expected package.module:Class[:VALUE][,key=value...]")
+                raise SettingsError(
+                    "expected package.module:Class[:VALUE][,key=value...]"
+                )
         if not name:
             raise SettingsError("a SPEC begins with a name")
         for position, part in enumerate(rest.split(",") if rest else []):
@@ -273,25 +305,31 @@ def _split(kind: Kind, spec: str) -> tuple[str, list[tuple[str, str]]]:
 def _from_path(kind: Kind, spec: str) -> str:
     """Return a SPEC with a path to a Python file or its folder, as `package.module:Class[...]`.
 
-    A folder of `attacks new` needs no ./ where nothing else has its name. A path may be of
-    Windows; behind it stands a class, unless that is called like the file.
+    A folder of `attacks new` needs no ./ where nothing else has its name. A path may be
+    of Windows; behind it stands a class, unless that is called like the file.
     """
     match = _PATH.match(spec)
     path = match[0] if match else spec.partition(":")[0]
     _, colon, rest = spec[len(path) :].partition(":")
     if not match:
-        is_free = path.isidentifier() and path not in names(kind) and find_spec(path) is not None
+        is_free = (
+            path.isidentifier()
+            and path not in names(kind)
+            and find_spec(path) is not None
+        )
         if not (is_free and any(Path().glob(f"{path}/{path}.py"))):
             return spec
     parts = parts_below(path.removesuffix(".py"), folder=str(Path.cwd()))
     if parts is None:
         file = path.replace("\\", "/").rpartition("/")[2].rpartition(":")[2]
         raise SettingsError(
-            f"{quoted(spec)}: a file is named from the folder that a run starts in, which holds "
-            f"it: go there and write {quoted(f'./{file}{colon}{rest}')}"
+            f"{quoted(spec)}: a file is named from the folder that a run starts in,"
+            f" which holds it: go there and write {quoted(f'./{file}{colon}{rest}')}"
         )
     if not parts or not all(part.isidentifier() for part in parts):
-        raise SettingsError(f"{quoted(spec)}: ./ is followed by a Python file, or its folder")
+        raise SettingsError(
+            f"{quoted(spec)}: ./ is followed by a Python file, or its folder"
+        )
     class_name = "".join(part.capitalize() for part in parts[-1].split("_"))
     if named := _CLASS_NAME.match(rest):
         class_name = named[1]
@@ -346,15 +384,16 @@ def _hints(cls: type, origin: str) -> dict[str, Any]:
     for one in reversed(cls.__mro__):
         known |= vars(sys.modules[one.__module__])
     hints: dict[str, Any] = {}
-    # Only the parameters: a ClassVar may well name a type that is not there at run time.
+    # Only the parameters: a ClassVar may well name a type that is not there at run
+    # time.
     for item in _parameters(cls):
         holder = type("Parameter", (), {"__annotations__": {item.name: item.type}})
         try:
             hints |= typing.get_type_hints(holder, globalns=known)
         except Exception as error:  # an annotation is code
             raise PluginError(
-                f"{origin}: the type of {item.name}: {told(error)}; it must be imported at "
-                "run time, not under TYPE_CHECKING"
+                f"{origin}: the type of {item.name}: {told(error)}; it must be imported"
+                " at run time, not under TYPE_CHECKING"
             ) from error
     return hints
 
@@ -423,15 +462,20 @@ def _sweep(value: str, *, is_log: bool) -> list[str]:
     return [f"{level:.12g}" for level in levels]
 
 
-def configured(kind: Kind, name: str, cls: type, origin: str, changes: dict[str, Any]) -> Plugin:
+def configured(
+    kind: Kind, name: str, cls: type, origin: str, changes: dict[str, Any]
+) -> Plugin:
     """Return the plug-in of a class and its parameters, checked, with the names that it has."""
     needed = [
         item.name
         for item in _parameters(cls)
-        if item.name not in changes and item.default is item.default_factory is dataclasses.MISSING
+        if item.name not in changes
+        and item.default is item.default_factory is dataclasses.MISSING
     ]
     if needed:
-        raise SettingsError(f"{name} needs a value for {', '.join(needed)}, as in {name}:VALUE")
+        raise SettingsError(
+            f"{name} needs a value for {', '.join(needed)}, as in {name}:VALUE"
+        )
     try:
         instance = cls(**changes)
     except IsacTrackError:
@@ -454,12 +498,18 @@ def configured(kind: Kind, name: str, cls: type, origin: str, changes: dict[str,
         elif item.name in changes and value != item.default:
             parameters.append(f"{item.name}={_text(value)}")
     column = f"{name}:{','.join(parameters)}" if parameters else name
-    spec = column if level is None else ",".join([f"{name}:{_text(level)}", *parameters])
+    spec = (
+        column if level is None else ",".join([f"{name}:{_text(level)}", *parameters])
+    )
     protects = kind != "mechanisms" or claims_protection(instance, origin)
-    return Plugin(column, level, spec, origin, instance, name, adding, protects=protects)
+    return Plugin(
+        column, level, spec, origin, instance, name, adding, protects=protects
+    )
 
 
-def _declared(instance: object, origin: str, attribute: str, default: object = None) -> Any:  # noqa: ANN401 - a stranger's
+def _declared(
+    instance: object, origin: str, attribute: str, default: object = None
+) -> Any:  # noqa: ANN401 - a stranger's
     """Return what a plug-in declares; PluginError if asking fails: it may be a property."""
     try:
         return getattr(instance, attribute, default)
@@ -471,13 +521,17 @@ def claims_protection(mechanism: object, origin: str) -> bool:
     """Return whether a mechanism claims to protect; PluginError if it says neither yes nor no."""
     protects = _declared(mechanism, origin, "protects", default=True)
     if not isinstance(protects, bool):
-        raise PluginError(f"{origin}.protects must be True or False, got {quoted(protects)}")
+        raise PluginError(
+            f"{origin}.protects must be True or False, got {quoted(protects)}"
+        )
     return protects
 
 
 def check_form(policy: object, origin: str) -> None:
     """Raise PluginError for a policy whose answers have no known form."""
-    from isac_track.policies.query import Form  # noqa: PLC0415 - a list of names needs no numpy
+    from isac_track.policies.query import (  # noqa: PLC0415 - a list of names needs no numpy
+        Form,
+    )
 
     form = _declared(policy, origin, "form")
     if form not in (known := typing.get_args(Form)):
@@ -487,25 +541,38 @@ def check_form(policy: object, origin: str) -> None:
 
 def check_declared(kind: Kind, instance: object, origin: str) -> str:
     """Return a mechanism's adding rule, else nothing; PluginError for what is declared wrongly."""
-    from isac_track.protocols import kind_of  # noqa: PLC0415 - a list of names needs no numpy
-    from isac_track.types import Adding, Knowledge  # noqa: PLC0415 - a list of names needs no numpy
+    from isac_track.protocols import (  # noqa: PLC0415 - a list of names needs no numpy
+        kind_of,
+    )
+    from isac_track.types import (  # noqa: PLC0415 - a list of names needs no numpy
+        Adding,
+        Knowledge,
+    )
 
     declared = partial(_declared, instance, origin)
     if kind == "mechanisms":
         claims_protection(instance, origin)
         # A rule for an error that is not there is none.
         adding = declared("adding") if declared("adds_error", default=True) else ""
-        return adding if isinstance(adding, str) and adding in typing.get_args(Adding) else ""
+        return (
+            adding
+            if isinstance(adding, str) and adding in typing.get_args(Adding)
+            else ""
+        )
     if kind == "policies":
         check_form(instance, origin)
         return ""
     for attribute in ("requires", "uses") if kind == "attacks" else ("requires",):
         needs = declared(attribute)
-        if not isinstance(needs, frozenset) or not all(isinstance(one, Knowledge) for one in needs):
+        if not isinstance(needs, frozenset) or not all(
+            isinstance(one, Knowledge) for one in needs
+        ):
             raise PluginError(f"{origin}.{attribute} must be a frozenset of Knowledge")
     if kind == "predictors" and (denied := needs - {Knowledge.SIGMA}):
         names_of = ", ".join(sorted(one.name for one in denied))
-        raise PluginError(f"{origin} requires {names_of}, which a robot is never granted")
+        raise PluginError(
+            f"{origin} requires {names_of}, which a robot is never granted"
+        )
     try:
         kind_of(instance)
     except ValueError as error:

@@ -1,8 +1,8 @@
 """Mechanisms that are meant to survive a filter, and the white noise that they are held against.
 
-White noise falls to whoever smooths; `ou` adds an error that stays for seconds, which neither a
-smoother nor the robot's filter averages away, `ou_fid` the same where the Fisher information
-density is high. Derivations: docs/mechanisms.md.
+White noise falls to whoever smooths; `ou` adds an error that stays for seconds, which
+neither a smoother nor the robot's filter averages away, `ou_fid` the same where the
+Fisher information density is high. Derivations: docs/mechanisms.md.
 """
 
 from collections.abc import Mapping
@@ -16,26 +16,44 @@ from isac_track.kalman import Batch, kalman_last
 from isac_track.rng import stream
 from isac_track.sharing import Fid, check_at_least, fid_d_sigma, perturb
 from isac_track.sharing_controls import correlated_errors
-from isac_track.types import Adding, ErrorLaw, Floats, Ints, Release, Sensed, positive, stretches
+from isac_track.types import (
+    Adding,
+    ErrorLaw,
+    Floats,
+    Ints,
+    Release,
+    Sensed,
+    positive,
+    stretches,
+)
 
 Reuse: TypeAlias = Literal["release", "session"]
 """Whether errors are drawn anew for every release, or once for a walk and session."""
-_REMEMBERED = 24  # Correlation times after which what was is forgotten: 1e-10 of it is left.
-_POINTS = 512  # Of the path of a session within one correlation time; between them it is a line.
-_PRIOR_STD = (100.0, 10.0)  # m around the first sample, m/s: far more than any walk; not tuned.
+_REMEMBERED = (
+    24  # Correlation times after which what was is forgotten: 1e-10 of it is left.
+)
+# Of the path of a session within one correlation time; between them it is a line.
+_POINTS = 512
+_PRIOR_STD = (
+    100.0,
+    10.0,
+)  # m around the first sample, m/s: far more than any walk; not tuned.
 _MEMORY_S = 6.0  # What a filter of a walk has long forgotten.
 
 
 def session_errors(*, t: Floats, offsets: Ints, walk: Ints, tau_s: float) -> Floats:
     """Return standardised Ornstein-Uhlenbeck errors that belong to walks, (M, 2), per axis.
 
-    An instant of a walk has the same error in whichever release: the path follows from the number
-    of the walk alone. Its values at multiples of `tau_s` are those of a stationary process; between
-    them lies a bridge, exact at 512 points and a line in between, of unit variance everywhere.
-    `t` are (M,) s, `offsets` (N + 1,), `walk` (N,) the numbers.
+    An instant of a walk has the same error in whichever release: the path follows from
+    the number of the walk alone. Its values at multiples of `tau_s` are those of a
+    stationary process; between them lies a bridge, exact at 512 points and a line in
+    between, of unit variance everywhere. `t` are (M,) s, `offsets` (N + 1,), `walk`
+    (N,) the numbers.
     """
     errors = np.empty((t.size, 2))
-    for number, first, end in zip(walk.tolist(), offsets[:-1], offsets[1:], strict=True):
+    for number, first, end in zip(
+        walk.tolist(), offsets[:-1], offsets[1:], strict=True
+    ):
         place = t[first:end] / tau_s
         block = np.floor(place).astype(np.int64)
         known: dict[int, Floats] = {}
@@ -46,7 +64,8 @@ def session_errors(*, t: Floats, offsets: Ints, walk: Ints, tau_s: float) -> Flo
             left = np.minimum(at.astype(np.int64), _POINTS - 1)
             weight = (at - left)[:, None]
             mixed = (1.0 - weight) * path[left] + weight * path[left + 1]
-            # Of two points that correlate by f the line has variance 1 - 2 w (1 - w) (1 - f).
+            # Of two points that correlate by f the line has variance 1 - 2 w (1 - w) (1
+            # - f).
             lost = -2.0 * np.expm1(-1.0 / _POINTS) * weight * (1.0 - weight)
             errors[first + inside] = mixed / np.sqrt(1.0 - lost)
     return errors
@@ -63,14 +82,18 @@ def _bridge(walk: int, block: int, known: dict[int, Floats]) -> Floats:
         kept * (ages @ np.stack([known[last - age] for age in range(_REMEMBERED)]))
         for last in (block, block + 1)
     )
-    # A free path from the start, then moved by what it misses the end by (Matheron's rule).
+    # A free path from the start, then moved by what it misses the end by (Matheron's
+    # rule).
     f = np.exp(-1.0 / _POINTS)
     grid = np.arange(_POINTS + 1) / _POINTS
     growth = np.exp(grid)[:, None]
     steps = stream(0, "session bridge", walk, block).standard_normal((_POINTS, 2))
     steps *= np.sqrt(-np.expm1(-2.0 / _POINTS))
     free = start / growth
-    free[1:] += np.cumsum(steps * f ** -np.arange(1.0, _POINTS + 1)[:, None], axis=0) / growth[1:]
+    free[1:] += (
+        np.cumsum(steps * f ** -np.arange(1.0, _POINTS + 1)[:, None], axis=0)
+        / growth[1:]
+    )
     pull = np.exp(-(1.0 - grid)) * np.expm1(-2.0 * grid) / np.expm1(-2.0)
     return np.asarray(free + pull[:, None] * (end - free[-1]))
 
@@ -80,7 +103,9 @@ def _with_slow_error(
 ) -> Release:
     """Return the raw estimates with a slow error; either kind of reuse draws alike from `rng`."""
     t, offsets, tau_s = sensed.t, sensed.offsets, mechanism.tau_s
-    unit = correlated_errors(t=t, offsets=offsets, law="isotropic", tau_s=tau_s, rng=rng)
+    unit = correlated_errors(
+        t=t, offsets=offsets, law="isotropic", tau_s=tau_s, rng=rng
+    )
     if mechanism.reuse == "session":
         unit = session_errors(t=t, offsets=offsets, walk=sensed.walk, tau_s=tau_s)
     return perturb(sensed, std_m, rng, adding="independent", unit_error=unit)
@@ -138,7 +163,9 @@ class OuFid:
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the raw estimates with the slow error that the rule scales."""
-        extra = fid_d_sigma(fid=sensed.fid, eta=self.eta, alpha_m=self.alpha, beta=self.beta)
+        extra = fid_d_sigma(
+            fid=sensed.fid, eta=self.eta, alpha_m=self.alpha, beta=self.beta
+        )
         return _with_slow_error(sensed, extra, self, rng)
 
 
@@ -146,8 +173,8 @@ class OuFid:
 class Laplace:
     """Add planar Laplace noise to every sample (Andres et al., CCS 2013).
 
-    Its density falls as exp(-epsilon r); the distance r has the law Gamma(2, 1 / epsilon), so that
-    either axis has the standard deviation sqrt(3) / epsilon.
+    Its density falls as exp(-epsilon r); the distance r has the law Gamma(2, 1 /
+    epsilon), so that either axis has the standard deviation sqrt(3) / epsilon.
     """
 
     std_m: float  # Of the added error, per axis, m.
@@ -180,8 +207,8 @@ class Laplace:
 class Forecast:
     """Share the network's own filtered position, seldom, with white Gaussian noise on top.
 
-    A constant-velocity filter has seen all samples up to each one that is shared; of these there is
-    one every `every_s`, counted back from the last.
+    A constant-velocity filter has seen all samples up to each one that is shared; of
+    these there is one every `every_s`, counted back from the last.
     """
 
     std_m: float  # Of the added error, per axis, m.
@@ -204,21 +231,30 @@ class Forecast:
         # Radially |N(0, sigma)| is half of sigma^2 per axis.
         share = 1.0 if sensed.law == "isotropic" else 0.5
         owner = np.repeat(np.arange(len(sensed)), np.diff(sensed.offsets))
-        turn = np.floor((sensed.t[sensed.offsets[1:] - 1][owner] - sensed.t) / self.every_s)
-        rows = np.flatnonzero((np.diff(turn, append=-1.0) != 0) | (np.diff(owner, append=-1) != 0))
-        # What each filter has seen: its own stretch of the walk, back to its start or far enough.
+        turn = np.floor(
+            (sensed.t[sensed.offsets[1:] - 1][owner] - sensed.t) / self.every_s
+        )
+        rows = np.flatnonzero(
+            (np.diff(turn, append=-1.0) != 0) | (np.diff(owner, append=-1) != 0)
+        )
+        # What each filter has seen: its own stretch of the walk, back to its start or
+        # far enough.
         known = owner + 1j * sensed.t
         first = np.searchsorted(known, owner[rows] + 1j * (sensed.t[rows] - _MEMORY_S))
         first = np.maximum(first, sensed.offsets[owner[rows]])
         taken, offsets = stretches(first, rows + 1 - first)
-        variance = np.maximum(share * sensed.sigma_raw[taken] ** 2, np.finfo(float).tiny)
+        variance = np.maximum(
+            share * sensed.sigma_raw[taken] ** 2, np.finfo(float).tiny
+        )
         seen = Batch(sensed.t[taken], sensed.xy[taken], variance, offsets, _PRIOR_STD)
         state = kalman_last(seen, q=self.q)
         return Release(
             t=sensed.t[rows],
             xy=state.mean[:, :, 0] + self.std_m * white[rows],
             sigma=np.hypot(np.sqrt(state.cov[:, 0, 0]), self.std_m),
-            offsets=np.append(0, np.cumsum(np.bincount(owner[rows], minlength=len(sensed)))),
+            offsets=np.append(
+                0, np.cumsum(np.bincount(owner[rows], minlength=len(sensed)))
+            ),
             pseudonym=perturb(sensed, 0.0, rng).pseudonym,
         )
 

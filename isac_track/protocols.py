@@ -1,7 +1,7 @@
 """What a plug-in must offer: a frozen dataclass of its parameters plus one method.
 
-The threat model is here as well: which adversary is granted which knowledge, and the context
-that hands an attack what it was granted and nothing else.
+The threat model is here as well: which adversary is granted which knowledge, and the
+context that hands an attack what it was granted and nothing else.
 """
 
 from __future__ import annotations
@@ -32,7 +32,9 @@ if TYPE_CHECKING:
 
 Reconstructor: TypeAlias = "Callable[[Release], Reconstruction]"
 """What turns a release into a reconstruction, sample for sample."""
-Linker: TypeAlias = "Callable[[Release, Release], Floats]"  # Scores (P, G), higher = same person.
+Linker: TypeAlias = (
+    "Callable[[Release, Release], Floats]"  # Scores (P, G), higher = same person.
+)
 _INFORMED = frozenset({Knowledge.MECHANISM, Knowledge.TRAIN})
 ADVERSARIES: dict[str, frozenset[Knowledge]] = {
     "blind": frozenset(),
@@ -47,16 +49,21 @@ ADVERSARIES: dict[str, frozenset[Knowledge]] = {
 """Weakest first. The oracle is a reference, never the headline; see docs/threat-model.md."""
 OF_WALKS = frozenset({Knowledge.REPEATS, Knowledge.ANCHOR, Knowledge.COMPANIONS})
 """What tells whose walk a release is, so that nobody who links is granted it."""
-USUAL: tuple[str, ...] = ("blind", "informed", "oracle")  # Of every run; the others are asked for.
+USUAL: tuple[str, ...] = (
+    "blind",
+    "informed",
+    "oracle",
+)  # Of every run; the others are asked for.
 
 
 @runtime_checkable
 class Mechanism(Protocol):
     """Turns what was sensed into what is shared.
 
-    A class attribute ``sweep = "log"`` or ``"linear"`` says how ``name:LOW..HIGH/COUNT``
-    spaces the first field; ``protects = False`` that it claims no protection, so that no level of
-    it is ever proposed to a site (without it a mechanism does claim that).
+    A class attribute ``sweep = "log"`` or ``"linear"`` says how
+    ``name:LOW..HIGH/COUNT`` spaces the first field; ``protects = False`` that it claims
+    no protection, so that no level of it is ever proposed to a site (without it a
+    mechanism does claim that).
     """
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
@@ -67,9 +74,10 @@ class Mechanism(Protocol):
 class Predictor(Protocol):
     """The robot's forecast of where each pedestrian will be.
 
-    One that is aware has a method ``knowing(mechanism)``, which returns the predictor as it is
-    where that mechanism shares; it is called before `predict`. One that has a method
-    ``track(release)`` returns its causal estimate of every sample, (M, 2) m, for `plr_robot`.
+    One that is aware has a method ``knowing(mechanism)``, which returns the predictor
+    as it is where that mechanism shares; it is called before `predict`. One that has a
+    method ``track(release)`` returns its causal estimate of every sample, (M, 2) m, for
+    `plr_robot`.
     """
 
     @property
@@ -90,8 +98,9 @@ def knowing(predictor: Predictor, mechanism: Mechanism) -> Any:  # noqa: ANN401 
 class Policy(Protocol):
     """Decides what the answer to a robot's query discloses.
 
-    A class attribute ``protects = False`` says that it claims no protection; ``forecasts =
-    True`` that it decides by the network's forecast, which a robot may share.
+    A class attribute ``protects = False`` says that it claims no protection;
+    ``forecasts = True`` that it decides by the network's forecast, which a robot may
+    share.
     """
 
     @property
@@ -118,8 +127,8 @@ class Adversary(Protocol):
 class ReconstructionAttack(Adversary, Protocol):
     """An adversary who estimates where people truly were from what was shared.
 
-    A class attribute ``slow = True`` keeps an attack out of the presets and runs it on one
-    release of each source track; ``seconds_per_sample`` then says what it costs.
+    A class attribute ``slow = True`` keeps an attack out of the presets and runs it on
+    one release of each source track; ``seconds_per_sample`` then says what it costs.
     """
 
     def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
@@ -130,11 +139,11 @@ class ReconstructionAttack(Adversary, Protocol):
 class LinkageAttack(Adversary, Protocol):
     """An adversary who tells which releases of two sessions are of one person.
 
-    A class attribute ``kind = "linkage"`` tells it from a reconstruction attack (`kind_of`);
-    ``one_stretch = True`` that it links the same steps, and nothing where a task has none;
-    ``across_gap = True`` that it bridges a silence within one walk.
-    What it scores may be a whole search, or with `linkage.candidates=K` one probe and K candidates:
-    the score of a pair should not depend on who else is there.
+    A class attribute ``kind = "linkage"`` tells it from a reconstruction attack
+    (`kind_of`); ``one_stretch = True`` that it links the same steps, and nothing where
+    a task has none; ``across_gap = True`` that it bridges a silence within one walk.
+    What it scores may be a whole search, or with `linkage.candidates=K` one probe and K
+    candidates: the score of a pair should not depend on who else is there.
     """
 
     def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
@@ -144,9 +153,9 @@ class LinkageAttack(Adversary, Protocol):
 def kind_of(attack: object) -> Literal["reconstruction", "linkage"]:
     """Return which of the two kinds an attack is.
 
-    A class attribute ``kind`` says so (ValueError if it says anything else); without it the
-    annotation of what ``fit`` returns does (two releases in: linkage), and without either it is a
-    reconstruction attack.
+    A class attribute ``kind`` says so (ValueError if it says anything else); without it
+    the annotation of what ``fit`` returns does (two releases in: linkage), and without
+    either it is a reconstruction attack.
     """
     said = getattr(attack, "kind", None)
     if said is None:
@@ -178,12 +187,15 @@ class LinkageTrainingSet:
 
     probe: Release
     gallery: Release
-    mate: Ints  # (P,) track of the gallery that is the same person, or -1 if there is none.
+    # (P,) track of the gallery that is the same person, or -1 if there is none.
+    mate: Ints
 
     def __post_init__(self) -> None:
         mate = np.asarray(self.mate)
         if mate.shape != (len(self.probe),) or mate.dtype.kind not in "iu":
-            raise ValueError(f"mate must hold {len(self.probe)} integers, got {mate.shape}")
+            raise ValueError(
+                f"mate must hold {len(self.probe)} integers, got {mate.shape}"
+            )
         if mate.size and not (mate.min() >= -1 and mate.max() < len(self.gallery)):
             raise ValueError(f"mate must lie within -1 and {len(self.gallery) - 1}")
         known = mate[mate >= 0]
@@ -211,9 +223,10 @@ class AttackContext:
     ) -> None:
         """Keep what was granted; ValueError if something is not there.
 
-        `rng` is the attack's own stream, `epsilon_m` the distance below which a sample counts as
-        leaked, m. SIGMA and SCENE show in the release itself: declared standard deviations, and the
-        true frame and clock. The others are properties of the same names.
+        `rng` is the attack's own stream, `epsilon_m` the distance below which a sample
+        counts as leaked, m. SIGMA and SCENE show in the release itself: declared
+        standard deviations, and the true frame and clock. The others are properties of
+        the same names.
         """
         self.rng = rng
         self.epsilon_m = epsilon_m
@@ -261,8 +274,8 @@ class AttackContext:
     def _get(self, what: Knowledge) -> Any:  # noqa: ANN401 - each kind has a type of its own
         if what not in self._held:
             raise KnowledgeDenied(
-                f"{what.name} was not granted; an attack gets what its adversary knows and what "
-                "it declares in `requires` or `uses`"
+                f"{what.name} was not granted; an attack gets what its adversary knows"
+                " and what it declares in `requires` or `uses`"
             )
         return self._held[what]
 
@@ -276,9 +289,10 @@ def grants(
 ) -> dict[str, frozenset[Knowledge]]:
     """Return ``{adversary: what it is granted}`` of every row that an attack makes.
 
-    An attack runs once for each adversary that grants all of its `requires`; of those that
-    grant it the same, the weakest names the row. A task may grant some knowledge to `everyone`,
-    and withhold some from all (`nobody`). Beside the usual adversaries those `asked` for count.
+    An attack runs once for each adversary that grants all of its `requires`; of those
+    that grant it the same, the weakest names the row. A task may grant some knowledge
+    to `everyone`, and withhold some from all (`nobody`). Beside the usual adversaries
+    those `asked` for count.
     """
     rows: dict[str, frozenset[Knowledge]] = {}
     for name, always in ADVERSARIES.items():

@@ -13,7 +13,9 @@ from isac_track.types import Bools, Floats, Tracks
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
 
-SPEED_LIMIT_MPS = 4.0  # Nobody walks faster: a faster spline between slower samples overshoots.
+SPEED_LIMIT_MPS = (
+    4.0  # Nobody walks faster: a faster spline between slower samples overshoots.
+)
 _USUAL = ResampleSettings()
 _FRACTIONS = np.arange(1, 16) / 16.0
 """Of an interval: where its distance from the chord and its speed are looked at."""
@@ -37,14 +39,18 @@ class Walk:
 def walk(track: Tracks, *, max_overshoot_m: float = _USUAL.max_overshoot_m) -> Walk:
     """Return the continuous walk of a recorded track, exact at its samples.
 
-    A cubic spline (not-a-knot). An interval in which it leaves the chord of both samples by more
-    than `max_overshoot_m`, or is faster than both `SPEED_LIMIT_MPS` and the chord, is a monotone
-    cubic instead (Fritsch and Butland, SIAM J. Sci. Comput. 5, 300, 1984), or a line where that
-    does no better. ValueError for several tracks or one sample.
+    A cubic spline (not-a-knot). An interval in which it leaves the chord of both
+    samples by more than `max_overshoot_m`, or is faster than both `SPEED_LIMIT_MPS` and
+    the chord, is a monotone cubic instead (Fritsch and Butland, SIAM J. Sci. Comput. 5,
+    300, 1984), or a line where that does no better. ValueError for several tracks or
+    one sample.
     """
     if len(track) != 1 or track.t.size < 2:  # noqa: PLR2004 - a walk needs two points
         raise ValueError("a walk needs one track of at least two samples")
-    from scipy.interpolate import CubicSpline, PchipInterpolator  # noqa: PLC0415 - heavy to import
+    from scipy.interpolate import (  # noqa: PLC0415 - heavy to import
+        CubicSpline,
+        PchipInterpolator,
+    )
 
     curve = CubicSpline(track.t, track.xy)  # scipy lowers the degree below four points
     bad = _overshoots(curve.c, track, max_overshoot_m=max_overshoot_m)
@@ -55,16 +61,23 @@ def walk(track: Tracks, *, max_overshoot_m: float = _USUAL.max_overshoot_m) -> W
     curve.c[:, bad] = monotone[:, bad]
     curve.c[:2, straight] = 0.0
     slope = np.diff(track.xy, axis=0) / np.diff(track.t)[:, None]
-    curve.c[2, straight], curve.c[3, straight] = slope[straight], track.xy[:-1][straight]
+    curve.c[2, straight], curve.c[3, straight] = (
+        slope[straight],
+        track.xy[:-1][straight],
+    )
     return Walk(curve, int((bad & ~straight).sum()), int(straight.sum()))
 
 
-def _overshoots(coefficients: Floats, track: Tracks, *, max_overshoot_m: float) -> Bools:
+def _overshoots(
+    coefficients: Floats, track: Tracks, *, max_overshoot_m: float
+) -> Bools:
     """Return (K - 1,) which intervals of cubics (4, K - 1, 2) leave the chord or are too fast."""
     step_s, chord = np.diff(track.t), np.diff(track.xy, axis=0)
     after_s = _FRACTIONS[:, None, None] * step_s[:, None]  # (15, K - 1, 1)
     cubic, square, slope, _ = coefficients
-    offset = ((cubic * after_s + square) * after_s + slope) * after_s  # from the first sample
+    offset = (
+        (cubic * after_s + square) * after_s + slope
+    ) * after_s  # from the first sample
     length = np.hypot(chord[:, 0], chord[:, 1])
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.clip((offset * chord).sum(axis=2) / length**2, 0.0, 1.0)
@@ -90,7 +103,12 @@ def sampling_times(
     n_holds = int(np.ceil((end_s - start_s) / settings.rate_hold_s)) + 1
     # Python's own numbers: numpy's take five times as long one by one.
     rates = rng.uniform(settings.rate_min_hz, settings.rate_max_hz, n_holds).tolist()
-    now, start_s, end_s, hold_s = float(start_s), float(start_s), float(end_s), settings.rate_hold_s
+    now, start_s, end_s, hold_s = (
+        float(start_s),
+        float(start_s),
+        float(end_s),
+        settings.rate_hold_s,
+    )
     times: list[float] = []
     while now <= end_s or not times:
         times.append(now)
@@ -106,8 +124,8 @@ def resample(tracks: Tracks, *, settings: ResampleSettings, seed: int) -> Tracks
     parts: list[tuple[Floats, Floats, str, str]] = []
     for track in tracks:
         start_s, end_s = float(track.t[0]), float(track.t[-1])
-        # A recorded duration carries rounding of the clock: 21.6 s at 25 Hz is 540 frames, and
-        # seconds since 1970 have seven decimals.
+        # A recorded duration carries rounding of the clock: 21.6 s at 25 Hz is 540
+        # frames, and seconds since 1970 have seven decimals.
         if track.t.size < 2 or end_s - start_s < settings.min_duration_s - 1e-6:  # noqa: PLR2004 - a line needs two
             continue
         rng = stream(seed, "resample", track.source[0])
@@ -124,4 +142,6 @@ def resample(tracks: Tracks, *, settings: ResampleSettings, seed: int) -> Tracks
         raise ValueError(f"no track lasts {settings.min_duration_s:g} s")
     t_parts, xy_parts, source, group = zip(*parts, strict=True)
     offsets = np.cumsum([0, *map(len, t_parts)])
-    return Tracks(np.concatenate(t_parts), np.concatenate(xy_parts), offsets, source, group)
+    return Tracks(
+        np.concatenate(t_parts), np.concatenate(xy_parts), offsets, source, group
+    )

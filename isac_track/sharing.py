@@ -1,6 +1,7 @@
 """What leaves the network: raw, fixed and FID-controlled sharing, and the clean ceiling.
 
-A mechanism says how much error each sample gets; error law and adding rule live in `perturb` alone.
+A mechanism says how much error each sample gets; error law and adding rule live in
+`perturb` alone.
 """
 
 import json
@@ -13,9 +14,20 @@ import numpy as np
 from numpy.random import Generator
 
 from isac_track.sensing import unit_errors
-from isac_track.types import Adding, ErrorLaw, Floats, Release, Sensed, positive, read_only, within
+from isac_track.types import (
+    Adding,
+    ErrorLaw,
+    Floats,
+    Release,
+    Sensed,
+    positive,
+    read_only,
+    within,
+)
 
-_REMEMBERED = 5  # Errors of a block, of both halves of who is learnt from, and of two repeats.
+_REMEMBERED = (
+    5  # Errors of a block, of both halves of who is learnt from, and of two repeats.
+)
 
 
 def perturb(
@@ -29,14 +41,15 @@ def perturb(
 ) -> Release:
     """Add an error of standard deviation `d_sigma` to the raw estimates.
 
-    `linear` (eq. shared_sigma): the standard deviations add, sigma_raw + d_sigma; the true error is
-    scaled, which only somebody who knows the truth can do. `independent` (eq. swarm_shared): the
-    variances add, as a fresh error has a direction of its own.
+    `linear` (eq. shared_sigma): the standard deviations add, sigma_raw + d_sigma; the
+    true error is scaled, which only somebody who knows the truth can do. `independent`
+    (eq. swarm_shared): the variances add, as a fresh error has a direction of its own.
 
-    `d_sigma` is (M,) m, or one number; `rng` draws the fresh error and the pseudonyms. The fresh
-    error has the `law` of the raw error unless told otherwise, or is itself given, standardised:
-    `unit_error`, (M, 2). The release declares the standard deviation of every sample. ValueError if
-    `d_sigma` is negative, not finite or misshapen, a rule unknown, or linear with another error.
+    `d_sigma` is (M,) m, or one number; `rng` draws the fresh error and the pseudonyms.
+    The fresh error has the `law` of the raw error unless told otherwise, or is itself
+    given, standardised: `unit_error`, (M, 2). The release declares the standard
+    deviation of every sample. ValueError if `d_sigma` is negative, not finite or
+    misshapen, a rule unknown, or linear with another error.
     """
     given = np.asarray(d_sigma, dtype=np.float64)
     extra: Floats = np.broadcast_to(given, sensed.t.shape)
@@ -62,20 +75,28 @@ def perturb(
         for axis in range(2):  # both at once would take longer
             np.multiply(unit_error[:, axis], extra, out=xy[:, axis])
     xy += sensed.xy
-    return Release(t=sensed.t, xy=xy, sigma=sigma, offsets=sensed.offsets, pseudonym=pseudonym)
+    return Release(
+        t=sensed.t, xy=xy, sigma=sigma, offsets=sensed.offsets, pseudonym=pseudonym
+    )
 
 
 def _fresh_errors(sensed: Sensed, law: ErrorLaw, rng: Generator) -> Floats:
     """Return `unit_errors` of a release, made once for all levels: their streams start alike."""
     state = rng.bit_generator.state
     if state["bit_generator"] != "PCG64" or law == "fixed_direction":
-        return unit_errors(n_samples=sensed.t.size, law=law, rng=rng, offsets=sensed.offsets)
-    errors, rng.bit_generator.state = _errors_from(json.dumps(state), sensed.t.size, law)
+        return unit_errors(
+            n_samples=sensed.t.size, law=law, rng=rng, offsets=sensed.offsets
+        )
+    errors, rng.bit_generator.state = _errors_from(
+        json.dumps(state), sensed.t.size, law
+    )
     return errors
 
 
 @lru_cache(maxsize=_REMEMBERED)
-def _errors_from(state: str, n_samples: int, law: ErrorLaw) -> tuple[Floats, Mapping[str, Any]]:
+def _errors_from(
+    state: str, n_samples: int, law: ErrorLaw
+) -> tuple[Floats, Mapping[str, Any]]:
     """Return what a generator in a state, as JSON, draws, and its state afterwards."""
     bits = np.random.PCG64(0)
     bits.state = json.loads(state)
@@ -86,13 +107,14 @@ def _errors_from(state: str, n_samples: int, law: ErrorLaw) -> tuple[Floats, Map
 def fid_d_sigma(*, fid: Floats, eta: float, alpha_m: float, beta: float) -> Floats:
     """Return the additional standard deviation of the FID rule, (M,) m.
 
-    Eqs. fid_ratio and fid_error_control: nothing up to the threshold, then
-    alpha * (beta - exp(-(rho - 1))), from alpha * (beta - 1) just above it to alpha * beta. `fid`
-    and the threshold `eta`, positive, are in 1/(m^2 s), `beta` is at least 1.
+    Eqs. fid_ratio and fid_error_control: nothing up to the threshold, then alpha *
+    (beta - exp(-(rho - 1))), from alpha * (beta - 1) just above it to alpha * beta.
+    `fid` and the threshold `eta`, positive, are in 1/(m^2 s), `beta` is at least 1.
     """
     rho = fid / eta
     below = ~(rho > 1.0)
-    # The exponent is clipped at 0 where the rule does not apply, lest it overflow there.
+    # The exponent is clipped at 0 where the rule does not apply, lest it overflow
+    # there.
     extra: Floats = np.minimum(np.subtract(1.0, rho, out=rho), 0.0, out=rho)
     np.exp(extra, out=extra)
     extra = np.multiply(alpha_m, np.subtract(beta, extra, out=extra), out=extra)
@@ -156,7 +178,9 @@ class Fid:
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the estimates with the rule's additional error."""
-        d_sigma = fid_d_sigma(fid=sensed.fid, eta=self.eta, alpha_m=self.alpha, beta=self.beta)
+        d_sigma = fid_d_sigma(
+            fid=sensed.fid, eta=self.eta, alpha_m=self.alpha, beta=self.beta
+        )
         return perturb(sensed, d_sigma, rng, adding=self.adding, law=self.law)
 
 
@@ -190,5 +214,10 @@ def names_of(drawn: bytes) -> tuple[str, ...]:
     return tuple([text[start : start + 16] for start in range(0, len(text), 16)])
 
 
-MECHANISMS: Final[Mapping[str, type]] = {"raw": Raw, "fixed": Fixed, "fid": Fid, "clean": Clean}
+MECHANISMS: Final[Mapping[str, type]] = {
+    "raw": Raw,
+    "fixed": Fixed,
+    "fid": Fid,
+    "clean": Clean,
+}
 """By the name in a SPEC."""

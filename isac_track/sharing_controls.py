@@ -1,8 +1,9 @@
 """Controls: sharing that moves the descriptors and what can be linked apart from each other.
 
-None is meant as a protection. `correlated` hides each sample as well as `fixed` does, but leaves
-neighbouring errors alike; `offset` moves a walk as a whole and keeps its shape; `thin` shares
-fewer samples. A descriptor that tells how linkable people are must tell under these as well.
+None is meant as a protection. `correlated` hides each sample as well as `fixed` does,
+but leaves neighbouring errors alike; `offset` moves a walk as a whole and keeps its
+shape; `thin` shares fewer samples. A descriptor that tells how linkable people are must
+tell under these as well.
 """
 
 from collections.abc import Mapping
@@ -23,16 +24,19 @@ def correlated_errors(
 ) -> Floats:
     """Draw standardised errors that change slowly along each track, (M, 2).
 
-    Every sample has the law of `isac_track.sensing.unit_errors`; two samples c, d of one track
-    have E[c . d] = exp(-|t_c - t_d| / tau_s) E[|c|^2], tracks are independent of each other.
-    `isotropic`: two Ornstein-Uhlenbeck processes. `radial`: one of time constant 2 tau_s times a
-    direction that moves on the circle as Brownian motion, with E[cos turn] = exp(-dt / 2 tau_s).
-    `fixed_direction`: one of time constant tau_s times a direction that is drawn once a track.
-    All are exact at any instants, and use three draws a sample. `t` are (M,) s, increasing within a
-    track, `offsets` (N + 1,), `tau_s` is positive. An unknown law is a ValueError.
+    Every sample has the law of `isac_track.sensing.unit_errors`; two samples c, d of
+    one track have E[c . d] = exp(-|t_c - t_d| / tau_s) E[|c|^2], tracks are independent
+    of each other. `isotropic`: two Ornstein-Uhlenbeck processes. `radial`: one of time
+    constant 2 tau_s times a direction that moves on the circle as Brownian motion, with
+    E[cos turn] = exp(-dt / 2 tau_s). `fixed_direction`: one of time constant tau_s
+    times a direction that is drawn once a track. All are exact at any instants, and use
+    three draws a sample. `t` are (M,) s, increasing within a track, `offsets` (N + 1,),
+    `tau_s` is positive. An unknown law is a ValueError.
     """
     if law not in get_args(ErrorLaw):
-        raise ValueError(f"unknown error law {law!r}; known: {', '.join(get_args(ErrorLaw))}")
+        raise ValueError(
+            f"unknown error law {law!r}; known: {', '.join(get_args(ErrorLaw))}"
+        )
     draws = rng.standard_normal((t.size, 3))
     first = offsets[:-1]
     dt_s = np.diff(t, prepend=t[:1])
@@ -45,7 +49,9 @@ def correlated_errors(
     amplitude = _recursion(decay, noise[:, None] * draws[:, :1])
     if law == "fixed_direction":
         return amplitude * track_directions(draws[:, 1:], offsets=offsets)
-    turn = np.sqrt(np.abs(dt_s) / tau_s) * draws[:, 1]  # |...|: from one track to the next
+    turn = (
+        np.sqrt(np.abs(dt_s) / tau_s) * draws[:, 1]
+    )  # |...|: from one track to the next
     turn[first] = np.arctan2(draws[first, 2], draws[first, 1])
     remembers = np.ones(t.size)
     remembers[first] = 0.0
@@ -63,15 +69,18 @@ def _recursion(decay: Floats, step: Floats) -> Floats:
 class Correlated:
     """Add errors as large as those of `fixed`, but alike from sample to sample.
 
-    By itself each sample is as far off as under `fixed` with the same `d_sigma` and adding rule.
-    With linear adding the whole error is redrawn, sigma_raw + d_sigma times the slow one.
+    By itself each sample is as far off as under `fixed` with the same `d_sigma` and
+    adding rule. With linear adding the whole error is redrawn, sigma_raw + d_sigma
+    times the slow one.
     """
 
     d_sigma: float  # m
     tau_s: float = 2.0  # Time over which the error's correlation falls to 1/e, s.
     adding: Adding = "linear"
 
-    errors_are_independent: ClassVar[bool] = False  # Without that no linear benchmark holds.
+    errors_are_independent: ClassVar[bool] = (
+        False  # Without that no linear benchmark holds.
+    )
     protects: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
@@ -81,10 +90,16 @@ class Correlated:
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the estimates with an error that changes slowly."""
         unit = correlated_errors(
-            t=sensed.t, offsets=sensed.offsets, law=sensed.law, tau_s=self.tau_s, rng=rng
+            t=sensed.t,
+            offsets=sensed.offsets,
+            law=sensed.law,
+            tau_s=self.tau_s,
+            rng=rng,
         )
         if self.adding == "independent":
-            return perturb(sensed, self.d_sigma, rng, adding=self.adding, unit_error=unit)
+            return perturb(
+                sensed, self.d_sigma, rng, adding=self.adding, unit_error=unit
+            )
         changed = sensed.sigma_raw[:, None] * (unit - sensed.unit_error)
         redrawn = replace(sensed, xy=sensed.xy + changed, unit_error=unit)
         return perturb(redrawn, self.d_sigma, rng, adding=self.adding)
@@ -94,8 +109,9 @@ class Correlated:
 class Offset:
     """Move every track as a whole: the same way for all of its samples, in a random direction.
 
-    Declared is the standard deviation of the raw estimates: the displacement says nothing of how
-    far samples scatter, and whoever smooths weighs them by what is declared.
+    Declared is the standard deviation of the raw estimates: the displacement says
+    nothing of how far samples scatter, and whoever smooths weighs them by what is
+    declared.
     """
 
     distance: float  # m
@@ -112,14 +128,17 @@ class Offset:
         angle = rng.uniform(0.0, 2.0 * np.pi, len(sensed))
         shift_m = self.distance * np.column_stack([np.cos(angle), np.sin(angle)])
         raw = perturb(sensed, 0.0, rng)
-        return replace(raw, xy=raw.xy + np.repeat(shift_m, np.diff(sensed.offsets), axis=0))
+        return replace(
+            raw, xy=raw.xy + np.repeat(shift_m, np.diff(sensed.offsets), axis=0)
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class Thin:
     """Share every n-th sample only, as `fixed` would; the last of a track is always one of them.
 
-    The error is drawn for all samples first: those that are shared lie where `fixed` puts them.
+    The error is drawn for all samples first: those that are shared lie where `fixed`
+    puts them.
     """
 
     every: int  # One sample in so many is shared.
@@ -141,7 +160,9 @@ class Thin:
         """Return the thinned release."""
         whole = perturb(sensed, self.d_sigma, rng, adding=self.adding)
         sizes = np.diff(whole.offsets)
-        kept = (np.repeat(whole.offsets[1:] - 1, sizes) - np.arange(whole.t.size)) % self.every == 0
+        kept = (
+            np.repeat(whole.offsets[1:] - 1, sizes) - np.arange(whole.t.size)
+        ) % self.every == 0
         assert whole.sigma is not None
         return Release(
             t=whole.t[kept],
@@ -152,5 +173,9 @@ class Thin:
         )
 
 
-MECHANISMS: Final[Mapping[str, type]] = {"correlated": Correlated, "offset": Offset, "thin": Thin}
+MECHANISMS: Final[Mapping[str, type]] = {
+    "correlated": Correlated,
+    "offset": Offset,
+    "thin": Thin,
+}
 """By the name in a SPEC."""

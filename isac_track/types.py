@@ -1,9 +1,10 @@
 """Frozen containers: flat arrays and offsets, checked once at the door.
 
-A ragged batch of N tracks with M samples in all is flat arrays of length M and `offsets`
-of length N + 1, as in Arrow: track i owns the samples ``offsets[i]:offsets[i + 1]``. Tracks
-differ in length by 20x, so nothing is padded. Arrays are read-only; ``len``, iteration and
-indexing give zero-copy views of one track, so that a plug-in can be a plain loop.
+A ragged batch of N tracks with M samples in all is flat arrays of length M and
+`offsets` of length N + 1, as in Arrow: track i owns the samples ``offsets[i]:offsets[i
++ 1]``. Tracks differ in length by 20x, so nothing is padded. Arrays are read-only;
+``len``, iteration and indexing give zero-copy views of one track, so that a plug-in can
+be a plain loop.
 """
 
 from __future__ import annotations
@@ -28,24 +29,35 @@ Adding: TypeAlias = Literal["linear", "independent"]
 
 SHARED_LIMIT_M: Final = 1e10
 """Of a coordinate or std that is shared: ten times what is recorded, and no power overflows."""
-ESTIMATE_LIMIT_M: Final = 1e12  # Of what is estimated from it: an extrapolation goes beyond it.
-_ROUNDING: Final = 1e-5  # Of a covariance over the larger variance: float32 after many steps.
+ESTIMATE_LIMIT_M: Final = (
+    1e12  # Of what is estimated from it: an extrapolation goes beyond it.
+)
+_ROUNDING: Final = (
+    1e-5  # Of a covariance over the larger variance: float32 after many steps.
+)
 
 
 class Knowledge(Enum):
     """What a receiver of a release may be granted beyond times, positions and pseudonyms."""
 
-    MECHANISM = "mechanism"  # The frozen mechanism object with its parameters (Kerckhoffs).
+    MECHANISM = (  # The frozen mechanism object with its parameters (Kerckhoffs).
+        "mechanism"
+    )
     SIGMA = "sigma"  # The standard deviation declared with each sample.
-    TRAIN = "train"  # Releases of other people, with their truth, perturbed by the same mechanism.
+    # Releases of other people, with their truth, perturbed by the same mechanism.
+    TRAIN = "train"
     SCENE = "scene"  # The true frame and clock; without it both are random per release.
     REPEATS = "repeats"  # Further releases of the same walks.
-    ANCHOR = "anchor"  # One true position of every walk, at its instant: a door, a camera.
+    ANCHOR = (  # One true position of every walk, at its instant: a door, a camera.
+        "anchor"
+    )
     COMPANIONS = "companions"  # Releases of who walks along, with errors of their own.
 
 
 _SAMPLE: Mapping[str, str] = {"per": "sample"}
-TRACK: Mapping[str, str] = {"per": "track"}  # Metadata of a field that holds one value a track.
+TRACK: Mapping[str, str] = {
+    "per": "track"
+}  # Metadata of a field that holds one value a track.
 _Batch = TypeVar("_Batch", "Tracks", "Sensed", "Release")
 
 
@@ -81,7 +93,9 @@ class Tracks:
     t: Floats = field(metadata=_SAMPLE)  # (M,) s, strictly increasing within a track.
     xy: Floats = field(metadata=_SAMPLE)  # (M, 2) m, true position.
     offsets: Ints  # (N + 1,) first sample of each track, then M.
-    source: tuple[str, ...] = field(metadata=TRACK)  # (N,) id of the recorded track, unique.
+    source: tuple[str, ...] = field(
+        metadata=TRACK
+    )  # (N,) id of the recorded track, unique.
     group: tuple[str, ...] = field(metadata=TRACK)
     """(N,) the cluster of every interval: people who walk together share one."""
     person: tuple[str, ...] | None = field(default=None, kw_only=True, metadata=TRACK)
@@ -112,15 +126,19 @@ class Scenes:
     t: Floats  # (M,) s, history times of the S * A agents.
     xy: Floats  # (M, 2) m, true history after the shift into the scene.
     offsets: Ints  # (S * A + 1,)
-    track: Ints  # (S * A,) row of the source track in the `Tracks` that the scenes were made of.
+    # (S * A,) row of the source track in the `Tracks` that the scenes were made of.
+    track: Ints
     index: Ints  # (S,) number of the scene in the run: the key of its random streams.
     t_future: Floats  # (S * A, H) s, prediction grid.
     xy_future: Floats  # (S * A, H, 2) m, true positions on the grid.
     robot_start: Floats  # (S, 2) m
     robot_destination: Floats  # (S, 2) m
-    separation: Floats  # (S,) m, true minimum separation between robot and agents over the horizon.
+    # (S,) m, true minimum separation between robot and agents over the horizon.
+    separation: Floats
     conflict: Bools  # (S,) ground-truth label c (eq. conflict_rule on the true future).
-    exhausted: Ints  # (S,) agents whose placement ran out of redraws and kept the last draw.
+    exhausted: (
+        Ints  # (S,) agents whose placement ran out of redraws and kept the last draw.
+    )
     time_to_conflict_s: Floats = field(default_factory=lambda: np.empty(0))
     """(S,) s until any agent is inside; 0: one is already; NaN: no conflict, or it is not known."""
 
@@ -137,7 +155,9 @@ class Scenes:
         check_times(self.t, self.offsets)
         n_tracks = self.offsets.size - 1
         if self.index.size == 0 or n_tracks % self.index.size:
-            raise ValueError(f"{n_tracks} agents do not fill {self.index.size} scenes evenly")
+            raise ValueError(
+                f"{n_tracks} agents do not fill {self.index.size} scenes evenly"
+            )
 
     def __len__(self) -> int:
         return self.index.size
@@ -162,16 +182,27 @@ class Sensed:
 
     t: Floats = field(metadata=_SAMPLE)  # (M,) s, strictly increasing within a track.
     xy: Floats = field(metadata=_SAMPLE)  # (M, 2) m, raw estimate.
-    unit_error: Floats = field(metadata=_SAMPLE)  # (M, 2) raw error in units of `sigma_raw`.
-    sigma_raw: Floats = field(metadata=_SAMPLE)  # (M,) m, std of the raw error under `law`.
-    information: Floats = field(metadata=_SAMPLE)  # (M,) 1/m^2, Fisher information (eq. swarm_fi).
-    fid: Floats = field(metadata=_SAMPLE)  # (M,) 1/(m^2 s), density of it (eq. swarm_fid).
+    unit_error: Floats = field(
+        metadata=_SAMPLE
+    )  # (M, 2) raw error in units of `sigma_raw`.
+    sigma_raw: Floats = field(
+        metadata=_SAMPLE
+    )  # (M,) m, std of the raw error under `law`.
+    information: Floats = field(
+        metadata=_SAMPLE
+    )  # (M,) 1/m^2, Fisher information (eq. swarm_fi).
+    fid: Floats = field(
+        metadata=_SAMPLE
+    )  # (M,) 1/(m^2 s), density of it (eq. swarm_fid).
     offsets: Ints  # (N + 1,)
     law: ErrorLaw = "radial"
     """Law of the raw error: `radial` (the norm is |N(0, sigma)|), `isotropic` (N(0, sigma) per
-    axis) or `fixed_direction` (as `radial`, on one line through the truth along a track)."""
+    axis) or `fixed_direction` (as `radial`, on one line through the truth along a
+    track)."""
 
-    walk: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64), metadata=TRACK)
+    walk: Ints = field(
+        default_factory=lambda: np.empty(0, dtype=np.int64), metadata=TRACK
+    )
     """(N,) opaque numbers: equal for releases of one walk in one session; by default all differ."""
 
     def __post_init__(self) -> None:
@@ -191,9 +222,13 @@ class Release:
 
     t: Floats = field(metadata=_SAMPLE)  # (M,) s, strictly increasing within a track.
     xy: Floats = field(metadata=_SAMPLE)  # (M, 2) m, shared position.
-    sigma: Floats | None = field(metadata=_SAMPLE)  # (M,) m, std declared; None without SIGMA.
+    sigma: Floats | None = field(
+        metadata=_SAMPLE
+    )  # (M,) m, std declared; None without SIGMA.
     offsets: Ints  # (N + 1,)
-    pseudonym: tuple[str, ...] = field(metadata=TRACK)  # (N,) opaque, fresh for every release.
+    pseudonym: tuple[str, ...] = field(
+        metadata=TRACK
+    )  # (N,) opaque, fresh for every release.
 
     def __post_init__(self) -> None:
         _check_batch(self)
@@ -224,7 +259,9 @@ class Prediction:
     """Predicted positions of N tracks on a grid of H future times."""
 
     mean: Floats  # (N, H, 2) m
-    cov: Floats | None = None  # (N, H, 2, 2) m^2, symmetric positive semidefinite; None without.
+    cov: Floats | None = (
+        None  # (N, H, 2, 2) m^2, symmetric positive semidefinite; None without.
+    )
 
     def __post_init__(self) -> None:
         _freeze(self, mean=("N", "H", 2))
@@ -239,7 +276,9 @@ class Reconstruction:
     """An adversary's estimate of where the N people of a release were, sample by sample."""
 
     xy: Floats  # (M, 2) m, in the frame of the release.
-    std: Floats | None = None  # (M,) m, standard deviation per axis that the attack claims, if any.
+    std: Floats | None = (
+        None  # (M,) m, standard deviation per axis that the attack claims, if any.
+    )
 
     def __post_init__(self) -> None:
         _freeze(self, xy=("M", 2))
@@ -257,7 +296,8 @@ _Container = TypeVar("_Container", bound="DataclassInstance")
 def derived(container: _Container, **changes: object) -> _Container:
     """Return a container with other values that are sound because those it had are.
 
-    As `dataclasses.replace`, but what was checked when the container was made is not again.
+    As `dataclasses.replace`, but what was checked when the container was made is not
+    again.
     """
     new: _Container = object.__new__(type(container))
     for item in fields(container):
@@ -279,7 +319,9 @@ def _check_batch(batch: _Batch) -> None:
             is_planar = item.name in {"xy", "unit_error"}
             _freeze(batch, **{item.name: (n_samples, 2) if is_planar else (n_samples,)})
         elif per == "track" and value is not None and len(value) != n_tracks:
-            raise ValueError(f"{item.name} must name {n_tracks} tracks, got {len(value)}")
+            raise ValueError(
+                f"{item.name} must name {n_tracks} tracks, got {len(value)}"
+            )
     check_times(batch.t, batch.offsets)
     largest = float(np.finfo(np.float64).max)
     if not within(batch.xy, -largest, largest):
@@ -293,7 +335,8 @@ def within(values: Floats, low: float, high: float) -> bool:
 
 
 def _check_estimate(xy: Floats, *, what: str) -> None:
-    # If the sum of the squares, which takes one pass, is not beyond the limit's, no coordinate is.
+    # If the sum of the squares, which takes one pass, is not beyond the limit's, no
+    # coordinate is.
     is_small = np.vdot(xy, xy) <= ESTIMATE_LIMIT_M**2
     if not is_small and not within(xy, -ESTIMATE_LIMIT_M, ESTIMATE_LIMIT_M):
         is_far = np.isfinite(xy).all()
@@ -305,12 +348,15 @@ def _check_covariances(cov: Floats) -> None:
     """Check that (..., 2, 2) could be covariances: what rounding does to them is let pass."""
     limit_m2 = ESTIMATE_LIMIT_M**2
     if not within(cov, -limit_m2, limit_m2):
-        raise ValueError(f"a predicted covariance is not finite or beyond {limit_m2:g} m^2")
+        raise ValueError(
+            f"a predicted covariance is not finite or beyond {limit_m2:g} m^2"
+        )
     xx, xy, yx, yy = cov[..., 0, 0], cov[..., 0, 1], cov[..., 1, 0], cov[..., 1, 1]
     largest = np.maximum(np.abs(xx), np.abs(yy))
     if not (np.abs(xy - yx) <= _ROUNDING * largest).all():
         raise ValueError("a predicted covariance is not symmetric")
-    # No eigenvalue of a symmetric 2 x 2 matrix is negative if neither diagonal nor determinant is.
+    # No eigenvalue of a symmetric 2 x 2 matrix is negative if neither diagonal nor
+    # determinant is.
     is_sound = np.minimum(xx, yy) >= -_ROUNDING * largest
     is_sound &= xx * yy - xy * yx >= -_ROUNDING * largest**2
     if not is_sound.all():
@@ -318,17 +364,24 @@ def _check_covariances(cov: Floats) -> None:
 
 
 def _freeze(
-    container: object, kind: type[np.generic] = np.float64, /, **shapes: Sequence[int | str]
+    container: object,
+    kind: type[np.generic] = np.float64,
+    /,
+    **shapes: Sequence[int | str],
 ) -> None:
     """Make fields read-only arrays of one kind of numbers; a letter in a shape is any length."""
     for name, shape in shapes.items():
         given = getattr(container, name)
         if np.ma.isMaskedArray(given) or np.iscomplexobj(given):
             wrong = "complex" if np.iscomplexobj(given) else "masked"
-            raise ValueError(f"{name} must hold real numbers, all of them, got a {wrong} array")
+            raise ValueError(
+                f"{name} must hold real numbers, all of them, got a {wrong} array"
+            )
         array = np.asarray(given)
         if array.ndim != len(shape):
-            raise ValueError(f"{name} must have {len(shape)} dimension(s), got shape {array.shape}")
+            raise ValueError(
+                f"{name} must have {len(shape)} dimension(s), got shape {array.shape}"
+            )
         for want, got in zip(shape, array.shape, strict=True):
             if want != got and not isinstance(want, str):
                 wanted = str(tuple(shape)).replace("'", "")
@@ -344,13 +397,16 @@ _Scalar = TypeVar("_Scalar", bound=np.generic)
 def read_only(array: NDArray[_Scalar]) -> NDArray[_Scalar]:
     """Return the array as nobody can write to it."""
     if array.flags.writeable:
-        # A view, not a copy: a copy of every release would double the memory of a block.
+        # A view, not a copy: a copy of every release would double the memory of a
+        # block.
         array = array.view()
         array.flags.writeable = False
     return array
 
 
-Runs: TypeAlias = list[tuple[int, int]]  # Stretches of samples: from which on, and before which.
+Runs: TypeAlias = list[
+    tuple[int, int]
+]  # Stretches of samples: from which on, and before which.
 
 
 def stretches(first: Ints, sizes: Ints) -> tuple[Ints, Ints]:
@@ -369,7 +425,9 @@ def runs_of(offsets: Ints, rows: Ints) -> tuple[Runs, Ints]:
     sizes = np.diff(offsets)[rows]
     ends = np.flatnonzero(np.diff(rows, append=-2) != 1)
     starts = np.append(0, ends[:-1] + 1)[: ends.size]
-    runs = zip(offsets[rows[starts]].tolist(), offsets[rows[ends] + 1].tolist(), strict=True)
+    runs = zip(
+        offsets[rows[starts]].tolist(), offsets[rows[ends] + 1].tolist(), strict=True
+    )
     return list(runs), np.concatenate([[0], np.cumsum(sizes)])
 
 
@@ -383,7 +441,8 @@ def end_to_end(values: NDArray[_Scalar], runs: Runs) -> NDArray[_Scalar]:
 def squared_lengths(vectors: Floats) -> Floats:
     """Return the squared lengths (...,) of vectors of the plane, (..., 2).
 
-    Their root is a tenth of the work of np.hypot, whose guard against overflow nobody needs.
+    Their root is a tenth of the work of np.hypot, whose guard against overflow nobody
+    needs.
     """
     x, y = vectors[..., 0], vectors[..., 1]
     square: Floats = x * x

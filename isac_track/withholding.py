@@ -1,7 +1,8 @@
 """Mechanisms that withhold samples instead of adding an error: share what a robot needs.
 
-The GDPR asks for personal data to be limited to what is necessary, Art. 5(1)(c). A robot predicts
-from the last samples of a walk, so older ones need not leave the network.
+The GDPR asks for personal data to be limited to what is necessary, Art. 5(1)(c). A
+robot predicts from the last samples of a walk, so older ones need not leave the
+network.
 """
 
 from collections.abc import Mapping
@@ -19,9 +20,10 @@ from isac_track.types import Adding, Release, Sensed, positive
 class Window:
     """Share the last seconds of every track only, as `fixed` would.
 
-    A sample is shared if it is at most `seconds` older than the last one, which is shared in any
-    case. The error is drawn for all samples first, so that those shared lie where `fixed` puts
-    them. PLR, AEL and MEL describe the samples that are sent: they cannot see what is withheld.
+    A sample is shared if it is at most `seconds` older than the last one, which is
+    shared in any case. The error is drawn for all samples first, so that those shared
+    lie where `fixed` puts them. PLR, AEL and MEL describe the samples that are sent:
+    they cannot see what is withheld.
     """
 
     seconds: float  # s before the last sample of a track.

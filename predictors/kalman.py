@@ -1,7 +1,8 @@
 """Trackers for the robot: constant velocity, constant acceleration, and both moods of a walk.
 
-They filter the most recent shared samples and predict the whole horizon with a covariance. The
-noise is estimated from the innovations, since a robot is not told it, or taken as declared.
+They filter the most recent shared samples and predict the whole horizon with a
+covariance. The noise is estimated from the innovations, since a robot is not told it,
+or taken as declared.
 """
 
 from collections.abc import Callable
@@ -13,12 +14,26 @@ import numpy as np
 from isac_track.kalman import Batch, LastState, Moods, imm_last, kalman_last
 from isac_track.kalman.slow_errors import SlowError, added_error, filter_tracks
 from isac_track.noise import MIN_VARIANCE_M2, innovation_variance_m2
-from isac_track.types import ErrorLaw, Floats, Knowledge, Prediction, Release, end_to_end, positive
+from isac_track.types import (
+    ErrorLaw,
+    Floats,
+    Knowledge,
+    Prediction,
+    Release,
+    end_to_end,
+    positive,
+)
 
 GATE = 18.4  # Chi-square quantile of 0.9999 with two degrees of freedom.
 WINDOW = 160  # Samples; what came before no longer moves the prediction (tested).
-LEAST_REST = 0.05  # Share of what innovations show that is never put down to a slow error.
-_PRIOR_STD = (100.0, 10.0, 10.0)  # m around the first sample, m/s, m/s^2: more than any walk.
+LEAST_REST = (
+    0.05  # Share of what innovations show that is never put down to a slow error.
+)
+_PRIOR_STD = (
+    100.0,
+    10.0,
+    10.0,
+)  # m around the first sample, m/s, m/s^2: more than any walk.
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,16 +44,24 @@ class KalmanCV:
     gate: float = GATE
     window: int = WINDOW
     noise: Literal["estimated", "declared"] = "estimated"
-    law: ErrorLaw = "radial"  # Of declared noise: a radial one has sigma^2 / 2 per axis.
+    law: ErrorLaw = (
+        "radial"  # Of declared noise: a radial one has sigma^2 / 2 per axis.
+    )
     engine: Literal["kernels", "filterpy"] = "kernels"
     aware: bool = False  # Told by `knowing`, before a run, which mechanism shares.
-    added_std_m: float = 0.0  # Per axis, of the error that is added as far as the robot knows.
-    tau_s: float = 0.0  # Of its correlation; 0: white. Of a slow one the whole history counts.
+    added_std_m: float = (
+        0.0  # Per axis, of the error that is added as far as the robot knows.
+    )
+    tau_s: float = (
+        0.0  # Of its correlation; 0: white. Of a slow one the whole history counts.
+    )
 
     states: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
-        if type(self) is not KalmanCV and (self.aware or self.added_std_m or self.tau_s):
+        if type(self) is not KalmanCV and (
+            self.aware or self.added_std_m or self.tau_s
+        ):
             raise ValueError("only kalman_cv can be aware of a mechanism")
         SlowError(self.added_std_m, self.tau_s)
         positive("q", self.q)
@@ -58,15 +81,20 @@ class KalmanCV:
         if self.engine == "filterpy":
             from predictors import filterpy_engine  # noqa: PLC0415 - only where it runs
 
-            mean, cov = filterpy_engine.last_states(batch, q=self.q, gate=self.gate, error=error)
+            mean, cov = filterpy_engine.last_states(
+                batch, q=self.q, gate=self.gate, error=error
+            )
         else:
             last = self._last(batch)
             mean, cov = last.mean, last.cov
-        # Where somebody is, not where they are shared: the error, the last state, is left out.
+        # Where somebody is, not where they are shared: the error, the last state, is
+        # left out.
         mean, cov = mean[..., : self.states], cov[..., : self.states, : self.states]
         planar = np.einsum("ab,nde->nadbe", np.eye(2), cov)
         elapsed_s = t_future - release.t[release.offsets[1:] - 1, None]
-        return Prediction(*_ahead(mean, planar, q=np.array(self.q), elapsed_s=elapsed_s))
+        return Prediction(
+            *_ahead(mean, planar, q=np.array(self.q), elapsed_s=elapsed_s)
+        )
 
     def knowing(self, mechanism: object) -> Self:
         """Return the robot that knows what this mechanism adds; itself if it is not aware."""
@@ -94,7 +122,8 @@ class KalmanCV:
     def track(self) -> Callable[[Release], Floats] | None:
         """Where the robot took everybody to be at each sample, (M, 2) m: from no later one.
 
-        The noise is the estimate by then, and the whole history counts. None for other models.
+        The noise is the estimate by then, and the whole history counts. None for other
+        models.
         """
         return self._tracked if type(self) is KalmanCV else None
 
@@ -106,10 +135,15 @@ class KalmanCV:
     def batch(self, release: Release, *, is_causal: bool = False) -> Batch:
         """Return the last `window` samples of every track, or all that it has, for the filters.
 
-        The clock of each track is 0 at its last sample, so that late clocks lose no precision. If
-        it `is_causal`, all samples, each with what was known of the noise by then.
+        The clock of each track is 0 at its last sample, so that late clocks lose no
+        precision. If it `is_causal`, all samples, each with what was known of the noise
+        by then.
         """
-        last, sizes, error = release.offsets[1:], np.diff(release.offsets), self._slow_error
+        last, sizes, error = (
+            release.offsets[1:],
+            np.diff(release.offsets),
+            self._slow_error,
+        )
         if error is None and not is_causal:
             sizes = np.minimum(sizes, self.window)
         runs = list(zip((last - sizes).tolist(), last.tolist(), strict=True))
@@ -121,9 +155,13 @@ class KalmanCV:
             assert release.sigma is not None  # the release was granted with it
             share = 0.5 if self.law == "radial" else 1.0
             variance = end_to_end(release.sigma, runs) ** 2 - slow_m2
-            variance = np.maximum(variance * share, 1e-12 if error is None else MIN_VARIANCE_M2)
+            variance = np.maximum(
+                variance * share, 1e-12 if error is None else MIN_VARIANCE_M2
+            )
         else:
-            level = innovation_variance_m2(t=t, xy=xy, offsets=offsets, running=is_causal)
+            level = innovation_variance_m2(
+                t=t, xy=xy, offsets=offsets, running=is_causal
+            )
             if error is None:  # no less than what is added
                 level = np.maximum(level, self.added_std_m**2)
             else:  # a little of it looks like noise
@@ -147,7 +185,8 @@ class KalmanIMM(KalmanCV):
 
     q: float = 0.001  # m^2/s^3 while walking on, from ``python -m benchmarks.tune``
     q_turn: float = 0.12  # m^2/s^3 while stopping or turning, likewise
-    # Mean times of either; set, not tuned: the likelihood would make modes of whole tracks.
+    # Mean times of either; set, not tuned: the likelihood would make modes of whole
+    # tracks.
     walk_s: float = 4.0
     turn_s: float = 1.5
 
@@ -170,7 +209,9 @@ class KalmanIMM(KalmanCV):
         if self.engine == "filterpy":
             from predictors import filterpy_engine  # noqa: PLC0415 - only where it runs
 
-            mean, cov, probability = filterpy_engine.last_modes(batch, self.moods, gate=self.gate)
+            mean, cov, probability = filterpy_engine.last_modes(
+                batch, self.moods, gate=self.gate
+            )
         else:
             last = imm_last(batch, self.moods, gate=self.gate)
             mean, cov, probability = last.mean, last.cov, last.probability
@@ -190,10 +231,13 @@ class KalmanIMM(KalmanCV):
         return imm_last(self.batch(release), self.moods, gate=self.gate).log_likelihood
 
 
-def _ahead(mean: Floats, cov: Floats, *, q: Floats, elapsed_s: Floats) -> tuple[Floats, Floats]:
+def _ahead(
+    mean: Floats, cov: Floats, *, q: Floats, elapsed_s: Floats
+) -> tuple[Floats, Floats]:
     """Return the forecasts, (..., H), of states (..., 2, d) with covariance (..., 2, d, 2, d)."""
     d = mean.shape[-1]
-    # Taylor terms of the motion: position after tau is sum_k tau^k / k! times derivative k.
+    # Taylor terms of the motion: position after tau is sum_k tau^k / k! times
+    # derivative k.
     factorial, tau = np.array([1.0, 1.0, 2.0])[:d], elapsed_s[..., None]
     terms = mean / factorial
     position = terms[..., None, :, d - 1]

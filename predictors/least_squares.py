@@ -12,8 +12,8 @@ from isac_track.types import Floats, Knowledge, Prediction, Release
 class LeastSquares:
     """First-order polynomials in x and y over the last `window` samples.
 
-    Eqs. linear_fit, velocity_estimate and agent_prediction. A track with fewer samples uses
-    all it has; one with a single sample is predicted to stand still.
+    Eqs. linear_fit, velocity_estimate and agent_prediction. A track with fewer samples
+    uses all it has; one with a single sample is predicted to stand still.
     """
 
     window: int = 16  # q of the paper.
@@ -40,4 +40,6 @@ class LeastSquares:
         moment = (centred[..., None] * (xy - xy_mean)).sum(axis=1)
         velocity = np.zeros_like(moment)
         np.divide(moment, spread[:, None], out=velocity, where=spread[:, None] > 0)
-        return Prediction(xy_mean + (t_future - t_mean)[..., None] * velocity[:, None, :])
+        return Prediction(
+            xy_mean + (t_future - t_mean)[..., None] * velocity[:, None, :]
+        )

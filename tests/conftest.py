@@ -5,11 +5,13 @@ import gc
 import os
 import sys
 
-# Tests run side by side, and threads of BLAS that fight over the cores take twice their time.
+# Tests run side by side, and threads of BLAS that fight over the cores take twice their
+# time.
 for library in ("OPENBLAS", "MKL", "OMP"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
-# Bytecode that is not written is compiled again in each of the processes that tests start.
+# Bytecode that is not written is compiled again in each of the processes that tests
+# start.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
@@ -27,7 +29,15 @@ from isac_track.rng import stream
 
 pytest_plugins = ["pytester"]  # for tests that strangers run, in this process
 
-_LONGEST = ("plugin_values", "dask", "compare", "faults", "sensitivity", "execute", "tutorial")
+_LONGEST = (
+    "plugin_values",
+    "dask",
+    "compare",
+    "faults",
+    "sensitivity",
+    "execute",
+    "tutorial",
+)
 LONG = {f"test_{name}" for name in (*_LONGEST, "testing")}
 """Files of tests that take ten seconds and more."""
 
@@ -36,11 +46,13 @@ LONG = {f"test_{name}" for name in (*_LONGEST, "testing")}
 def pytest_cmdline_main(config):
     """Let the whole suite take two processes, where pytest-xdist is installed.
 
-    Files stay whole, since their tests share finished runs; what is asked for by name or with a
-    debugger runs here.
+    Files stay whole, since their tests share finished runs; what is asked for by name
+    or with a debugger runs here.
     """
     option = config.option
-    is_whole = config.args == config.getini("testpaths") and not config.getoption("usepdb")
+    is_whole = config.args == config.getini("testpaths") and not config.getoption(
+        "usepdb"
+    )
     # One of the two would start two of its own, and these again.
     is_one_of_them = "PYTEST_XDIST_WORKER" in os.environ
     if is_whole and not is_one_of_them and getattr(option, "numprocesses", 0) is None:
@@ -62,7 +74,8 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: item.path.stem not in LONG)
 
 
-# A shell that starts the tests in the background has them, and all that they start, ignore Ctrl-C.
+# A shell that starts the tests in the background has them, and all that they start,
+# ignore Ctrl-C.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -73,7 +86,9 @@ def made_up_tracks(*, n_tracks=12, duration_s=30.0, seed=0):
     parts = []
     for row in range(n_tracks):
         rng = stream(seed, "test", "track", row)
-        velocity = rng.normal(0, 0.6, 2) + 0.1 * rng.standard_normal((t.size, 2)).cumsum(axis=0)
+        velocity = rng.normal(0, 0.6, 2) + 0.1 * rng.standard_normal(
+            (t.size, 2)
+        ).cumsum(axis=0)
         parts.append(rng.uniform(-3, 3, 2) + 0.4 * velocity.cumsum(axis=0))
     return tracks_of(*parts)
 

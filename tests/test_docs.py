@@ -23,11 +23,16 @@ def test_links_lead_somewhere(path):
 
 
 @pytest.mark.usefixtures("undrawn", "one_process")
-def test_the_plugin_guide_runs_as_it_stands(tmp_path, monkeypatch, csv_recording, capsys):
+def test_the_plugin_guide_runs_as_it_stands(
+    tmp_path, monkeypatch, csv_recording, capsys
+):
     guide = (ROOT / "docs" / "plugins.md").read_text(encoding="utf-8")
-    for name, code in re.findall(r"```python\n# (\w+\.py)\n(.*?)```", guide, flags=re.DOTALL):
+    for name, code in re.findall(
+        r"```python\n# (\w+\.py)\n(.*?)```", guide, flags=re.DOTALL
+    ):
         (tmp_path / name).write_text(code, encoding="utf-8")
-    # Those that name a module of the guide itself: the others take a package of `attacks new`.
+    # Those that name a module of the guide itself: the others take a package of
+    # `attacks new`.
     every = re.findall(r"python -m evaluation\.matrix (.+)", guide)
     commands = [command for command in every if re.search(r"\w:[A-Z]", command)]
     assert len(commands) == 2
@@ -39,12 +44,16 @@ def test_the_plugin_guide_runs_as_it_stands(tmp_path, monkeypatch, csv_recording
         assert (tmp_path / f"run{number}" / "summary.csv").is_file()
     shown = capsys.readouterr().out
     assert "coarse:Coarse" in shown
-    assert "stand:Stand" in (tmp_path / "run1" / "tables.txt").read_text(encoding="utf-8")
+    assert "stand:Stand" in (tmp_path / "run1" / "tables.txt").read_text(
+        encoding="utf-8"
+    )
 
 
 def test_the_linker_of_the_guide_passes_the_kit(tmp_path, monkeypatch):
     guide = (ROOT / "docs" / "linkage.md").read_text(encoding="utf-8")
-    ((name, code),) = re.findall(r"```python\n# (\w+)\.py\n(.*?)```", guide, flags=re.DOTALL)
+    ((name, code),) = re.findall(
+        r"```python\n# (\w+)\.py\n(.*?)```", guide, flags=re.DOTALL
+    )
     (tmp_path / f"{name}.py").write_text(code, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
     attack = importlib.import_module(name).MyLinker()

@@ -31,7 +31,9 @@ SIDE_BY_SIDE = {"attacks": {"predictors"}}
 
 def layer_of(module):
     """The layer that a module belongs to: the longest name in ORDER that it starts with."""
-    fitting = [name for name in ORDER if module == name or module.startswith(f"{name}.")]
+    fitting = [
+        name for name in ORDER if module == name or module.startswith(f"{name}.")
+    ]
     return max(fitting, key=len, default=None)
 
 
@@ -44,7 +46,8 @@ def names_imported(source):
             found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, "imports are absolute"
-            # `from package import module` names a module, `from module import thing` does not.
+            # `from package import module` names a module, `from module import thing`
+            # does not.
             found += [f"{node.module}.{alias.name}" for alias in node.names]
     return found
 
@@ -77,7 +80,9 @@ def against_the_order(tree):
             its = layer_of(other)
             is_above = ORDER.index(its) < ORDER.index(mine)
             # The package itself only says where its four names are.
-            if (is_above or its in SIDE_BY_SIDE.get(mine, ())) and module != "evaluation":
+            if (
+                is_above or its in SIDE_BY_SIDE.get(mine, ())
+            ) and module != "evaluation":
                 wrong.append(f"{module} -> {other}")
     return sorted(set(wrong))
 
@@ -112,7 +117,9 @@ def test_no_module_imports_itself_by_a_detour(tree):
 
 def test_a_planted_fault_of_either_kind_is_found(tree):
     first = {"predictors.first": "def late():\n    from evaluation.runs import second"}
-    second = {"evaluation.runs.second": "if TYPE_CHECKING:\n    import predictors.first"}
+    second = {
+        "evaluation.runs.second": "if TYPE_CHECKING:\n    import predictors.first"
+    }
     planted = tree | first | second
     assert against_the_order(planted) == ["predictors.first -> evaluation.runs.second"]
     assert circle(planted) == {*first, *second}

@@ -41,7 +41,9 @@ def finished(tmp_path_factory):
     out = folder / "tutorial-run"
     verdict = json.loads((out / "verdict.json").read_text("utf-8"))
     summary = pd.read_csv(out / "summary.csv", keep_default_na=False)
-    return SimpleNamespace(out=out, said=said.getvalue(), verdict=verdict, summary=summary)
+    return SimpleNamespace(
+        out=out, said=said.getvalue(), verdict=verdict, summary=summary
+    )
 
 
 def value(finished, consumer, metric, mechanism, level):
@@ -73,7 +75,11 @@ def test_what_the_text_says_of_the_attack_is_so(finished):
     plr = [value(finished, one, "plr", *at) for one in ("shared", MINE, "kalman_rts")]
     assert plr[0] < plr[1] < plr[2]
     mine, smoother = (f"rerelease/shape@{one}" for one in (MINE, "kalman_rts"))
-    assert value(finished, mine, "rank1", *at) > value(finished, smoother, "rank1", *at) > 0.1
+    assert (
+        value(finished, mine, "rank1", *at)
+        > value(finished, smoother, "rank1", *at)
+        > 0.1
+    )
     # Moved as a whole, a walk is linked as if it had been shared raw.
     moved, raw = ("offset", "0.3"), ("raw", "")
     linked = value(finished, mine, "rank1", *moved)
@@ -90,29 +96,47 @@ def test_verdict_and_design_question_are_answered(finished):
     found = [one for one in verdict["items"] if one["section"] == "validity"]
     assert {one["decision"] for one in found} == {"not testable"}
     assert found[0]["sentence"] in " ".join(TEXT.split())
-    offset = [gap for one in found for gap in one["contrasts"] if gap["mechanism"] == "offset"]
-    assert all(gap["evidence"] == "construction" and gap["reading"] == "differs" for gap in offset)
+    offset = [
+        gap for one in found for gap in one["contrasts"] if gap["mechanism"] == "offset"
+    ]
+    assert all(
+        gap["evidence"] == "construction" and gap["reading"] == "differs"
+        for gap in offset
+    )
     assert offset[0]["effect"] == pytest.approx(0.13, abs=0.005)
-    answer = "straight line misses up to 88 % of future conflicts within 3 s (limit 45 %); about 75"
+    answer = (
+        "straight line misses up to 88 % of future conflicts within 3 s (limit 45 %);"
+        " about 75"
+    )
     assert all(answer in " ".join(text.split()) for text in (said, TEXT))
     assert said.rstrip().endswith("exit code: 1")
 
 
 def test_the_text_shows_the_files_as_they_are():
-    ((name, shown),) = re.findall(r"```python\n# (\w+\.py)\n(.*?)```", TEXT, flags=re.DOTALL)
+    ((name, shown),) = re.findall(
+        r"```python\n# (\w+\.py)\n(.*?)```", TEXT, flags=re.DOTALL
+    )
     assert (EXAMPLE / name).read_text("utf-8").endswith(shown)
-    cells = re.findall(r"^# %% (\d)\.", (EXAMPLE / "tutorial.py").read_text("utf-8"), re.MULTILINE)
+    cells = re.findall(
+        r"^# %% (\d)\.", (EXAMPLE / "tutorial.py").read_text("utf-8"), re.MULTILINE
+    )
     assert re.findall(r"^## (\d)\.", TEXT, re.MULTILINE) == cells
 
 
 def test_the_numbers_of_the_text_are_those_of_the_run(finished):
     row = r"^\| (raw|fixed 1 m|offset 0\.3 m) \| (0\.[^|]+\|[^|]+\|[^|]+) \|$"
     rows = dict(re.findall(row, TEXT, re.MULTILINE))
-    places = {"raw": ("raw", ""), "fixed 1 m": ("fixed", "1.0"), "offset 0.3 m": ("offset", "0.3")}
+    places = {
+        "raw": ("raw", ""),
+        "fixed 1 m": ("fixed", "1.0"),
+        "offset 0.3 m": ("offset", "0.3"),
+    }
     assert rows.keys() == places.keys()
     for name, at in places.items():
         shown = [float(one) for one in rows[name].split("|")]
-        plr = [value(finished, one, "plr", *at) for one in ("shared", MINE, "kalman_rts")]
+        plr = [
+            value(finished, one, "plr", *at) for one in ("shared", MINE, "kalman_rts")
+        ]
         assert shown == pytest.approx(plr, abs=6e-4)
     text = " ".join(TEXT.split())
     assert [one for one in finished.verdict["answer"] if one not in text] == []

@@ -13,7 +13,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.finished_runs import emptied, everything, make_run, make_summary, with_links
+from helpers.finished_runs import (
+    emptied,
+    everything,
+    make_run,
+    make_summary,
+    with_links,
+)
 from helpers.summaries import BAD, GOOD, RAW, SHIFTED, changed, write_run
 
 from evaluation.reporting.answers import answers
@@ -27,7 +33,8 @@ PAGES: tuple[str, ...] = ("README.md",)
 MOST_WORDS = 25
 MOST_LINES, MOST_COLUMNS = 120, 100
 AVOIDED = re.compile(
-    r"\b(one|ones|who|whom|whoever|found|told|kept|alike|gone|somebody|nobody|what is left)\b",
+    r"\b(one|ones|who|whom|whoever|found|told|kept|alike|gone|somebody|nobody|what is"
+    r" left)\b",
     re.IGNORECASE,
 )
 COMMANDS = {
@@ -53,7 +60,15 @@ RUNS = {
 QUESTIONS = {
     "usual": {},
     "missed": {"limits": {"missed": 0.21, "plr": 0.5}},
-    "all": {"limits": {"missed": 0.1, "false_alarm": 0.05, "plr": 0.1, "ael": 0.5, "rank1": 0.1}},
+    "all": {
+        "limits": {
+            "missed": 0.1,
+            "false_alarm": 0.05,
+            "plr": 0.1,
+            "ael": 0.5,
+            "rank1": 0.1,
+        }
+    },
     "against": {"against": ("anchor", "insider")},
     "as sent": {"as_shared": True},
 }
@@ -72,7 +87,9 @@ def sentences(text):
 
 def n_words(sentence):
     """Words of a sentence; numbers, units, signs and options are none."""
-    return sum(bool(re.fullmatch(r"[(\"'\w]*[A-Za-z].*", word)) for word in sentence.split())
+    return sum(
+        bool(re.fullmatch(r"[(\"'\w]*[A-Za-z].*", word)) for word in sentence.split()
+    )
 
 
 def too_long(text):
@@ -117,8 +134,13 @@ class TestTheMeasure:
 
     def test_a_page_is_held_to_its_lines_columns_and_sentences(self):
         many, long = page_faults("word\n" * MOST_LINES + "word")
-        assert (many, long) == (f"{MOST_LINES + 1} lines", f"long: {'word ' * MOST_LINES}word")
-        assert page_faults("`" + "c" * MOST_COLUMNS + "`") == [f"wide: `{'c' * MOST_COLUMNS}`"]
+        assert (many, long) == (
+            f"{MOST_LINES + 1} lines",
+            f"long: {'word ' * MOST_LINES}word",
+        )
+        assert page_faults("`" + "c" * MOST_COLUMNS + "`") == [
+            f"wide: `{'c' * MOST_COLUMNS}`"
+        ]
         code = f"```\n{'word ' * 19}word\n```\n| {'cell ' * 15}|\nShort."
         assert page_faults(code) == []
 
@@ -141,7 +163,9 @@ def test_the_answers_have_short_sentences(name):
 
 @pytest.mark.parametrize("name", QUESTIONS)
 def test_design_answers_in_short_sentences(name, tmp_path):
-    broken = changed(GOOD, level=0.5, missed=0.3, plr=0.2, beyond={"repeats": 0.6, "anchor": 0.4})
+    broken = changed(
+        GOOD, level=0.5, missed=0.3, plr=0.2, beyond={"repeats": 0.6, "anchor": 0.4}
+    )
     for levels in ((RAW, GOOD, broken, BAD), (RAW, BAD, SHIFTED)):
         out = write_run(tmp_path / str(len(levels)), levels)
         question = Question(adding=("independent",), **QUESTIONS[name])

@@ -1,8 +1,8 @@
 """What it tells that nothing was sent: the adversary knows routes, times and the policy.
 
 Had the same person walked from the end of one piece to the start of another, the policy
-would have sent her at some queries in between. It did not. Each such query speaks against
-the link.
+would have sent her at some queries in between. It did not. Each such query speaks
+against the link.
 """
 
 import numpy as np
@@ -17,7 +17,13 @@ from isac_track.types import Floats, Ints, Prediction, stretches
 
 
 def contradictions(
-    pieces: Pieces, links: Links, *, patrol: Patrol, policy: Policy, robots: Ints, seed: int
+    pieces: Pieces,
+    links: Links,
+    *,
+    patrol: Patrol,
+    policy: Policy,
+    robots: Ints,
+    seed: int,
 ) -> Floats:
     """Return at how many queries within its gap each link should have been sent, (C,).
 
@@ -31,7 +37,9 @@ def contradictions(
     number, _ = stretches(first, sizes)
     link = np.repeat(np.arange(links.before.size), sizes)
     left = pieces.end.mean[links.before, :, 0]
-    velocity = (pieces.start.mean[links.after, :, 0] - left) / (right_s - left_s)[:, None]
+    velocity = (pieces.start.mean[links.after, :, 0] - left) / (right_s - left_s)[
+        :, None
+    ]
     place = left[link] + (query_s[number] - left_s[link])[:, None] * velocity[link]
     order = np.argsort(number, kind="stable")
     count = np.zeros(links.before.size)
@@ -53,7 +61,13 @@ def contradictions(
 
 
 def _hypothetical_query(
-    patrol: Patrol, number: int, robot: int, *, xy: Floats, velocity_mps: Floats, seed: int
+    patrol: Patrol,
+    number: int,
+    robot: int,
+    *,
+    xy: Floats,
+    velocity_mps: Floats,
+    seed: int,
 ) -> Query:
     """Return the query at which P supposed people would be present, a sample each."""
     now = int(patrol.query_scan[number])

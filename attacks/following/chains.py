@@ -1,15 +1,18 @@
 """Chains: pieces joined one to the next, each at most once, as probable as can be.
 
-Every piece has at most one successor and at most one predecessor. Among all such sets of
-links the assignment takes the one of largest product of odds against *she does not come back*
-(Jonker and Volgenant's algorithm on the sparse graph of candidates).
+Every piece has at most one successor and at most one predecessor. Among all such sets
+of links the assignment takes the one of largest product of odds against *she does not
+come back* (Jonker and Volgenant's algorithm on the sparse graph of candidates).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components, min_weight_full_bipartite_matching
+from scipy.sparse.csgraph import (
+    connected_components,
+    min_weight_full_bipartite_matching,
+)
 
 from attacks.following.links import Links, learn_weights, probabilities, true_links
 from attacks.following.pieces import Pieces
@@ -28,7 +31,8 @@ def follow(pieces: Pieces, links: Links, *, is_first_half: Bools) -> Followed:
     """Return the chains of a log.
 
     Weights for the pieces of one half of the people are learnt on the other half:
-    `is_first_half`, (K,), says whose they are. People who walk together belong to one half.
+    `is_first_half`, (K,), says whose they are. People who walk together belong to one
+    half.
     """
     is_next = true_links(pieces, links)
     probability = np.zeros(links.before.size)
@@ -41,7 +45,9 @@ def follow(pieces: Pieces, links: Links, *, is_first_half: Bools) -> Followed:
 
 def join(links: Links, probability: Floats) -> Ints:
     """Return the chain of each piece, (K,), that probabilities of links, (C,), make."""
-    none = 1.0 - np.bincount(links.before, weights=probability, minlength=links.n_pieces)
+    none = 1.0 - np.bincount(
+        links.before, weights=probability, minlength=links.n_pieces
+    )
     with np.errstate(divide="ignore"):
         odds = np.log(probability) - np.log(np.maximum(none[links.before], 1e-300))
     chosen = _assigned(links, odds)
@@ -59,8 +65,9 @@ def _assigned(links: Links, odds: Floats) -> Ints:
     if not useful.size:
         return useful
     n_pieces = links.n_pieces
-    # Each piece may also go nowhere, in a column of its own. A constant on every link of a
-    # row moves all full matchings alike, and keeps explicit weights apart from no link.
+    # Each piece may also go nowhere, in a column of its own. A constant on every link
+    # of a row moves all full matchings alike, and keeps explicit weights apart from no
+    # link.
     most = float(odds[useful].max()) + 1.0
     rows = np.concatenate([links.before[useful], np.arange(n_pieces)])
     columns = np.concatenate([links.after[useful], n_pieces + np.arange(n_pieces)])

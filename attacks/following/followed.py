@@ -2,8 +2,8 @@
 
 References
 ----------
-Hoh, Gruteser, Xiong, Alrabady, "Preserving privacy in GPS traces via uncertainty-aware path
-cloaking", CCS 2007 (time to confusion). Kaplan, Meier, JASA 53, 1958.
+Hoh, Gruteser, Xiong, Alrabady, "Preserving privacy in GPS traces via uncertainty-aware
+path cloaking", CCS 2007 (time to confusion). Kaplan, Meier, JASA 53, 1958.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,12 @@ from typing import Final
 import numpy as np
 
 from attacks.following.logs import Ending, Following
-from isac_track.intervals import LEAST_CLUSTERS, Estimate, effective_clusters, estimate_of
+from isac_track.intervals import (
+    LEAST_CLUSTERS,
+    Estimate,
+    effective_clusters,
+    estimate_of,
+)
 from isac_track.patrol_intervals import (
     FEWEST_ROUTES,
     cluster_numbers,
@@ -70,7 +75,9 @@ def following_metrics(
     )
     is_confused = (following.ending == Ending.CONFUSED).ravel()
     metrics["time_to_confusion_s"] = _weighted_statistic(
-        lambda weights: restricted_mean_s(following.until_s.ravel(), is_confused, weights),
+        lambda weights: restricted_mean_s(
+            following.until_s.ravel(), is_confused, weights
+        ),
         counted=seen.astype(np.float64),
         cluster=cluster,
         seed=seed,
@@ -86,14 +93,19 @@ def _weighted_statistic(
     `counted`, (N, F), weighs people and fleets before anything is drawn.
     """
     sizes = sum_clusters(counted, cluster)
-    people, routes = two_way_weights(n_clusters=len(sizes), n_routes=sizes.shape[1], seed=seed)
+    people, routes = two_way_weights(
+        n_clusters=len(sizes), n_routes=sizes.shape[1], seed=seed
+    )
     values = []
     for first in range(0, len(people), _AT_A_TIME):
         rows = slice(first, first + _AT_A_TIME)
         drawn = people[rows][:, cluster, None] * routes[rows][:, None, :] * counted
         values.append(statistic(drawn.reshape(len(drawn), -1)))
     drawn = np.concatenate(values)
-    effective, n = effective_clusters(sizes.sum(axis=1)), int((sizes.sum(axis=1) > 0).sum())
+    effective, n = (
+        effective_clusters(sizes.sum(axis=1)),
+        int((sizes.sum(axis=1) > 0).sum()),
+    )
     if (sizes.sum(axis=0) > 0).sum() < FEWEST_ROUTES or effective < LEAST_CLUSTERS:
         return Estimate(float(drawn[0]), n=n, replicates=drawn[1:], effective=effective)
     return estimate_of(drawn, n=n, effective=effective)
@@ -108,21 +120,29 @@ def _weighted_quantile(values: Floats, weights: Floats) -> Floats:
     return np.asarray(values[order][(share >= _QUANTILE).argmax(axis=1)])
 
 
-def restricted_mean_s(until_s: Floats, is_event: Floats | Ints, weights: Floats) -> Floats:
+def restricted_mean_s(
+    until_s: Floats, is_event: Floats | Ints, weights: Floats
+) -> Floats:
     """Return the mean time to an event, up to `LONGEST_S`, under each row of weights, (B,) s.
 
     It is the area under Kaplan and Meier's curve; times without an event, (K,), are
     censored. NaN where nothing weighs anything.
     """
-    order = np.lexsort((~np.asarray(is_event, dtype=bool), until_s))  # Events before censoring.
+    order = np.lexsort(
+        (~np.asarray(is_event, dtype=bool), until_s)
+    )  # Events before censoring.
     times, events = until_s[order], np.asarray(is_event, dtype=np.float64)[order]
     drawn = weights[:, order]
     at_risk = np.cumsum(drawn[:, ::-1], axis=1)[:, ::-1]
     with np.errstate(invalid="ignore", divide="ignore"):
-        survival = np.cumprod(np.where(at_risk > 0.0, 1.0 - drawn * events / at_risk, 1.0), axis=1)
+        survival = np.cumprod(
+            np.where(at_risk > 0.0, 1.0 - drawn * events / at_risk, 1.0), axis=1
+        )
     before = np.column_stack([np.ones(len(drawn)), survival])
     ends = np.minimum(np.append(times, LONGEST_S), LONGEST_S)
     length = np.diff(ends, prepend=0.0)
-    length[-1] = max(LONGEST_S - float(np.minimum(times.max(initial=0.0), LONGEST_S)), 0.0)
+    length[-1] = max(
+        LONGEST_S - float(np.minimum(times.max(initial=0.0), LONGEST_S)), 0.0
+    )
     area = before @ length
     return np.where(drawn.sum(axis=1) > 0.0, area, np.nan)

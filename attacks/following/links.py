@@ -1,16 +1,16 @@
 """How likely one piece of a log goes on as another: candidates, evidence, probabilities.
 
-The evidence of a pair is the log density of the later piece's first state under the earlier
-piece's last one, moved on over the gap at constant velocity. It is Student's t with five
-degrees of freedom: people turn and stop more than white noise does. A conditional logit over
-all later pieces, and over *she does not come back*, turns evidence into probabilities. Its
-few weights are learnt from other people.
+The evidence of a pair is the log density of the later piece's first state under the
+earlier piece's last one, moved on over the gap at constant velocity. It is Student's t
+with five degrees of freedom: people turn and stop more than white noise does. A
+conditional logit over all later pieces, and over *she does not come back*, turns
+evidence into probabilities. Its few weights are learnt from other people.
 
 References
 ----------
-Gruteser, Hoh, "On the anonymity of periodic location samples", SPC 2005 (multi-target tracking
-as an attack on pseudonyms). McFadden, "Conditional logit analysis of qualitative choice
-behavior", 1974.
+Gruteser, Hoh, "On the anonymity of periodic location samples", SPC 2005 (multi-target
+tracking as an attack on pseudonyms). McFadden, "Conditional logit analysis of
+qualitative choice behavior", 1974.
 """
 
 from dataclasses import dataclass, replace
@@ -25,7 +25,9 @@ from isac_track.types import Bools, Floats, Ints, stretches
 LONGEST_GAP_S: Final = 30.0  # Nobody's last state tells anything for longer.
 MOST_CANDIDATES: Final = 50  # Of a piece: the likeliest ones, of thousands.
 _TAIL: Final = 5.0  # Degrees of freedom.
-_RIDGE: Final = 1e-3  # Keeps weights finite where training pieces are told apart without error.
+_RIDGE: Final = (
+    1e-3  # Keeps weights finite where training pieces are told apart without error.
+)
 _APART_S: Final = 1e-6
 _AT_A_TIME: Final = 500  # Pieces whose candidates are held in memory at once.
 _LARGEST: Final = 500.0  # Exponent: a surer link than that is sure.
@@ -37,12 +39,16 @@ class Links:
 
     before: Ints  # (C,) number of the earlier piece, rising.
     after: Ints  # (C,) number of the later piece.
-    features: Floats  # (C, F): log density, 1, log gap, and what else is known of the gap.
+    features: (
+        Floats  # (C, F): log density, 1, log gap, and what else is known of the gap.
+    )
     n_pieces: int
 
     def __getitem__(self, rows: Bools) -> "Links":
         """Return some of the candidates."""
-        return Links(self.before[rows], self.after[rows], self.features[rows], self.n_pieces)
+        return Links(
+            self.before[rows], self.after[rows], self.features[rows], self.n_pieces
+        )
 
     def with_feature(self, values: Floats) -> "Links":
         """Return the same candidates with a further feature, (C,)."""
@@ -54,12 +60,14 @@ def candidate_links(pieces: Pieces, *, begins: Ints | None = None) -> Links:
 
     Of each earlier piece the `MOST_CANDIDATES` of largest density.
 
-    `begins`, (K,), says whose first state stands at the start of each piece: their own ones
-    by default, others in the shuffled control.
+    `begins`, (K,), says whose first state stands at the start of each piece: their own
+    ones by default, others in the shuffled control.
     """
     n_pieces = len(pieces)
     begins = np.arange(n_pieces) if begins is None else begins
-    nothing = Links(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), n_pieces)
+    nothing = Links(
+        np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), n_pieces
+    )
     parts = [nothing]
     for first in range(0, n_pieces, _AT_A_TIME):
         earlier = np.arange(first, min(first + _AT_A_TIME, n_pieces))
@@ -89,7 +97,9 @@ def _likeliest_links(pieces: Pieces, earlier: Ints, begins: Ints) -> Links:
     return Links(before[likeliest], after[likeliest], features[likeliest], len(pieces))
 
 
-def _log_density(pieces: Pieces, before: Ints, after: Ints, begins: Ints) -> tuple[Floats, Floats]:
+def _log_density(
+    pieces: Pieces, before: Ints, after: Ints, begins: Ints
+) -> tuple[Floats, Floats]:
     """Return the log density of each pair up to a constant, and its gap in s, (C,) both."""
     gap_s = pieces.start.t[after] - pieces.end.t[before]
     mean, cov = pieces.end.mean[before], pieces.end.cov[before]
@@ -113,7 +123,9 @@ def _log_density(pieces: Pieces, before: Ints, after: Ints, begins: Ints) -> tup
         + position[:, None] * off[..., 1] ** 2
     ).sum(axis=1) / determinant
     dimensions = 4.0  # Position and velocity on two axes.
-    density = -0.5 * (_TAIL + dimensions) * np.log1p(square / _TAIL) - np.log(determinant)
+    density = -0.5 * (_TAIL + dimensions) * np.log1p(square / _TAIL) - np.log(
+        determinant
+    )
     return np.asarray(density), np.asarray(gap_s)
 
 
@@ -125,7 +137,9 @@ def true_links(pieces: Pieces, links: Links) -> Bools:
 
 def next_pieces(pieces: Pieces) -> Ints:
     """Return the next piece of the same person, (K,); -1 for her last."""
-    order = np.argsort(pieces.person, kind="stable")  # Within a person in the order of starts.
+    order = np.argsort(
+        pieces.person, kind="stable"
+    )  # Within a person in the order of starts.
     following = np.full(len(pieces), -1)
     same = np.diff(pieces.person[order]) == 0
     following[order[:-1][same]] = order[1:][same]
@@ -173,7 +187,8 @@ def _softmax(value: Floats, before: Ints, n_pieces: int) -> tuple[Floats, Floats
 def probabilities(links: Links, weights: Floats) -> Floats:
     """Return the probability that each candidate is the next piece of its person, (C,).
 
-    What is left of 1 for an earlier piece is the probability that she does not come back.
+    What is left of 1 for an earlier piece is the probability that she does not come
+    back.
     """
     _, share = _softmax(links.features @ weights, links.before, links.n_pieces)
     return share
@@ -181,8 +196,12 @@ def probabilities(links: Links, weights: Floats) -> Floats:
 
 def entropy_bits(links: Links, probability: Floats) -> Floats:
     """Return the entropy over a piece's candidates and *none*, (K,) bits."""
-    none = 1.0 - np.bincount(links.before, weights=probability, minlength=links.n_pieces)
-    bits = np.bincount(links.before, weights=_surprise(probability), minlength=links.n_pieces)
+    none = 1.0 - np.bincount(
+        links.before, weights=probability, minlength=links.n_pieces
+    )
+    bits = np.bincount(
+        links.before, weights=_surprise(probability), minlength=links.n_pieces
+    )
     return np.asarray(bits + _surprise(np.clip(none, 0.0, 1.0)))
 
 

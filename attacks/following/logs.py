@@ -71,13 +71,16 @@ def follow_fleets(
 ) -> Following:
     """Return how long each fleet's log lets an adversary follow each person.
 
-    `estimator` states positions between the answers of a chain (`patrol_knowledge.ESTIMATORS`),
-    and `guesses`, (N, 2) m, those of people without a chain. With `knows_policy` the
-    adversary counts queries at which that policy would have sent a person and nothing was
-    sent. `shuffled` is the control: first states change places among all pieces.
+    `estimator` states positions between the answers of a chain
+    (`patrol_knowledge.ESTIMATORS`), and `guesses`, (N, 2) m, those of people without a
+    chain. With `knows_policy` the adversary counts queries at which that policy would
+    have sent a person and nothing was sent. `shuffled` is the control: first states
+    change places among all pieces.
     """
     patrol = network.patrol
-    by_log: dict[bytes, _FleetFollowing] = {}  # Of this call alone: fleets often hold equal logs.
+    by_log: dict[
+        bytes, _FleetFollowing
+    ] = {}  # Of this call alone: fleets often hold equal logs.
     fleets = []
     for fleet in range(patrol.n_fleets):
         robots = np.arange(patrol.robots_per_fleet) + fleet * patrol.robots_per_fleet
@@ -89,7 +92,12 @@ def follow_fleets(
             rng = stream(seed, "following", "shuffled")
             begins = rng.permutation(len(pieces)) if shuffled else None
             links, followed = _follow_log(
-                patrol, pieces, begins=begins, robots=robots, policy=knows_policy, seed=seed
+                patrol,
+                pieces,
+                begins=begins,
+                robots=robots,
+                policy=knows_policy,
+                seed=seed,
             )
             known = _known_by_chains(
                 network,
@@ -137,7 +145,9 @@ def _follow_log(
     if policy is None:
         return links, followed
     links = links[followed.probability >= _LEAST_PROBABILITY]
-    absent = contradictions(pieces, links, patrol=patrol, policy=policy, robots=robots, seed=seed)
+    absent = contradictions(
+        pieces, links, patrol=patrol, policy=policy, robots=robots, seed=seed
+    )
     links = links.with_feature(absent)
     return links, follow(pieces, links, is_first_half=half)
 
@@ -146,16 +156,22 @@ def _fleet_following(
     pieces: Pieces, links: Links, followed: Followed, known: Ints
 ) -> _FleetFollowing:
     ceiling_s, followed_s = _pure_chains(pieces, followed.chain, n_people=known.size)
-    until_s, ending = _until_confused(pieces, links, followed.probability, n_people=known.size)
+    until_s, ending = _until_confused(
+        pieces, links, followed.probability, n_people=known.size
+    )
     return _FleetFollowing(ceiling_s, followed_s, until_s, ending, known)
 
 
 def _first_half(group: tuple[str, ...]) -> Bools:
     """Return who belongs to the first half of the people, (N,), by a hash of the group."""
-    return np.array([sha256(name.encode()).digest()[0] % 2 == 0 for name in group], dtype=bool)
+    return np.array(
+        [sha256(name.encode()).digest()[0] % 2 == 0 for name in group], dtype=bool
+    )
 
 
-def _pure_chains(pieces: Pieces, chain: Ints, *, n_people: int) -> tuple[Floats, Floats]:
+def _pure_chains(
+    pieces: Pieces, chain: Ints, *, n_people: int
+) -> tuple[Floats, Floats]:
     """Return the time between first and last answer, of all and of one pure chain, (N,) s."""
     ceiling_s, followed_s = np.zeros(n_people), np.zeros(n_people)
     if not len(pieces):
@@ -220,25 +236,33 @@ def _known_by_chains(
 ) -> Ints:
     """Return the instants of each person at which a chain of hers states her place, (N,).
 
-    A chain belongs to the person who has most of its samples. Where she has several, the
-    nearest in time speaks.
+    A chain belongs to the person who has most of its samples. Where she has several,
+    the nearest in time speaks.
     """
     grid = network.patrol.grid
     stated = np.repeat(guesses, np.diff(grid.offsets), axis=0)
     if len(pieces):
         log = _chain_log(network, disclosure, pieces, followed.chain)
-        row, chain = _instants_of_chains(network.patrol, log, _owners(pieces, followed.chain))
+        row, chain = _instants_of_chains(
+            network.patrol, log, _owners(pieces, followed.chain)
+        )
         order = np.lexsort((row, chain))
         row, chain = row[order], chain[order]
         offsets = np.searchsorted(chain, np.arange(log.offsets.size))
         stated[row] = state_positions(
-            log, t=grid.t[row], offsets=offsets, estimator=estimator, otherwise=stated[row]
+            log,
+            t=grid.t[row],
+            offsets=offsets,
+            estimator=estimator,
+            otherwise=stated[row],
         )
     is_known = squared_lengths(stated - grid.xy) < epsilon_m**2
     return np.asarray(np.add.reduceat(is_known.astype(np.int64), grid.offsets[:-1]))
 
 
-def _chain_log(network: Network, disclosure: Disclosure, pieces: Pieces, chain: Ints) -> Log:
+def _chain_log(
+    network: Network, disclosure: Disclosure, pieces: Pieces, chain: Ints
+) -> Log:
     """Return the entries of each chain in turn."""
     sizes = np.diff(pieces.offsets)
     label = np.repeat(chain, sizes)
@@ -262,7 +286,9 @@ def _chain_log(network: Network, disclosure: Disclosure, pieces: Pieces, chain: 
 def _owners(pieces: Pieces, chain: Ints) -> Ints:
     """Return the person who has most samples of each chain; of equals the first in rows."""
     size = np.diff(pieces.offsets)
-    pairs, row = np.unique(np.stack([chain, pieces.person]), axis=1, return_inverse=True)
+    pairs, row = np.unique(
+        np.stack([chain, pieces.person]), axis=1, return_inverse=True
+    )
     total = np.bincount(row.ravel(), weights=size)
     order = np.lexsort((pairs[1], -total, pairs[0]))
     _, first = np.unique(pairs[0][order], return_index=True)

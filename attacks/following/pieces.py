@@ -1,8 +1,8 @@
 """Pieces of walks in a log: answers that repeat a sample are of one person.
 
-Pseudonyms are fresh in every answer. Errors are continuous, so no two people share a sample:
-an adversary joins two answers that repeat one without doubt. A window longer than the time
-between two queries therefore chains itself.
+Pseudonyms are fresh in every answer. Errors are continuous, so no two people share a
+sample: an adversary joins two answers that repeat one without doubt. A window longer
+than the time between two queries therefore chains itself.
 """
 
 from dataclasses import dataclass
@@ -49,11 +49,13 @@ class Pieces:
         return self.person.size
 
 
-def pieces_of_fleet(network: Network, disclosure: Disclosure, *, robots: Ints) -> Pieces:
+def pieces_of_fleet(
+    network: Network, disclosure: Disclosure, *, robots: Ints
+) -> Pieces:
     """Return the pieces that the log of some robots of a fleet holds.
 
-    A `flag` has none. A `state` is a piece of its own at the instant of its query: no later
-    state repeats it.
+    A `flag` has none. A `state` is a piece of its own at the instant of its query: no
+    later state repeats it.
     """
     ours = np.flatnonzero(np.isin(disclosure.robot, robots))
     if disclosure.form == "flag":
@@ -67,9 +69,17 @@ def pieces_of_fleet(network: Network, disclosure: Disclosure, *, robots: Ints) -
     order = np.lexsort((sample[begins], started_s))
     sizes = np.diff(np.append(begins, sample.size))
     rows, offsets = stretches(begins[order], sizes[order])
-    owner = np.searchsorted(network.patrol.people.offsets, sample[begins], side="right") - 1
+    owner = (
+        np.searchsorted(network.patrol.people.offsets, sample[begins], side="right") - 1
+    )
     start, final = _end_states(network, disclosure, sample[rows], offsets)
-    return Pieces(person=owner[order], sample=sample[rows], offsets=offsets, start=start, end=final)
+    return Pieces(
+        person=owner[order],
+        sample=sample[rows],
+        offsets=offsets,
+        start=start,
+        end=final,
+    )
 
 
 def _joined_runs(*, presence: Ints, first: Ints, end: Ints) -> Ints:
@@ -81,13 +91,16 @@ def _joined_runs(*, presence: Ints, first: Ints, end: Ints) -> Ints:
         return np.zeros(0, dtype=np.int64)
     by_start = np.lexsort((end, first))
     reached = np.maximum.accumulate(end[by_start])
-    # Samples of different people have different numbers: only one person's runs overlap.
+    # Samples of different people have different numbers: only one person's runs
+    # overlap.
     overlaps = first[by_start][1:] < reached[:-1]
     by_answer = np.argsort(presence, kind="stable")
     is_same = np.diff(presence[by_answer]) == 0
     left = np.concatenate([by_start[:-1][overlaps], by_answer[:-1][is_same]])
     right = np.concatenate([by_start[1:][overlaps], by_answer[1:][is_same]])
-    graph = coo_array((np.ones(left.size), (left, right)), shape=(first.size, first.size))
+    graph = coo_array(
+        (np.ones(left.size), (left, right)), shape=(first.size, first.size)
+    )
     _, label = connected_components(graph, directed=False)
     return np.asarray(label, dtype=np.int64)
 
@@ -110,12 +123,15 @@ def _end_states(
         return nothing, nothing
     variance = np.maximum(declared_variance(network), MIN_VARIANCE_M2)
     if disclosure.form == "state":
-        # The answer is the network's filter over all history that it shares of a person.
+        # The answer is the network's filter over all history that it shares of a
+        # person.
         begins = network.patrol.people.offsets[
             np.searchsorted(network.patrol.people.offsets, sample, side="right") - 1
         ]
         history, within = stretches(begins, sample + 1 - begins)
-        state = _last_states(release.t[history], release.xy[history], variance[history], within)
+        state = _last_states(
+            release.t[history], release.xy[history], variance[history], within
+        )
         return state, state
     t, xy, variance = release.t[sample], release.xy[sample], variance[sample]
     end = _last_states(t, xy, variance, offsets)

@@ -1,6 +1,7 @@
 """Compiled loops of the linkage attacks: what they do walk by walk or pair by pair.
 
-A pair's result does not hang on who else is there, but for the rounding of matrix products.
+A pair's result does not hang on who else is there, but for the rounding of matrix
+products.
 """
 
 from math import log, log1p
@@ -8,7 +9,15 @@ from typing import TypeAlias
 
 import numpy as np
 
-from isac_track.compiling import FLOAT, INT, compiled, part_of_loop, read, together, written
+from isac_track.compiling import (
+    FLOAT,
+    INT,
+    compiled,
+    part_of_loop,
+    read,
+    together,
+    written,
+)
 from isac_track.types import Floats, Ints
 
 _Three: TypeAlias = tuple[float, float, float]
@@ -44,8 +53,12 @@ def cell_means(
                 end_s = min(t[k + 1] - t[first], until_s) if k < last - 1 else until_s
                 # The line through two samples, in the middle of what lies in the cell.
                 share = ((at_s + end_s) / 2.0 - since_s) / (t[k + 1] - t[k])
-                x += (end_s - at_s) * (xy[k, 0] - xy[first, 0] + share * (xy[k + 1, 0] - xy[k, 0]))
-                y += (end_s - at_s) * (xy[k, 1] - xy[first, 1] + share * (xy[k + 1, 1] - xy[k, 1]))
+                x += (end_s - at_s) * (
+                    xy[k, 0] - xy[first, 0] + share * (xy[k + 1, 0] - xy[k, 0])
+                )
+                y += (end_s - at_s) * (
+                    xy[k, 1] - xy[first, 1] + share * (xy[k + 1, 1] - xy[k, 1])
+                )
                 at_s = end_s
             out[row, cell, 0], out[row, cell, 1] = x / width_s, y / width_s
 
@@ -73,8 +86,8 @@ def warp(
 ) -> None:
     """Fill `out` (P, G) with the least sums of squares under warping; see `dtw.warped_costs`.
 
-    Of (C, n, P) and (C, m, G) signals, with cells ``-reach - max(n - m, 0) <= j - i <= reach +
-    max(m - n, 0)`` and up to `loose` cells of either left out at either end.
+    Of (C, n, P) and (C, m, G) signals, with cells ``-reach - max(n - m, 0) <= j - i <=
+    reach + max(m - n, 0)`` and up to `loose` cells of either left out at either end.
     """
     channels, n, n_probe = probe.shape
     _, m, n_gallery = gallery.shape
@@ -112,7 +125,10 @@ def warp(
 def _projected(signals: Floats, start: int, basis: Floats) -> tuple[Floats, Floats]:
     """Project cells from `start` on of (C, K, N) signals on a basis (R, m): (C R, N), squares."""
     rank, m = basis.shape
-    parts, square = np.empty((len(signals) * rank, signals.shape[2])), np.zeros(signals.shape[2])
+    parts, square = (
+        np.empty((len(signals) * rank, signals.shape[2])),
+        np.zeros(signals.shape[2]),
+    )
     for c in range(len(signals)):
         np.dot(basis, signals[c, start : start + m], parts[c * rank : (c + 1) * rank])
     for part in parts:
@@ -129,12 +145,18 @@ def least_costs(
 
     `weight` is the factor of an overlap of 1 cell, 2 cells and so on.
     """
-    (probe, gallery), (basis, floors, weight), (reach, least, rotated) = sides, fits, lags
+    (probe, gallery), (basis, floors, weight), (reach, least, rotated) = (
+        sides,
+        fits,
+        lags,
+    )
     long_p, long_g, n_gallery = probe.shape[1], gallery.shape[1], gallery.shape[2]
     longest = min(long_p, long_g)
     gap = np.empty(n_gallery)
     out[:] = np.inf
-    for lag in range(-reach - max(long_g - long_p, 0), reach + max(long_p - long_g, 0) + 1):
+    for lag in range(
+        -reach - max(long_g - long_p, 0), reach + max(long_p - long_g, 0) + 1
+    ):
         start_p, start_g = max(lag, 0), max(-lag, 0)
         m = min(long_p - start_p, long_g - start_g)
         if m < min(least, longest):
@@ -150,7 +172,8 @@ def least_costs(
         for i in range(p_square.size):
             own, scale, dot, cross = p_square[i], weight[m - 1] / m, dots[i], crosses[i]
             if rotated:
-                # The modulus of a b*: the rotation that fits best, which no reflection can enter.
+                # The modulus of a b*: the rotation that fits best, which no reflection
+                # can enter.
                 for j in range(n_gallery):
                     modulus = np.sqrt(dot[j] * dot[j] + cross[j] * cross[j])
                     gap[j] = max(own + g_square[j] - 2.0 * modulus, 0.0) * scale
@@ -165,7 +188,13 @@ def least_costs(
 
 @compiled(read(1), read(3), read(3), FLOAT, _THREE, FLOAT, written(2))
 def continued(
-    until_s: Floats, mean: Floats, cov: Floats, q: float, gap: _Three, tail: float, out: Floats
+    until_s: Floats,
+    mean: Floats,
+    cov: Floats,
+    q: float,
+    gap: _Three,
+    tail: float,
+    out: Floats,
 ) -> None:
     """Fill `out` (P, G) with the log density of continuations; see `kinematic.continuations`.
 
@@ -193,4 +222,6 @@ def continued(
             drift = mean[i, axis, 1] + mean[other, axis, 1]
             square += (pace * off - 2.0 * both * drift) * off + place * drift * drift
         # Of four dimensions.
-        out[i, j] = -log(determinant) - (tail + 4.0) / 2.0 * log1p(square / determinant / tail)
+        out[i, j] = -log(determinant) - (tail + 4.0) / 2.0 * log1p(
+            square / determinant / tail
+        )

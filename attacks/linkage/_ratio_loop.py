@@ -13,11 +13,16 @@ from isac_track.types import Floats, Ints
 
 _NEAR = 64  # Gallery walks at a time: all that is made of them stays in the cache.
 _Walks: TypeAlias = tuple[Floats, Floats, Floats, Ints]
-_NOTHING = 64.0  # A lag less likely by this factor's exponential adds nothing to a double.
+_NOTHING = (
+    64.0  # A lag less likely by this factor's exponential adds nothing to a double.
+)
 _MIDDLE = exp(-0.5)
 _BESSEL = 3.75  # Where one approximation gives way to the other.
 _Told: TypeAlias = tuple[Floats, Floats, Floats]
-_WALKS, _TOLD = together(read(1), read(2), read(1), read(1, "int64")), together(*[read(3)] * 3)
+_WALKS, _TOLD = (
+    together(read(1), read(2), read(1), read(1, "int64")),
+    together(*[read(3)] * 3),
+)
 
 
 @compiled(_WALKS, read(2), written(4))
@@ -26,15 +31,22 @@ def tell(  # noqa: C901 - moments, a sample at a time
 ) -> None:
     """Fill `told` (L, N, K, K + 2) with what walks tell of their coefficients, at each of L lags.
 
-    That is their information, 1/m^2 per axis, and beside it the pull, 1/m: information times
-    coefficients. Of walks (times, positions, information of each sample, offsets), in L stretches
-    from their first samples on, with any shift left out.
+    That is their information, 1/m^2 per axis, and beside it the pull, 1/m: information
+    times coefficients. Of walks (times, positions, information of each sample,
+    offsets), in L stretches from their first samples on, with any shift left out.
     """
     t, xy, weight, offsets = walks
     rank = told.shape[2]
-    q, moments, sums = np.empty(rank + 1), np.empty((rank + 1, rank + 1)), np.empty((rank + 1, 2))
+    q, moments, sums = (
+        np.empty(rank + 1),
+        np.empty((rank + 1, rank + 1)),
+        np.empty((rank + 1, 2)),
+    )
     degree = np.arange(2.0, rank + 1.0)
-    slope, back = (2.0 * degree - 1.0) / degree, (degree - 1.0) / degree  # of Legendre's recursion
+    slope, back = (
+        (2.0 * degree - 1.0) / degree,
+        (degree - 1.0) / degree,
+    )  # of Legendre's recursion
     for at in range(len(segments_s)):
         start_s, end_s = segments_s[at]
         middle_s, half_s = (start_s + end_s) / 2.0, (end_s - start_s) / 2.0
@@ -58,7 +70,9 @@ def tell(  # noqa: C901 - moments, a sample at a time
             for a in range(rank):
                 share = moments[a + 1, 0] / total if total > 0.0 else 0.0
                 for axis in range(2):
-                    told[at, row, a, rank + axis] = sums[a + 1, axis] - share * sums[0, axis]
+                    told[at, row, a, rank + axis] = (
+                        sums[a + 1, axis] - share * sums[0, axis]
+                    )
                 for b in range(a + 1):
                     left = moments[a + 1, b + 1] - share * moments[b + 1, 0]
                     told[at, row, a, b] = told[at, row, b, a] = left
@@ -88,7 +102,12 @@ def _solve(rows: Floats) -> float:
 
 @compiled(read(4), read(3), read(2), written(3), written(3), written(3))
 def take_sides(
-    told: Floats, more_m2: Floats, prior: Floats, known: Floats, pull: Floats, alone: Floats
+    told: Floats,
+    more_m2: Floats,
+    prior: Floats,
+    known: Floats,
+    pull: Floats,
+    alone: Floats,
 ) -> None:
     """Fill what `ratios` takes of a side from what `tell` tells, its errors as large as they are.
 
@@ -120,7 +139,9 @@ def take_sides(
 
 
 @part_of_loop
-def _average_over_turns(turned: Floats, factor: Floats, exponent: Floats, n: int) -> None:
+def _average_over_turns(
+    turned: Floats, factor: Floats, exponent: Floats, n: int
+) -> None:
     """Multiply factor times e^exponent by I0(turned) (Abramowitz, Stegun, 9.8.1 and 2), n times."""
     for j in range(n):
         x = turned[j]
@@ -128,11 +149,15 @@ def _average_over_turns(turned: Floats, factor: Floats, exponent: Floats, n: int
         far = max(x, _BESSEL)
         y, z = (x / _BESSEL) ** 2, _BESSEL / far
         near = 0.0360768 + y * 0.0045813
-        near = 3.5156229 + y * (3.0899424 + y * (1.2067492 + y * (0.2659732 + y * near)))
+        near = 3.5156229 + y * (
+            3.0899424 + y * (1.2067492 + y * (0.2659732 + y * near))
+        )
         beyond = 0.00916281 + z * (
             -0.02057706 + z * (0.02635537 + z * (-0.01647633 + z * 0.00392377))
         )
-        beyond = 0.39894228 + z * (0.01328592 + z * (0.00225319 + z * (-0.00157565 + z * beyond)))
+        beyond = 0.39894228 + z * (
+            0.01328592 + z * (0.00225319 + z * (-0.00157565 + z * beyond))
+        )
         factor[j] *= 1.0 + y * near if is_small else beyond / sqrt(far)
         exponent[j] += 0.0 if is_small else x
 
@@ -158,20 +183,25 @@ def ratios(  # noqa: C901, PLR0912, PLR0915 - an elimination of many pairs at a 
 ) -> None:
     """Fill `out` (P, G) with log likelihood ratios; see `likelihood_ratio.LikelihoodRatio`.
 
-    Of either side, at each lag: the lower triangle of the information (L, K (K + 1) / 2, N), the
-    pull (L, 2 K, N), and the log evidence of each walk alone (L, 1, N). `prior`, (L, K), is the
-    information of the walks' prior, `log_lag`, (L,), what else belongs to a lag.
+    Of either side, at each lag: the lower triangle of the information (L, K (K + 1) /
+    2, N), the pull (L, 2 K, N), and the log evidence of each walk alone (L, 1, N).
+    `prior`, (L, K), is the information of the walks' prior, `log_lag`, (L,), what else
+    belongs to a lag.
     """
     (p_known, p_pull, p_alone), (g_known, g_pull, g_alone) = probe, gallery
     n_lags, rank = prior.shape
-    # The lower triangle of M, and below it both pulls, in blocks of 2 x 2. When M is eliminated,
-    # what is left below are minus the products h* M^-1 h.
+    # The lower triangle of M, and below it both pulls, in blocks of 2 x 2. When M is
+    # eliminated, what is left below are minus the products h* M^-1 h.
     k = (rank + 1) // 2
     left = k * (k + 1) // 2 + k  # Of the blocks that are left, the first.
     blocks = np.zeros((left + k + 3, 4, _NEAR))
     if rank % 2:  # a row and a column of the unit matrix
         blocks[left - k - 1, 3] = 1.0
-    column, pivot, times = np.empty((k + 2, 4, _NEAR)), np.empty((3, _NEAR)), np.empty((4, _NEAR))
+    column, pivot, times = (
+        np.empty((k + 2, 4, _NEAR)),
+        np.empty((3, _NEAR)),
+        np.empty((4, _NEAR)),
+    )
     turned, factor, exponent = np.empty((3, _NEAR))
     best, total = np.empty((2, len(out), _NEAR))
     for begin in range(0, out.shape[1], _NEAR):
@@ -182,7 +212,9 @@ def ratios(  # noqa: C901, PLR0912, PLR0915 - an elimination of many pairs at a 
                 for b in range(a + 1):
                     entry = a * (a + 1) // 2 + b
                     mine = p_known[at, entry, i] + (prior[at, a] if a == b else 0.0)
-                    to = blocks[(a // 2) * (a // 2 + 1) // 2 + b // 2, a % 2 * 2 + b % 2]
+                    to = blocks[
+                        (a // 2) * (a // 2 + 1) // 2 + b // 2, a % 2 * 2 + b % 2
+                    ]
                     for j in range(n):
                         to[j] = mine + g_known[at, entry, begin + j]
                 for axis in range(2):
@@ -206,7 +238,9 @@ def ratios(  # noqa: C901, PLR0912, PLR0915 - an elimination of many pairs at a 
                     for row in (0, 2):
                         for j in range(n):
                             below[row, j] = own[row, j]
-                            below[row + 1, j] = own[row + 1, j] - pivot[2, j] * own[row, j]
+                            below[row + 1, j] = (
+                                own[row + 1, j] - pivot[2, j] * own[row, j]
+                            )
                             times[row, j] = pivot[0, j] * below[row, j]
                             times[row + 1, j] = pivot[1, j] * below[row + 1, j]
                     for b in range(c + 1, a + 1):
@@ -229,7 +263,11 @@ def ratios(  # noqa: C901, PLR0912, PLR0915 - an elimination of many pairs at a 
             for j in range(n):
                 more = exponent[j] - most[j]
                 less = _fading(abs(more))
-                sums[j] = sums[j] * less + factor[j] if more > 0.0 else sums[j] + factor[j] * less
+                sums[j] = (
+                    sums[j] * less + factor[j]
+                    if more > 0.0
+                    else sums[j] + factor[j] * less
+                )
                 most[j] = max(most[j], exponent[j])
         for i in range(len(out)):
             for j in range(n):

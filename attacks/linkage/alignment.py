@@ -14,28 +14,33 @@ from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 from isac_track.types import Floats, Knowledge, Release
 
 _RANK = 8  # Polynomials of a profile.
-_TAUGHT_BY = 80  # Mated pairs to learn from: three widths on all would cost more than the attack.
+# Mated pairs to learn from: three widths on all would cost more than the attack.
+_TAUGHT_BY = 80
 
 
 @dataclass(frozen=True, slots=True)
 class Shape:
     """Least mean squared distance of two paths over shift, rotation and lag; no reflection.
 
-    For every lag, that of the overlapping stretches a and b (complex, less their means, projected
-    on polynomials of degree up to `rank`: beyond is little but noise) after the rotation that fits
-    best is d = (|a|^2 + |b|^2 - 2 |a b*|) / m with m the cells of the overlap. The score is -log of
-    the least ``(d + floor) (L / m)^3`` over the lags, L the cells of 12 s.
+    For every lag, that of the overlapping stretches a and b (complex, less their means,
+    projected on polynomials of degree up to `rank`: beyond is little but noise) after
+    the rotation that fits best is d = (|a|^2 + |b|^2 - 2 |a b*|) / m with m the cells
+    of the overlap. The score is -log of the least ``(d + floor) (L / m)^3`` over the
+    lags, L the cells of 12 s.
 
-    The logarithm is that of a Gaussian likelihood maximised over the unknown noise, which differs
-    between tracks a hundredfold. Without the floor short pairs that happen to fit would win.
+    The logarithm is that of a Gaussian likelihood maximised over the unknown noise,
+    which differs between tracks a hundredfold. Without the floor short pairs that
+    happen to fit would win.
 
     References
     ----------
-    Dryden, Mardia, *Statistical Shape Analysis*, 2016, ch. 4 and 8 (complex arithmetic for
-    rotation without reflection).
+    Dryden, Mardia, *Statistical Shape Analysis*, 2016, ch. 4 and 8 (complex arithmetic
+    for rotation without reflection).
     """
 
-    floor_m2: float | None = None  # None: learnt from the training set, or `DEFAULT_FLOOR_M2`.
+    floor_m2: float | None = (
+        None  # None: learnt from the training set, or `DEFAULT_FLOOR_M2`.
+    )
     rank: int = 5
     """More tell more of a walk that is shared almost as it is, and hold more of the noise."""
     reach_s: float = 6.0  # s, greatest lag.
@@ -52,7 +57,9 @@ class Shape:
 
     def fit(self, context: AttackContext) -> Linker:
         """Return what scores walks like those in the training set."""
-        floors = tried(self.floor_m2, (self.DEFAULT_FLOOR_M2, 1e-4, 1e-3, 3e-3, 3e-2, 1e-1))
+        floors = tried(
+            self.floor_m2, (self.DEFAULT_FLOOR_M2, 1e-4, 1e-3, 3e-3, 3e-2, 1e-1)
+        )
 
         def scores(train: LinkageTrainingSet) -> Callable[[float], Floats]:
             found = _shapes(train.probe, train.gallery, self, floors)
@@ -66,7 +73,9 @@ def _shapes(
 ) -> Floats:
     """Return the score of every pair, (P, G), or (E, P, G) of several floors."""
     p, g, reach_s = on_grid(probe), on_grid(gallery), attack.reach_s
-    costs = aligned_costs(p, g, floors=floors, rank=attack.rank, reach_s=reach_s, rotated=True)
+    costs = aligned_costs(
+        p, g, floors=floors, rank=attack.rank, reach_s=reach_s, rotated=True
+    )
     return np.negative(np.log(costs, out=costs), out=costs)  # (E, P, G) may be large
 
 
@@ -74,13 +83,16 @@ def _shapes(
 class Profile:
     """Least mean squared distance of two profiles of speed and turning over all lags.
 
-    The profile is the speed in m/s and the signed turning rate in rad/s times `turn_m`, four
-    times a second, smoothed the more the noisier the track (`attacks.linkage.signals.widths_s`).
-    For every lag, d is the mean squared difference over the overlap of m cells, of its first eight
-    polynomials; the score is that of `Shape`.
+    The profile is the speed in m/s and the signed turning rate in rad/s times `turn_m`,
+    four times a second, smoothed the more the noisier the track
+    (`attacks.linkage.signals.widths_s`). For every lag, d is the mean squared
+    difference over the overlap of m cells, of its first eight polynomials; the score is
+    that of `Shape`.
     """
 
-    factor: float | None = None  # Of the widths; None: learnt from the training set, or 1.
+    factor: float | None = (
+        None  # Of the widths; None: learnt from the training set, or 1.
+    )
     turn_m: float = 1.0
     floor: float | None = None  # None: learnt, or `DEFAULT_FLOOR`.
     reach_s: float = 6.0  # s, greatest lag.
@@ -91,7 +103,12 @@ class Profile:
     DEFAULT_FLOOR: ClassVar[float] = 0.002
 
     def __post_init__(self) -> None:
-        positive(factor=self.factor, turn_m=self.turn_m, floor=self.floor, reach_s=self.reach_s)
+        positive(
+            factor=self.factor,
+            turn_m=self.turn_m,
+            floor=self.floor,
+            reach_s=self.reach_s,
+        )
 
     def fit(self, context: AttackContext) -> Linker:
         """Return what scores walks like those in the training set."""
@@ -99,8 +116,13 @@ class Profile:
         floors = tried(self.floor, (self.DEFAULT_FLOOR, 1e-4, 5e-4, 1e-2, 3e-2))
         pairs = list(product(widths, floors))
 
-        def scores(train: LinkageTrainingSet) -> Callable[[tuple[float, float]], Floats]:
-            each = [_profiles(train.probe, train.gallery, self, one, floors) for one in widths]
+        def scores(
+            train: LinkageTrainingSet,
+        ) -> Callable[[tuple[float, float]], Floats]:
+            each = [
+                _profiles(train.probe, train.gallery, self, one, floors)
+                for one in widths
+            ]
             return dict(zip(pairs, np.concatenate(each), strict=True)).__getitem__
 
         (best,) = learn(context, (pairs,), most=_TAUGHT_BY, scores=scores)
@@ -108,7 +130,11 @@ class Profile:
 
 
 def _profiles(
-    probe: Release, gallery: Release, attack: Profile, factor: float, floor: float | Sequence[float]
+    probe: Release,
+    gallery: Release,
+    attack: Profile,
+    factor: float,
+    floor: float | Sequence[float],
 ) -> Floats:
     p, g = (motion_of(one, factor, attack.turn_m) for one in (probe, gallery))
     costs = aligned_costs(p, g, floors=floor, rank=_RANK, reach_s=attack.reach_s)

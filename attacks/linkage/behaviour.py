@@ -42,17 +42,19 @@ simulated crowd, rounded; a blind adversary's metric."""
 class Behaviour:
     """Distance of two walks' features, in a metric that tells people apart.
 
-    Blind, each is divided by a fixed scale and the score is minus the squared distance. Informed,
-    the score is minus ``x' (W^-1 - T^-1) x`` of the difference x, with W its covariance over mated
-    pairs and T over strangers: the log likelihood ratio of two Gaussians, up to a constant. Both
-    are shrunk by `shrinkage` towards their diagonals, since some 90 pairs do not fill them; only
-    the positive part is kept, lest a distance should speak for a pair.
+    Blind, each is divided by a fixed scale and the score is minus the squared distance.
+    Informed, the score is minus ``x' (W^-1 - T^-1) x`` of the difference x, with W its
+    covariance over mated pairs and T over strangers: the log likelihood ratio of two
+    Gaussians, up to a constant. Both are shrunk by `shrinkage` towards their diagonals,
+    since some 90 pairs do not fill them; only the positive part is kept, lest a
+    distance should speak for a pair.
 
     References
     ----------
-    Koestinger, Hirzer, Wohlhart, Roth, Bischof, "Large scale metric learning from equivalence
-    constraints", CVPR 2012; Ledoit, Wolf, "A well-conditioned estimator for large-dimensional
-    covariance matrices", J. Multivariate Analysis 88, 2004 (for the shrinkage).
+    Koestinger, Hirzer, Wohlhart, Roth, Bischof, "Large scale metric learning from
+    equivalence constraints", CVPR 2012; Ledoit, Wolf, "A well-conditioned estimator for
+    large-dimensional covariance matrices", J. Multivariate Analysis 88, 2004 (for the
+    shrinkage).
     """
 
     shrinkage: float = 0.7
@@ -68,8 +70,12 @@ class Behaviour:
     def fit(self, context: AttackContext) -> Linker:
         """Return what scores walks like those in the training set."""
         if not teaches(context):
-            return partial(_score, metric=np.diag(1.0 / np.array(list(FEATURES.values())) ** 2))
-        return partial(_score, metric=learnt_metric(context.train, shrinkage=self.shrinkage))
+            return partial(
+                _score, metric=np.diag(1.0 / np.array(list(FEATURES.values())) ** 2)
+            )
+        return partial(
+            _score, metric=learnt_metric(context.train, shrinkage=self.shrinkage)
+        )
 
 
 def _score(probe: Release, gallery: Release, *, metric: Floats) -> Floats:
@@ -87,13 +93,17 @@ def learnt_metric(train: LinkageTrainingSet, *, shrinkage: float) -> Floats:
     everybody = np.concatenate([a, b])
     spread = np.maximum(everybody.std(axis=0), _LEAST_SCALE)
     apart = (everybody - everybody.mean(axis=0)) / spread
-    within, total = ((1.0 - shrinkage) * (x.T @ x / len(x)) for x in (between / scale, apart))
+    within, total = (
+        (1.0 - shrinkage) * (x.T @ x / len(x)) for x in (between / scale, apart)
+    )
     for moments in (within, total):  # shrunk as by `sklearn.covariance`
         # One in which hardly anybody varies counts as if it had the least scale.
         np.fill_diagonal(moments, 1.0)
     strangers = 2.0 * total * np.outer(spread / scale, spread / scale)
     value, vector = np.linalg.eigh(np.linalg.inv(within) - np.linalg.inv(strangers))
-    return np.asarray((vector * np.maximum(value, 0.0)) @ vector.T / np.outer(scale, scale))
+    return np.asarray(
+        (vector * np.maximum(value, 0.0)) @ vector.T / np.outer(scale, scale)
+    )
 
 
 @by_track()
@@ -111,7 +121,8 @@ def features(release: Release) -> Floats:
     in_order = np.sort(np.where(live, speed, np.inf), axis=1)
     rows = np.arange(count.size)
     slow, middle, fast = (
-        in_order[rows, ((count - 1) * share).astype(np.int64)] for share in (0.1, 0.5, 0.9)
+        in_order[rows, ((count - 1) * share).astype(np.int64)]
+        for share in (0.1, 0.5, 0.9)
     )
     steps = np.where(live[:, 1:], np.diff(speed, axis=1), 0.0) / STEP_S
     chord_m = walks.values[:, rows, count - 1] - walks.values[:, :, 0]
@@ -136,11 +147,13 @@ def features(release: Release) -> Floats:
 def sway(release: Release, walks: Signals) -> Floats:
     """Return the log power of lateral sway in each band, relative to `_SWAY_M2`, (N, 4).
 
-    Of the second difference of the positions across the heading: its periodogram is divided by the
-    gain of a second difference, and the error variance of a cell's mean is taken off. The logarithm
-    is shrunk to 0 where that variance is above `_SWAY_M2`.
+    Of the second difference of the positions across the heading: its periodogram is
+    divided by the gain of a second difference, and the error variance of a cell's mean
+    is taken off. The logarithm is shrunk to 0 where that variance is above `_SWAY_M2`.
     """
-    error_m2 = noise_m2(release) / np.maximum(np.diff(release.offsets) / walks.sizes, 1.0)
+    error_m2 = noise_m2(release) / np.maximum(
+        np.diff(release.offsets) / walks.sizes, 1.0
+    )
     power_m2 = np.zeros((walks.sizes.size, len(_BANDS_HZ)))
     for cells in np.unique(walks.sizes[walks.sizes >= _LEAST_CELLS]):
         rows = np.flatnonzero(walks.sizes == cells)

@@ -7,33 +7,47 @@ from typing import ClassVar
 import numpy as np
 
 from attacks.linkage.learning import learn, linker
-from attacks.linkage.signals import EXPONENT, FULL_CELLS, Signals, blocks, factors, loops, motion_of
+from attacks.linkage.signals import (
+    EXPONENT,
+    FULL_CELLS,
+    Signals,
+    blocks,
+    factors,
+    loops,
+    motion_of,
+)
 from attacks.parameters import positive, tried
 from isac_track.protocols import AttackContext, Linker
 from isac_track.types import Floats, Knowledge, Release
 
-_STRIDE = 2  # Cells between those compared: 2 Hz of signals that are smoothed over more than that.
-_TAUGHT_BY = 48  # Mated pairs to learn from: five candidates on all would cost too much.
+# Cells between those compared: 2 Hz of signals that are smoothed over more than that.
+_STRIDE = 2
+_TAUGHT_BY = (
+    48  # Mated pairs to learn from: five candidates on all would cost too much.
+)
 
 
 @dataclass(frozen=True, slots=True)
 class DTW:
     """Least squared distance of two profiles of speed and turning under warping of time.
 
-    The profiles, (speed in m/s, turning rate in rad/s times `turn_m`) twice a second, may be
-    warped within a Sakoe-Chiba band of `band` of the longer one, and as much left out at either end
-    (two releases do not start together). A step of warping costs `penalty` squared. The score is
-    ``-log((d^2 / m + floor) * (L / m)^3)`` of the distance d, m cells of the shorter and L of 12 s.
+    The profiles, (speed in m/s, turning rate in rad/s times `turn_m`) twice a second,
+    may be warped within a Sakoe-Chiba band of `band` of the longer one, and as much
+    left out at either end (two releases do not start together). A step of warping costs
+    `penalty` squared. The score is ``-log((d^2 / m + floor) * (L / m)^3)`` of the
+    distance d, m cells of the shorter and L of 12 s.
 
     References
     ----------
-    Sakoe, Chiba, "Dynamic programming algorithm optimization for spoken word recognition", IEEE
-    Trans. ASSP 26(1), 1978, 43-49; for several signals at once: Shokoohi-Yekta et al.,
-    "Generalizing DTW to the multi-dimensional case requires an adaptive approach", Data Mining
-    and Knowledge Discovery 31, 2017, 1-31.
+    Sakoe, Chiba, "Dynamic programming algorithm optimization for spoken word
+    recognition", IEEE Trans. ASSP 26(1), 1978, 43-49; for several signals at once:
+    Shokoohi-Yekta et al., "Generalizing DTW to the multi-dimensional case requires an
+    adaptive approach", Data Mining and Knowledge Discovery 31, 2017, 1-31.
     """
 
-    factor: float | None = None  # Of `signals.widths_s`; None: learnt from the training set, or 1.
+    factor: float | None = (
+        None  # Of `signals.widths_s`; None: learnt from the training set, or 1.
+    )
     turn_m: float = 1.0
     band: float = 0.15
     penalty: float | None = None  # None: learnt, or `DEFAULT_PENALTY`.
@@ -45,7 +59,12 @@ class DTW:
     DEFAULT_PENALTY: ClassVar[float] = 0.1
 
     def __post_init__(self) -> None:
-        positive(factor=self.factor, turn_m=self.turn_m, penalty=self.penalty, floor=self.floor)
+        positive(
+            factor=self.factor,
+            turn_m=self.turn_m,
+            penalty=self.penalty,
+            floor=self.floor,
+        )
         if not 0 <= self.band <= 1:
             raise ValueError(f"band must lie in [0, 1], got {self.band}")
 
@@ -61,7 +80,9 @@ class DTW:
         return linker(_score, self, *best)
 
 
-def _score(probe: Release, gallery: Release, attack: DTW, factor: float, penalty: float) -> Floats:
+def _score(
+    probe: Release, gallery: Release, attack: DTW, factor: float, penalty: float
+) -> Floats:
     p, g = (motion_of(one, factor, attack.turn_m) for one in (probe, gallery))
     costs = warped_costs(p, g, band=attack.band, penalty=penalty, floor=attack.floor)
     return np.asarray(-np.log(costs))

@@ -22,7 +22,11 @@ from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 from isac_track.types import Floats, Ints, Knowledge, Release, derived
 
 _MEMBERS = (LikelihoodRatio(), Behaviour(), Histogram())
-_SMOOTHED_MEMBERS = (Shape(), Profile(), DTW())  # Behind `radial_rts` they find far more.
+_SMOOTHED_MEMBERS = (
+    Shape(),
+    Profile(),
+    DTW(),
+)  # Behind `radial_rts` they find far more.
 _LEAST_M2 = 1e-4  # Of an error variance, whose logarithm is compared.
 _WEAKEST = 0.01  # Quantile of strangers' scores below which a score says no more.
 
@@ -31,16 +35,18 @@ _WEAKEST = 0.01  # Quantile of strangers' scores below which a score says no mor
 class Fusion:
     """Conditional logit of the scores of all other linkers and of what a pair has in common.
 
-    Scores of `likelihood_ratio`, `behaviour` and `histogram`, of `shape`, `profile` and `dtw`
-    behind `radial_rts`, and minus the squared differences of mean speed, log duration and log
-    error variance, scaled by what the training set holds, weighted (`conditional_logit`) and shrunk
-    towards `likelihood_ratio` alone. Learnt from is either half of the mates, scored by linkers
-    fitted on the other. All linkers are then fitted on everybody.
+    Scores of `likelihood_ratio`, `behaviour` and `histogram`, of `shape`, `profile` and
+    `dtw` behind `radial_rts`, and minus the squared differences of mean speed, log
+    duration and log error variance, scaled by what the training set holds, weighted
+    (`conditional_logit`) and shrunk towards `likelihood_ratio` alone. Learnt from is
+    either half of the mates, scored by linkers fitted on the other. All linkers are
+    then fitted on everybody.
 
     References
     ----------
-    McFadden, "Conditional logit analysis of qualitative choice behavior", in *Frontiers in
-    Econometrics*, 1974; Wolpert, "Stacked generalization", Neural Networks 5(2), 1992.
+    McFadden, "Conditional logit analysis of qualitative choice behavior", in *Frontiers
+    in Econometrics*, 1974; Wolpert, "Stacked generalization", Neural Networks 5(2),
+    1992.
     """
 
     ridge: float = 1.0
@@ -70,7 +76,9 @@ class Fusion:
         mates = [half.mate for half in halves]
         scaled = _scaler(found, mates)
         alone = np.eye(found[0].shape[2])[0]
-        weights = conditional_logit(list(map(scaled, found)), mates, prior=alone, ridge=self.ridge)
+        weights = conditional_logit(
+            list(map(scaled, found)), mates, prior=alone, ridge=self.ridge
+        )
         members = _fitted(context, train)
         return lambda p, g: np.asarray(scaled(_stacked(members, p, g)) @ weights)
 
@@ -81,7 +89,9 @@ def _fitted(context: AttackContext, train: LinkageTrainingSet) -> Sequence[Linke
     told = context.mechanism if Knowledge.MECHANISM in granted else None
     common = partial(AttackContext, rng=context.rng, epsilon_m=context.epsilon_m)
     knowing = partial(common, granted=granted, mechanism=told)
-    smooth = LinkageTrainingSet(_smoothed(train.probe), _smoothed(train.gallery), train.mate)
+    smooth = LinkageTrainingSet(
+        _smoothed(train.probe), _smoothed(train.gallery), train.mate
+    )
     behind = [one.fit(knowing(train=smooth)) for one in _SMOOTHED_MEMBERS]
     return [
         *(one.fit(knowing(train=train)) for one in _MEMBERS),
@@ -92,7 +102,9 @@ def _fitted(context: AttackContext, train: LinkageTrainingSet) -> Sequence[Linke
 @by_track(part)
 def _smoothed(release: Release) -> Release:
     """Return a release with the positions that `radial_rts` makes of it."""
-    blind = AttackContext(rng=np.random.default_rng(0), epsilon_m=0.3, granted=frozenset())
+    blind = AttackContext(
+        rng=np.random.default_rng(0), epsilon_m=0.3, granted=frozenset()
+    )
     return derived(release, xy=RadialRTS().fit(blind)(release).xy)
 
 
@@ -113,10 +125,14 @@ def _summary(release: Release) -> Floats:
     return np.column_stack([speed, np.log(lasts_s + 1.0), noise])
 
 
-def _scaler(found: Sequence[Floats], mates: Sequence[Ints]) -> Callable[[Floats], Floats]:
+def _scaler(
+    found: Sequence[Floats], mates: Sequence[Ints]
+) -> Callable[[Floats], Floats]:
     """Return what cuts scores off and divides all but the first by the spread of strangers'."""
     each = zip(found, mates, strict=True)
-    strangers = np.concatenate([x[mate[:, None] != np.arange(x.shape[1])] for x, mate in each])
+    strangers = np.concatenate(
+        [x[mate[:, None] != np.arange(x.shape[1])] for x, mate in each]
+    )
     least = np.quantile(strangers, _WEAKEST, axis=0)
     spread = np.maximum(strangers, least).std(axis=0)
     spread[0] = 1.0
@@ -129,9 +145,10 @@ def conditional_logit(
 ) -> Floats:
     """Return the weights of K features that make the mates most probable, (K,).
 
-    `found` are features of several galleries, (P, G, K) each, and `mates` (P,) the column of each
-    probe's mate in it. The log probability of the mates, softmax over the gallery, is maximised
-    less ``ridge / 2`` times the squared distance of the weights from `prior`.
+    `found` are features of several galleries, (P, G, K) each, and `mates` (P,) the
+    column of each probe's mate in it. The log probability of the mates, softmax over
+    the gallery, is maximised less ``ridge / 2`` times the squared distance of the
+    weights from `prior`.
     """
 
     def loss(weights: Floats) -> tuple[float, Floats]:
@@ -142,7 +159,11 @@ def conditional_logit(
             value = x @ weights
             log_p = value - logsumexp(value, axis=1, keepdims=True)
             lost -= float(log_p[rows, mate].sum())
-            slope = slope - x[rows, mate].sum(axis=0) + np.einsum("ij,ijk->k", np.exp(log_p), x)
+            slope = (
+                slope
+                - x[rows, mate].sum(axis=0)
+                + np.einsum("ij,ijk->k", np.exp(log_p), x)
+            )
         return lost, slope
 
     return np.asarray(minimize(loss, prior, jac=True, method="L-BFGS-B").x)

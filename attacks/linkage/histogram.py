@@ -15,8 +15,12 @@ from isac_track.protocols import AttackContext, Linker
 from isac_track.types import Floats, Ints, Knowledge, Release
 
 _FASTEST_M_S = 2.2
-_AT_ONCE = 2**20  # Pairs: of thousands of people all at once would take half a gigabyte.
-_TAUGHT_BY = 64  # Mated pairs to learn from: four candidates on all would cost too much.
+_AT_ONCE = (
+    2**20
+)  # Pairs: of thousands of people all at once would take half a gigabyte.
+_TAUGHT_BY = (
+    64  # Mated pairs to learn from: four candidates on all would cost too much.
+)
 _TURNS_RAD_S = np.array([-0.5, -0.2, 0.0, 0.2, 0.5])
 
 
@@ -24,24 +28,31 @@ _TURNS_RAD_S = np.array([-0.5, -0.2, 0.0, 0.2, 0.5])
 class Histogram:
     """Likelihood that two walks' speeds and turning rates are drawn from one distribution.
 
-    Every quarter of a second of a walk counts for a cell of speed and signed turning rate, split
-    among the four nearest centres. With counts a and b in the cells and f(x) = x log x, the score
-    is the generalised log likelihood ratio of "one multinomial" to "two":
+    Every quarter of a second of a walk counts for a cell of speed and signed turning
+    rate, split among the four nearest centres. With counts a and b in the cells and
+    f(x) = x log x, the score is the generalised log likelihood ratio of "one
+    multinomial" to "two":
 
-        sum_k [f(a_k + b_k) - f(a_k) - f(b_k)] - [f(A + B) - f(A) - f(B)],   A = sum a, B = sum b
+        sum_k [f(a_k + b_k) - f(a_k) - f(b_k)] - [f(A + B) - f(A) - f(B)],   A = sum a,
+        B = sum b
 
     It is 0 for equal shapes and negative otherwise. Order in time does not enter.
 
     References
     ----------
-    Naini, Unnikrishnan, Thiran, Vetterli, "Where you are is who you are: user identification by
-    matching statistics", IEEE Trans. Information Forensics and Security 11(2), 2016, 358-372;
-    Unnikrishnan, "Asymptotically optimal matching of multiple sequences to source distributions
-    and training sequences", IEEE Trans. Information Theory 61(1), 2015, 452-468.
+    Naini, Unnikrishnan, Thiran, Vetterli, "Where you are is who you are: user
+    identification by matching statistics", IEEE Trans. Information Forensics and
+    Security 11(2), 2016, 358-372; Unnikrishnan, "Asymptotically optimal matching of
+    multiple sequences to source distributions and training sequences", IEEE Trans.
+    Information Theory 61(1), 2015, 452-468.
     """
 
-    factor: float | None = None  # Of `signals.widths_s`; None: learnt from the training set, or 1.
-    speeds: int | None = None  # Centres from 0 to 2.2 m/s; None: learnt, or `DEFAULT_SPEEDS`.
+    factor: float | None = (
+        None  # Of `signals.widths_s`; None: learnt from the training set, or 1.
+    )
+    speeds: int | None = (
+        None  # Centres from 0 to 2.2 m/s; None: learnt, or `DEFAULT_SPEEDS`.
+    )
 
     kind: ClassVar[str] = "linkage"
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
@@ -57,7 +68,10 @@ class Histogram:
         """Return what scores walks like those in the training set."""
         factor, speeds = learn(
             context,
-            (factors(context, self.factor), tried(self.speeds, (self.DEFAULT_SPEEDS, 24))),
+            (
+                factors(context, self.factor),
+                tried(self.speeds, (self.DEFAULT_SPEEDS, 24)),
+            ),
             most=_TAUGHT_BY,
             scores=lambda train: partial(_score, train.probe, train.gallery),
         )

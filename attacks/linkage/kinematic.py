@@ -17,30 +17,37 @@ from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 from isac_track.types import Floats, Knowledge, Release, derived
 
 _PRIOR_STD = (100.0, 1.4)  # m around the first sample and m/s around rest: nobody runs.
-_TAIL = 5.0  # Degrees of freedom: people do turn and stop in a gap, more than white noise would.
+# Degrees of freedom: people do turn and stop in a gap, more than white noise would.
+_TAIL = 5.0
 _SLACK_S = 0.5
-_LONGEST_S = 60.0  # A longer gap counts as one of this length: nobody's state outlives it.
+_LONGEST_S = (
+    60.0  # A longer gap counts as one of this length: nobody's state outlives it.
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Kinematic:
     """Likelihood that a gallery walk starts in the state that a probe's has got to by then.
 
-    A constant-velocity filter runs along every probe and, back in time, along every gallery walk.
-    The score is the log density of the difference of the probe's last state, predicted across the
-    gap, from the gallery's first, under both covariances and the process noise of the gap:
-    Student's t with five degrees of freedom, whose tail is a gate that never closes. To it is added
-    the log likelihood ratio of the noise levels on both sides (`noise_levels.log_ratios`).
+    A constant-velocity filter runs along every probe and, back in time, along every
+    gallery walk. The score is the log density of the difference of the probe's last
+    state, predicted across the gap, from the gallery's first, under both covariances
+    and the process noise of the gap: Student's t with five degrees of freedom, whose
+    tail is a gate that never closes. To it is added the log likelihood ratio of the
+    noise levels on both sides (`noise_levels.log_ratios`).
 
     References
     ----------
-    Gruteser, Hoh, "On the anonymity of periodic location samples", SPC 2005 (multi-target tracking
-    as an attack on pseudonyms); Wiedersheim, Ma, Kargl, Papadimitratos, "Privacy in inter-vehicular
-    networks: why simple pseudonym change is not enough", WONS 2010. Bar-Shalom, Li, Kirubarajan,
-    *Estimation with Applications to Tracking and Navigation*, 2001, ch. 6.2.
+    Gruteser, Hoh, "On the anonymity of periodic location samples", SPC 2005
+    (multi-target tracking as an attack on pseudonyms); Wiedersheim, Ma, Kargl,
+    Papadimitratos, "Privacy in inter-vehicular networks: why simple pseudonym change is
+    not enough", WONS 2010. Bar-Shalom, Li, Kirubarajan, *Estimation with Applications
+    to Tracking and Navigation*, 2001, ch. 6.2.
     """
 
-    q: float | None = None  # m^2/s^3; None: learnt from the training set, or `DEFAULT_Q`.
+    q: float | None = (
+        None  # m^2/s^3; None: learnt from the training set, or `DEFAULT_Q`.
+    )
     floor_m2: float | None = None
     """Least error variance per axis: a smoother's errors are correlated and do not show in the
     innovations. None: learnt, or `DEFAULT_FLOOR_M2`."""
@@ -60,7 +67,8 @@ class Kinematic:
         positive(q=self.q, floor_m2=self.floor_m2)
         if not (self.noise_correlation is None or 0.0 <= self.noise_correlation < 1.0):
             raise ValueError(
-                f"noise_correlation must be from 0 to below 1, got {self.noise_correlation}"
+                "noise_correlation must be from 0 to below 1, got"
+                f" {self.noise_correlation}"
             )
 
     def fit(self, context: AttackContext) -> Linker:
@@ -71,12 +79,17 @@ class Kinematic:
         densities = tried(self.q, (self.DEFAULT_Q, 0.0125, 0.2))
         floors_m2 = tried(self.floor_m2, (self.DEFAULT_FLOOR_M2, 0.001, 0.1))
         scores = partial(_scores, model=model)
-        return linker(evidence, *learn(context, (densities, floors_m2), scores=scores), model)
+        return linker(
+            evidence, *learn(context, (densities, floors_m2), scores=scores), model
+        )
 
 
-def _scores(train: LinkageTrainingSet, *, model: NoiseModel) -> Callable[[float, float], Floats]:
+def _scores(
+    train: LinkageTrainingSet, *, model: NoiseModel
+) -> Callable[[float, float], Floats]:
     """Return what turns q and floor into the scores of a training set, (P, G)."""
-    # As releases of their own: several filters of everybody would cost more than they save.
+    # As releases of their own: several filters of everybody would cost more than they
+    # save.
     sides, gap_s = (derived(train.probe), derived(train.gallery)), rivals(train)
     noise = level_ratios(train.probe, train.gallery, model)
     return lambda q, floor_m2: continuations(*sides, q, floor_m2, gap_s=gap_s) + noise
@@ -84,7 +97,8 @@ def _scores(train: LinkageTrainingSet, *, model: NoiseModel) -> Callable[[float,
 
 def rivals(train: LinkageTrainingSet) -> tuple[float, float]:
     """Return the least and the longest gap, s, of pairs of a training set that may be mates."""
-    # Where pseudonyms rotated more than once only those compete whose gap is that of one rotation.
+    # Where pseudonyms rotated more than once only those compete whose gap is that of
+    # one rotation.
     rows = mated(train)
     begun_s = train.gallery.t[train.gallery.offsets[train.mate[rows]]]
     known_s = begun_s - train.probe.t[train.probe.offsets[rows + 1] - 1]
@@ -113,8 +127,8 @@ def continuations(
 ) -> Floats:
     """Return the log density of each gallery walk as the continuation of each probe, (P, G).
 
-    Up to a constant; `q` in m^2/s^3, `floor_m2` the least error variance per axis. There is no
-    density where the gap is not within `gap_s`.
+    Up to a constant; `q` in m^2/s^3, `floor_m2` the least error variance per axis.
+    There is no density where the gap is not within `gap_s`.
     """
     ends = _ends(probe, q, floor_m2, 1), _ends(gallery, q, floor_m2, -1)
     until_s, mean, cov = (np.concatenate(each) for each in zip(*ends, strict=True))
@@ -124,7 +138,9 @@ def continuations(
 
 
 @by_track(lambda ends, rows: tuple(one[rows] for one in ends))
-def _ends(release: Release, q: float, floor_m2: float, at: int) -> tuple[Floats, Floats, Floats]:
+def _ends(
+    release: Release, q: float, floor_m2: float, at: int
+) -> tuple[Floats, Floats, Floats]:
     """Return times and states, mean and covariance, at the ends of walks, or (-1) their starts."""
     t, xy, sizes = release.t, release.xy, np.diff(release.offsets)
     if at < 0:  # back in time, from its last sample to its first

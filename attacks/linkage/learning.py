@@ -11,8 +11,12 @@ from isac_track.linkability.ranks import standing
 from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 from isac_track.types import Floats, Ints, Knowledge, Release, read_only
 
-_MOST_PAIRS = 2**19  # Of which all scores are remembered, 4 MB for each linker and adversary.
-LEAST_MATES = 8  # Fewer mated pairs teach nothing that could be trusted: defaults are kept.
+_MOST_PAIRS = (
+    2**19
+)  # Of which all scores are remembered, 4 MB for each linker and adversary.
+LEAST_MATES = (
+    8  # Fewer mated pairs teach nothing that could be trusted: defaults are kept.
+)
 MARGIN = 0.02  # Of the mean log rank: with 90 pairs a smaller gain is as likely chance.
 
 
@@ -37,9 +41,11 @@ def _made(
 
 _scored = remembered(_made)
 
-# One of each half of the people, in the precision that all are rounded to in the end: all of a
-# level would not fit into memory.
-_scored_last = lru_cache(maxsize=2)(lambda *of: read_only(_made(*of).astype(np.float32)))
+# One of each half of the people, in the precision that all are rounded to in the end:
+# all of a level would not fit into memory.
+_scored_last = lru_cache(maxsize=2)(
+    lambda *of: read_only(_made(*of).astype(np.float32))
+)
 
 
 def mated(train: LinkageTrainingSet) -> Ints:
@@ -55,7 +61,9 @@ def among(train: LinkageTrainingSet, rows: Ints) -> LinkageTrainingSet:
 
 def teaches(context: AttackContext) -> bool:
     """Return whether there is a training set with `LEAST_MATES` mated pairs or more."""
-    return Knowledge.TRAIN in context.granted and mated(context.train).size >= LEAST_MATES
+    return (
+        Knowledge.TRAIN in context.granted and mated(context.train).size >= LEAST_MATES
+    )
 
 
 def learn(
@@ -67,10 +75,10 @@ def learn(
 ) -> tuple[Any, ...]:
     """Return a value for each of some parameters, chosen one after the other by `log_rank`.
 
-    Another value than the default, the first of a parameter's `options`, is taken if it gains
-    `MARGIN`; where the context teaches nothing, none is. `scores` goes from a training set to what
-    turns a value for each parameter into its scores, (P, G). Learnt from are at the `most` so many
-    mated pairs and nobody else.
+    Another value than the default, the first of a parameter's `options`, is taken if it
+    gains `MARGIN`; where the context teaches nothing, none is. `scores` goes from a
+    training set to what turns a value for each parameter into its scores, (P, G).
+    Learnt from are at the `most` so many mated pairs and nobody else.
     """
     best = tuple(values[0] for values in options)
     if not teaches(context) or all(len(values) == 1 for values in options):
@@ -85,7 +93,9 @@ def learn(
         return log_rank(score(*choice), mate=train.mate)
 
     for which, values in enumerate(options):
-        winner = min(((*best[:which], value, *best[which + 1 :]) for value in values), key=loss)
+        winner = min(
+            ((*best[:which], value, *best[which + 1 :]) for value in values), key=loss
+        )
         if loss(winner) < loss(best) - MARGIN:
             best = winner
     return best

@@ -28,30 +28,35 @@ _Slow: TypeAlias = tuple[float, float]  # As from `added_error`.
 class LikelihoodRatio:
     """ln p(y1, y2) - ln p(y1) - ln p(y2), over all rotations, shifts and lags.
 
-    A walk's overlap with another is a sum of Legendre polynomials p of degree 1 to `rank` (the mean
-    is a shift, which hidden frames leave open). The prior covariance S of their coefficients is
-    that of white acceleration of spectral density `q`; a release tells A = sum w p p' and
-    h = sum w p z over its samples z, w the information of each. With M = A1 + A2 + S^-1 the ratio
-    at one lag and rotation is Gaussian; averaged over rotations it is
+    A walk's overlap with another is a sum of Legendre polynomials p of degree 1 to
+    `rank` (the mean is a shift, which hidden frames leave open). The prior covariance S
+    of their coefficients is that of white acceleration of spectral density `q`; a
+    release tells A = sum w p p' and h = sum w p z over its samples z, w the information
+    of each. With M = A1 + A2 + S^-1 the ratio at one lag and rotation is Gaussian;
+    averaged over rotations it is
 
         ln I0(|h1* M^-1 h2|) + (h1* M^-1 h1 + h2* M^-1 h2) / 2 - ln |M| + ln |S|
             + sum over both of ln |A + S^-1| - h* (A + S^-1)^-1 h / 2
 
-    and the score is the log of its mean over lags, which weighs a lag by exp(-|lag| / `lag_s`). To
-    the error of every coefficient is added `floor_m2`, and what slow errors of a mechanism do to
-    it. Exact for Gaussian errors and independent Gaussian coefficients, at each lag by the overlap
-    alone (S leaves out that of white acceleration those two degrees apart are correlated); a pair
-    that shares no stretch of a walk is not told by it.
+    and the score is the log of its mean over lags, which weighs a lag by exp(-|lag| /
+    `lag_s`). To the error of every coefficient is added `floor_m2`, and what slow
+    errors of a mechanism do to it. Exact for Gaussian errors and independent Gaussian
+    coefficients, at each lag by the overlap alone (S leaves out that of white
+    acceleration those two degrees apart are correlated); a pair that shares no stretch
+    of a walk is not told by it.
 
     References
     ----------
-    Likelihood ratio of common origin: Bar-Shalom, Li, Kirubarajan, *Estimation with Applications
-    to Tracking and Navigation*, 2001, ch. 8.4 (track-to-track association). Marginalised rotation:
-    Mardia, Jupp, *Directional Statistics*, 2000, ch. 3.5.
+    Likelihood ratio of common origin: Bar-Shalom, Li, Kirubarajan, *Estimation with
+    Applications to Tracking and Navigation*, 2001, ch. 8.4 (track-to-track
+    association). Marginalised rotation: Mardia, Jupp, *Directional Statistics*, 2000,
+    ch. 3.5.
     """
 
     floor_m2: float = 1e-3
-    lag_s: float = 2.5  # Mean lag. Both were tried on 80 mated pairs of other people: no gain.
+    lag_s: float = (
+        2.5  # Mean lag. Both were tried on 80 mated pairs of other people: no gain.
+    )
     q: float = 0.04  # m^2/s^3
     rank: int = 6
     window_s: float = 12.0  # What comes later in a walk is left out.
@@ -72,8 +77,8 @@ class LikelihoodRatio:
             raise ValueError(f"rank must be 1 to 12, got {self.rank}")
         if self.reach_s > self.window_s - _LEAST_OVERLAP_S:
             raise ValueError(
-                f"reach_s must leave {_LEAST_OVERLAP_S:g} s of the window's {self.window_s:g} s, "
-                f"got {self.reach_s:g}"
+                f"reach_s must leave {_LEAST_OVERLAP_S:g} s of the window's"
+                f" {self.window_s:g} s, got {self.reach_s:g}"
             )
 
     def fit(self, context: AttackContext) -> Linker:
@@ -82,7 +87,8 @@ class LikelihoodRatio:
         std_m, tau_s = added_error(context.mechanism) if knows else (0.0, 0.0)
         # A constant error is a shift, a white one shows in the release.
         slow = (std_m, tau_s) if 0.0 < tau_s < np.inf else (0.0, 0.0)
-        # Of errors that are added linearly twice as many passes tell more, of others less.
+        # Of errors that are added linearly twice as many passes tell more, of others
+        # less.
         linear = knows and getattr(context.mechanism, "adding", "") == "linear"
         return linker(_ratios, self, slow, (1 + linear) * RadialRTS.USUAL_PASSES)
 
@@ -101,7 +107,11 @@ def _ratios(
         sides.append(tuple(one.take(among, axis=2) for one in side))
     score = np.empty((len(probe), len(gallery)))
     _loops().ratios(*sides, 1.0 / spread_m2, log_lag, score)
-    return soft_matches(score) if attack.one_to_one and len(probe) == len(gallery) else score
+    return (
+        soft_matches(score)
+        if attack.one_to_one and len(probe) == len(gallery)
+        else score
+    )
 
 
 def _lags_s(attack: LikelihoodRatio) -> Floats:
@@ -155,11 +165,14 @@ def _slow_share(duration_s: float, tau_s: float, rank: int) -> Floats:
 def prior_m2(*, duration_s: Floats, q: float, rank: int) -> Floats:
     """Return the variance per axis of Legendre coefficients 1 to `rank` of walks, (L, K) m^2.
 
-    Of walks that last (L,) s: degree 1 is the velocity, the others are what white acceleration of
-    spectral density `q`, m^2/s^3, makes of a walk, integrated twice by parts.
+    Of walks that last (L,) s: degree 1 is the velocity, the others are what white
+    acceleration of spectral density `q`, m^2/s^3, makes of a walk, integrated twice by
+    parts.
     """
     k = np.arange(2, rank + 1)
-    ends = 2.0 / ((2 * k + 5) * (2 * k + 3) ** 2) + 2.0 / ((2 * k - 3) * (2 * k - 1) ** 2)
+    ends = 2.0 / ((2 * k + 5) * (2 * k + 3) ** 2) + 2.0 / (
+        (2 * k - 3) * (2 * k - 1) ** 2
+    )
     bend = ends + 2.0 / (2 * k + 1) * (1.0 / (2 * k + 3) + 1.0 / (2 * k - 1)) ** 2
     velocity = (_SPEED_M_S * duration_s / 2.0) ** 2 / 2.0
     return np.column_stack([velocity, q * duration_s[:, None] ** 3 * bend / 32.0])

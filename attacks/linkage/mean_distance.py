@@ -18,13 +18,14 @@ _FARTHEST_M = 1e6  # As far as two walks count that were not there at the same t
 class MeanDistance:
     """Minus the mean distance of two walks, m, over the instants at which both were there.
 
-    Positions lie on the lines through the samples, at multiples of `step_s`. A pair that shares
-    fewer than `least_s` is as far apart as can be. Two logs of the same steps need no more.
+    Positions lie on the lines through the samples, at multiples of `step_s`. A pair
+    that shares fewer than `least_s` is as far apart as can be. Two logs of the same
+    steps need no more.
 
     References
     ----------
-    Nanni, Pedreschi, "Time-focused clustering of trajectories of moving objects", Journal of
-    Intelligent Information Systems 27(3), 2006.
+    Nanni, Pedreschi, "Time-focused clustering of trajectories of moving objects",
+    Journal of Intelligent Information Systems 27(3), 2006.
     """
 
     step_s: float = 0.25
@@ -44,7 +45,9 @@ class MeanDistance:
         return linker(_closeness, self.step_s, self.least_s)
 
 
-def _closeness(probe: Release, gallery: Release, step_s: float, least_s: float) -> Floats:
+def _closeness(
+    probe: Release, gallery: Release, step_s: float, least_s: float
+) -> Floats:
     """Return minus the mean distance of every pair, (P, G) m."""
     (tick, xy, offsets), other = _on_grid(probe, step_s), _on_grid(gallery, step_s)
     theirs, their_xy, their_offsets = other
@@ -56,7 +59,9 @@ def _closeness(probe: Release, gallery: Release, step_s: float, least_s: float) 
         if first == last:
             continue
         among = slice(*np.searchsorted(theirs, (tick[first], tick[last - 1] + 1)))
-        apart_m = np.hypot(*(their_xy[among] - xy[first + theirs[among] - tick[first]]).T)
+        apart_m = np.hypot(
+            *(their_xy[among] - xy[first + theirs[among] - tick[first]]).T
+        )
         shared = np.bincount(row[among], minlength=len(gallery))
         total_m = np.bincount(row[among], weights=apart_m, minlength=len(gallery))
         enough = shared * step_s >= least_s
@@ -71,6 +76,8 @@ def _on_grid(release: Release, step_s: float) -> tuple[Ints, Floats, Ints]:
         t, xy = release.t[first:last], release.xy[first:last]
         tick = np.arange(np.ceil(t[0] / step_s), np.floor(t[-1] / step_s) + 1.0)
         ticks.append(tick.astype(np.int64))
-        places.append(np.column_stack([np.interp(tick * step_s, t, axis) for axis in xy.T]))
+        places.append(
+            np.column_stack([np.interp(tick * step_s, t, axis) for axis in xy.T])
+        )
     offsets = np.cumsum([0, *map(len, ticks)])
     return np.concatenate(ticks), np.concatenate(places), offsets

@@ -1,8 +1,9 @@
 """How noisy positions are on both sides of a silence, as evidence that they are one person's.
 
-The channel of a person who walks on changes slowly: shadowing is correlated over some metres
-(Gudmundson, "Correlation model for shadow fading in mobile radio systems", Electron. Lett. 27,
-1991). Innovations of the shared positions tell its level to everybody.
+The channel of a person who walks on changes slowly: shadowing is correlated over some
+metres (Gudmundson, "Correlation model for shadow fading in mobile radio systems",
+Electron. Lett. 27, 1991). Innovations of the shared positions tell its level to
+everybody.
 """
 
 from dataclasses import dataclass
@@ -16,13 +17,19 @@ from isac_track.noise import scaled_innovations_m2
 from isac_track.protocols import LinkageTrainingSet
 from isac_track.types import Floats, Ints, Release
 
-_RECENT_S: Final = 2.0  # A sample counts by 1/e less for every so many seconds from the silence.
+_RECENT_S: Final = (
+    2.0  # A sample counts by 1/e less for every so many seconds from the silence.
+)
 _LONGEST_S: Final = 60.0  # An earlier sample counts as one of this age.
 _RELATIVE_VARIANCE: Final = 3.0
 """Variance of the log of a mean of n squared innovations, times n: neighbours share samples. It
 is 3 for radial errors and 1.9 for Gaussian ones (tested)."""
-_UNKNOWN: Final = 1e6  # Variance of the log level of a track that is too short to have one.
-_LEAST_M2: Final = 1e-4  # (1 cm)^2: below it innovations show how people accelerate, not noise.
+_UNKNOWN: Final = (
+    1e6  # Variance of the log level of a track that is too short to have one.
+)
+_LEAST_M2: Final = (
+    1e-4  # (1 cm)^2: below it innovations show how people accelerate, not noise.
+)
 _LEAST_VARIANCE: Final = 1e-2  # Of log levels over people.
 _CORRELATIONS: Final = tuple(step / 20.0 for step in range(20))
 
@@ -68,8 +75,9 @@ def log_ratios(probe: Release, gallery: Release, model: NoiseModel) -> Floats:
 def _log_ratios(square: Floats, measured: Floats, model: NoiseModel) -> Floats:
     """Return the log likelihood ratios of squared differences of two estimated log levels.
 
-    A difference is normal. Its variance is 2 s^2 (1 - c) for one person and 2 s^2 for two, with s^2
-    and c of the model; to both is added `measured`, the sum of the variances of the estimates.
+    A difference is normal. Its variance is 2 s^2 (1 - c) for one person and 2 s^2 for
+    two, with s^2 and c of the model; to both is added `measured`, the sum of the
+    variances of the estimates.
     """
     strangers = measured + 2.0 * model.variance
     person = strangers - 2.0 * model.variance * model.correlation
@@ -80,8 +88,9 @@ def _log_ratios(square: Floats, measured: Floats, model: NoiseModel) -> Floats:
 def fitted_model(train: LinkageTrainingSet) -> NoiseModel:
     """Return how levels vary over the people of a training set, and how far they persist.
 
-    The variance is that of all levels less what estimating them adds; the correlation makes the
-    differences of mates most probable. Without anybody whose level is known it is `ASSUMED`.
+    The variance is that of all levels less what estimating them adds; the correlation
+    makes the differences of mates most probable. Without anybody whose level is known
+    it is `ASSUMED`.
     """
     ends, starts = end_levels(train.probe, 1), end_levels(train.gallery, -1)
     log_m2, measured = (np.concatenate(each) for each in zip(ends, starts, strict=True))
@@ -100,8 +109,9 @@ def fitted_model(train: LinkageTrainingSet) -> NoiseModel:
 def end_levels(release: Release, at: int) -> NoiseLevels:
     """Return the noise levels at the ends of walks, or (-1) at their starts.
 
-    The mean of squared innovations of the positions as shared, the nearer to the silence the more
-    weight. A track of fewer than three samples has the variance `_UNKNOWN`.
+    The mean of squared innovations of the positions as shared, the nearer to the
+    silence the more weight. A track of fewer than three samples has the variance
+    `_UNKNOWN`.
     """
     return _levels(as_shared(release), at)
 
@@ -120,7 +130,8 @@ def _levels(shared: Release, at: int) -> NoiseLevels:
     age_s = np.minimum(np.abs(t[1:-1][within] - silence_s[track]), _LONGEST_S)
     weight = np.exp(-age_s / _RECENT_S)
     total, squares, both = (
-        np.bincount(track, each, n_tracks) for each in (weight, weight**2, weight * square_m2)
+        np.bincount(track, each, n_tracks)
+        for each in (weight, weight**2, weight * square_m2)
     )
     has = total > 0.0
     log_m2[has] = np.log(np.maximum(both[has] / total[has], _LEAST_M2))

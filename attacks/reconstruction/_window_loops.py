@@ -7,13 +7,16 @@ from isac_track.types import Floats, Ints
 
 
 @compiled(read(1), read(2), read(1, "int64"), read(1, "int64"), written(2))
-def centred_means(_: Floats, xy: Floats, offsets: Ints, half: Ints, out: Floats) -> None:
+def centred_means(
+    _: Floats, xy: Floats, offsets: Ints, half: Ints, out: Floats
+) -> None:
     """Fill `out` with the mean over up to `half` neighbours on each side, fewer near the ends."""
     total = np.zeros((np.diff(offsets).max() + 1 if half.size > 0 else 1, 2))
     for i in range(half.size):
         own, found = xy[offsets[i] : offsets[i + 1]], out[offsets[i] : offsets[i + 1]]
         last = len(own) - 1
-        # Sums of small numbers lose less: every track is summed up from its first position.
+        # Sums of small numbers lose less: every track is summed up from its first
+        # position.
         for k in range(len(own)):
             for axis in range(2):
                 total[k + 1, axis] = total[k, axis] + (own[k, axis] - own[0, axis])
@@ -35,11 +38,15 @@ def _to_grid(t: Floats, xy: Floats, step_s: float, grid: Floats) -> None:
             k += 1
         share = min((at - t[k]) / (t[k + 1] - t[k]), 1.0)
         for axis in range(2):
-            grid[axis, i] = xy[k, axis] - xy[0, axis] + share * (xy[k + 1, axis] - xy[k, axis])
+            grid[axis, i] = (
+                xy[k, axis] - xy[0, axis] + share * (xy[k + 1, axis] - xy[k, axis])
+            )
 
 
 @part_of_loop
-def _from_grid(t: Floats, grid: Floats, step_s: float, origin: Floats, out: Floats) -> None:
+def _from_grid(
+    t: Floats, grid: Floats, step_s: float, origin: Floats, out: Floats
+) -> None:
     """Interpolate back onto the samples' own instants."""
     last = t.size - 1
     for i in range(t.size):
@@ -47,24 +54,32 @@ def _from_grid(t: Floats, grid: Floats, step_s: float, origin: Floats, out: Floa
         k = min(int(place), last - 1)
         for axis in range(2):
             before = grid[axis, k]
-            out[i, axis] = origin[axis] + before + (place - k) * (grid[axis, k + 1] - before)
+            out[i, axis] = (
+                origin[axis] + before + (place - k) * (grid[axis, k + 1] - before)
+            )
 
 
 @part_of_loop
 def _slide(grid: Floats, half: int, fitted: Floats) -> None:
     """Fit a parabola to each window of 2 half + 1 values, from running moments.
 
-    With j counted from the middle of the window, s0, s1 and s2 are the sums of the values times
-    1, j and j^2. At either end the outermost window's parabola is carried on.
+    With j counted from the middle of the window, s0, s1 and s2 are the sums of the
+    values times 1, j and j^2. At either end the outermost window's parabola is carried
+    on.
     """
     n, m = grid.size, half
     count = 2.0 * m + 1.0
     j2 = m * (m + 1.0) * count / 3.0
     j4 = j2 * (3.0 * m * m + 3.0 * m - 1.0) / 5.0
-    over_spread, over_count, over_j2 = 1.0 / (j4 - j2 * j2 / count), 1.0 / count, 1.0 / j2
+    over_spread, over_count, over_j2 = (
+        1.0 / (j4 - j2 * j2 / count),
+        1.0 / count,
+        1.0 / j2,
+    )
     s0 = s1 = s2 = 0.0
     for middle in range(m, n - m):
-        # Summed up afresh once a window: what running sums lose grows with their square.
+        # Summed up afresh once a window: what running sums lose grows with their
+        # square.
         if (middle - m) % (2 * m + 1) == 0:
             s0 = s1 = s2 = 0.0
             for j in range(-m, m + 1):
@@ -90,7 +105,9 @@ def _slide(grid: Floats, half: int, fitted: Floats) -> None:
 
 
 @compiled(read(1), read(2), read(1, "int64"), read(1, "int64"), written(2))
-def fit_parabolas(t: Floats, xy: Floats, offsets: Ints, half: Ints, out: Floats) -> None:
+def fit_parabolas(
+    t: Floats, xy: Floats, offsets: Ints, half: Ints, out: Floats
+) -> None:
     """Smooth every track over windows of ``2 half + 1`` samples; with half 0 leave it as it is."""
     for i in range(offsets.size - 1):
         first, end = offsets[i], offsets[i + 1]

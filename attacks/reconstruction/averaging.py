@@ -26,7 +26,9 @@ class Identity:
 class Averaging:
     """Mean of all releases of a walk, each sample weighed by its declared variance if known."""
 
-    requires: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.REPEATS, Knowledge.SCENE})
+    requires: ClassVar[frozenset[Knowledge]] = frozenset(
+        {Knowledge.REPEATS, Knowledge.SCENE}
+    )
     """SCENE, too: releases in frames of their own cannot be laid upon each other."""
     uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.SIGMA})
 

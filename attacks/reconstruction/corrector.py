@@ -19,7 +19,8 @@ _EDGES_S = np.geomspace(0.05, 3.0, 6) * np.sqrt(1.01)
 """Of the stretches whose means are looked at, to either side of a sample. No clock of round steps
 has a sample just there, which rounding would let in or out."""
 _REACH_S = 0.503  # To either side: where a walk heads for, and how fast.
-_STILL_M = 1e-3  # Who moves no farther heads nowhere: the less they move, the less is corrected.
+# Who moves no farther heads nowhere: the less they move, the less is corrected.
+_STILL_M = 1e-3
 _LEAST_WALKS = 5
 _FOLDS = 3
 _one_thread = partial(threadpool_limits, limits=1, user_api="openmp")
@@ -33,16 +34,18 @@ _LEAST_GAIN = 1e-3  # Of `exposure_loss`.
 class Corrector:
     """A learnt correction on top of `RadialRTS`.
 
-    Boosted trees are taught on other people's walks, shared by the same mechanism, what to add
-    along and across, by what `_looked_at` sees around every sample. How many trees, and what share
-    of what they say, is decided by whole walks that they were not grown on; where these gain
-    nothing, or fewer than five are known, this is the smoother alone. The claimed `std` is its own.
+    Boosted trees are taught on other people's walks, shared by the same mechanism, what
+    to add along and across, by what `_looked_at` sees around every sample. How many
+    trees, and what share of what they say, is decided by whole walks that they were not
+    grown on; where these gain nothing, or fewer than five are known, this is the
+    smoother alone. The claimed `std` is its own.
 
     References
     ----------
-    Friedman, "Greedy function approximation: a gradient boosting machine", Annals of Statistics
-    29(5), 2001. Learning what a Kalman smoother leaves: Garcia Satorras, Akata, Welling, "Combining
-    generative and discriminative models for hybrid inference", NeurIPS 2019.
+    Friedman, "Greedy function approximation: a gradient boosting machine", Annals of
+    Statistics 29(5), 2001. Learning what a Kalman smoother leaves: Garcia Satorras,
+    Akata, Welling, "Combining generative and discriminative models for hybrid
+    inference", NeurIPS 2019.
     """
 
     rate: float = 0.15  # How much of each tree is believed.
@@ -80,7 +83,9 @@ class Corrector:
 
         def loss(added: Floats) -> float:
             xy = found.xy + _turned(added, ahead)
-            return exposure_loss(xy=xy, truth=truth, offsets=offsets, epsilon_m=context.epsilon_m)
+            return exposure_loss(
+                xy=xy, truth=truth, offsets=offsets, epsilon_m=context.epsilon_m
+            )
 
         tried = {
             (every * (stage + 1), share): loss(share * added)
@@ -104,7 +109,9 @@ class Corrector:
     def _grown(self, about: Floats, wanted: Floats, trees: int, seed: int) -> list[Any]:
         """Return the trees for what to add along and across."""
         from sklearn.base import clone  # noqa: PLC0415 - heavy, seldom
-        from sklearn.ensemble import HistGradientBoostingRegressor  # noqa: PLC0415 - as said
+        from sklearn.ensemble import (  # noqa: PLC0415 - as said
+            HistGradientBoostingRegressor,
+        )
 
         model = HistGradientBoostingRegressor(
             max_iter=trees,
@@ -129,16 +136,19 @@ def _turned(xy: Floats, by: Complexes) -> Floats:
 def _looked_at(release: Release, found: Reconstruction) -> tuple[Floats, Complexes]:
     """Return what is known about each sample, (M, F), and where its walk heads for, (M,).
 
-    In the frame of its heading (of length 1, or less where nobody moves), over each of the
-    stretches about it, means of what the smoother left over and of where it puts the walk, and the
-    logarithm of the information there; speed, time to either end, how noisy and how sure it is.
+    In the frame of its heading (of length 1, or less where nobody moves), over each of
+    the stretches about it, means of what the smoother left over and of where it puts
+    the walk, and the logarithm of the information there; speed, time to either end, how
+    noisy and how sure it is.
     """
     assert found.std is not None
     offsets = release.offsets
     row = np.repeat(np.arange(len(release)), np.diff(offsets))
     first, last = offsets[row], offsets[row + 1]
     # One clock for all: tracks follow each other with a gap that no stretch bridges.
-    lasting_s = release.t[offsets[1:] - 1] - release.t[offsets[:-1]] + 2.0 * _EDGES_S[-1]
+    lasting_s = (
+        release.t[offsets[1:] - 1] - release.t[offsets[:-1]] + 2.0 * _EDGES_S[-1]
+    )
     since_s = release.t - release.t[first]
     clock_s = since_s + np.concatenate([[0.0], np.cumsum(lasting_s)])[row]
     weight = information(release, RadialRTS.USUAL_PASSES)
@@ -155,11 +165,14 @@ def _looked_at(release: Release, found: Reconstruction) -> tuple[Floats, Complex
     ahead = chord / np.hypot(np.abs(chord), _STILL_M)
     about = []
     edges = [place(at) for at in np.concatenate([-_EDGES_S[::-1], _EDGES_S]).tolist()]
-    with np.errstate(invalid="ignore", divide="ignore"):  # nobody is there: NaN, which trees take
+    with np.errstate(
+        invalid="ignore", divide="ignore"
+    ):  # nobody is there: NaN, which trees take
         for start, end in pairwise(edges):
             around = np.column_stack([start, end]).ravel()
             told, pulled, walked = (  # nothing over a stretch of none
-                np.where(start < end, np.add.reduceat(one, around)[::2], 0.0) for one in totals
+                np.where(start < end, np.add.reduceat(one, around)[::2], 0.0)
+                for one in totals
             )
             for one in (pulled / told, walked / (end - start) - z):
                 turned = one * np.conj(ahead)

@@ -18,15 +18,16 @@ TREND_STD = (100.0, 10.0)  # m and m/s, of the line: far more than any walk need
 class GaussianProcess:
     """A Matern-3/2 process about a straight line, one per axis and track; noise as estimated.
 
-    Offset from the first shared position and slope of the line have vague Gaussian priors
-    (`TREND_STD`), so that neither place nor speed of a walk is pulled to a mean. A Kalman filter
-    and a Rauch-Tung-Striebel smoother of line and process run over all tracks at once.
+    Offset from the first shared position and slope of the line have vague Gaussian
+    priors (`TREND_STD`), so that neither place nor speed of a walk is pulled to a mean.
+    A Kalman filter and a Rauch-Tung-Striebel smoother of line and process run over all
+    tracks at once.
 
     References
     ----------
-    Hartikainen, Sarkka, "Kalman filtering and smoothing solutions to temporal Gaussian process
-    regression models", IEEE MLSP, 2010. Rasmussen, Williams, *Gaussian Processes for Machine
-    Learning*, 2006: sections 2.2, 4.2.1.
+    Hartikainen, Sarkka, "Kalman filtering and smoothing solutions to temporal Gaussian
+    process regression models", IEEE MLSP, 2010. Rasmussen, Williams, *Gaussian
+    Processes for Machine Learning*, 2006: sections 2.2, 4.2.1.
     """
 
     length_s: float | None = None
@@ -41,25 +42,32 @@ class GaussianProcess:
 
     def __post_init__(self) -> None:
         if (self.length_s is None) != (self.scale_m is None):
-            raise ValueError("give both length_s and scale_m, or neither to have them learnt")
+            raise ValueError(
+                "give both length_s and scale_m, or neither to have them learnt"
+            )
         positive(length_s=self.length_s, scale_m=self.scale_m)
 
     def fit(self, context: AttackContext) -> Reconstructor:
         """Return the regression of releases like those in the training set."""
-        given = (self.length_s, self.scale_m) if self.length_s and self.scale_m else None
+        given = (
+            (self.length_s, self.scale_m) if self.length_s and self.scale_m else None
+        )
         others = [(self.DEFAULT[0], one) for one in around(self.DEFAULT[1], factor=2.0)]
         return smoother(context, smooth, candidates=tried(given, others))
 
 
-def smooth(release: Release, variance: Floats, kernel: tuple[float, float]) -> Reconstruction:
+def smooth(
+    release: Release, variance: Floats, kernel: tuple[float, float]
+) -> Reconstruction:
     """Return the posterior of every track at its samples, by filter and smoother.
 
-    Step k of all tracks that are so long is taken at once. `variance`, (M,) m^2, is that of the
-    errors per axis, `kernel` length, s, and scale, m.
+    Step k of all tracks that are so long is taken at once. `variance`, (M,) m^2, is
+    that of the errors per axis, `kernel` length, s, and scale, m.
     """
     first, sizes = release.offsets[:-1], np.diff(release.offsets)
     step = np.arange(release.t.size) - np.repeat(first, sizes)
-    # Samples by step, the longest tracks first (of equals in their order), and where steps begin.
+    # Samples by step, the longest tracks first (of equals in their order), and where
+    # steps begin.
     rows = np.lexsort((np.repeat(-sizes, sizes), step))
     starts = np.concatenate([[0], np.cumsum(np.bincount(step))])
     origin = np.repeat(release.xy[first], sizes, axis=0)
@@ -91,7 +99,9 @@ def smooth(release: Release, variance: Floats, kernel: tuple[float, float]) -> R
         previous = now
     for lo, hi, top in zip(starts[-3::-1], starts[-2:0:-1], starts[:1:-1], strict=True):
         later, here = slice(hi, top), slice(lo, lo + top - hi)
-        back = np.linalg.solve(ahead_cov[later], move[later] @ cov[here])  # gain, transposed
+        back = np.linalg.solve(
+            ahead_cov[later], move[later] @ cov[here]
+        )  # gain, transposed
         mean[here] += (mean[later] - ahead_mean[later]) @ back
         cov[here] += back.swapaxes(1, 2) @ (cov[later] - ahead_cov[later]) @ back
     place, std = origin.copy(), np.empty(rows.size)
@@ -108,7 +118,8 @@ def _model(step_s: Floats, *, kernel: tuple[float, float]) -> tuple[Floats, Floa
     length_s, scale_m = kernel
     rate = np.sqrt(3.0) / length_s
     prior = np.diag([*np.square(TREND_STD), scale_m**2, scale_m**2 * rate**2])
-    # Characteristic polynomial (s + rate)^2: F + rate 1 is nilpotent, its exponential finite.
+    # Characteristic polynomial (s + rate)^2: F + rate 1 is nilpotent, its exponential
+    # finite.
     rest = np.array([[rate, 1.0], [-(rate**2), -rate]])
     tau = step_s[:, None, None]
     move = np.zeros((step_s.size, 4, 4))

@@ -7,7 +7,11 @@ import numpy as np
 
 from attacks.parameters import positive, tried
 from attacks.reconstruction.learning import TOLD, around, smoothed, smoother
-from attacks.reconstruction.own_motion import PRIOR_STD, smooth_own_motion, white_probabilities
+from attacks.reconstruction.own_motion import (
+    PRIOR_STD,
+    smooth_own_motion,
+    white_probabilities,
+)
 from attacks.remembered import noise_m2, remembered
 from isac_track.kalman import Batch, Moods, imm_smoother, smooth_positions
 from isac_track.kalman.slow_errors import SlowError
@@ -16,7 +20,8 @@ from isac_track.types import Floats, Knowledge, Reconstruction, Release
 
 _RADIAL_BELOW = -1 / 3
 """Third cumulant of log distances to a smoothed walk; Gaussian errors have -zeta(3) / 4 = -0.30,
-radial ones -2.10 about the walk itself, -0.40 to -0.59 about what a smoother makes of it."""
+radial ones -2.10 about the walk itself, -0.40 to -0.59 about what a smoother makes of
+it."""
 _LEAST_M = 1e-9
 
 
@@ -32,7 +37,9 @@ class _Choice(NamedTuple):
 class KalmanRTS:
     """Constant velocity, white-noise acceleration; exact for Gaussian errors of known variance."""
 
-    q: float | None = None  # m^2/s^3; None: learnt from the training set, or `DEFAULT_Q`.
+    q: float | None = (
+        None  # m^2/s^3; None: learnt from the training set, or `DEFAULT_Q`.
+    )
 
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
     uses: ClassVar[frozenset[Knowledge]] = TOLD
@@ -50,16 +57,20 @@ class KalmanRTS:
 class RadialRTS:
     """Constant velocity; samples that lie close to the walk count for more, again and again.
 
-    That is right for errors of the radial law alone, and which law holds nobody tells: the release
-    shows it (`looks_radial`). If it is another, one pass is left. Every track has a motion of its
-    own (`smooth_own_motion`); with one for all, a single pass is `KalmanRTS`.
+    That is right for errors of the radial law alone, and which law holds nobody tells:
+    the release shows it (`looks_radial`). If it is another, one pass is left. Every
+    track has a motion of its own (`smooth_own_motion`); with one for all, a single pass
+    is `KalmanRTS`.
     """
 
-    q: float | None = None  # As of `KalmanRTS`; if given, no track has a motion of its own.
+    q: float | None = (
+        None  # As of `KalmanRTS`; if given, no track has a motion of its own.
+    )
     passes: int | None = None
     """Smoothers; None: learnt from the training set, 1, `USUAL_PASSES` or twice as many; without
-    one `USUAL_PASSES` if the errors look radial, else 1. Twice as many gain 1.3 to 2.3 points of
-    PLR where much error is added linearly, and lose about as much where it is independent."""
+    one `USUAL_PASSES` if the errors look radial, else 1. Twice as many gain 1.3 to 2.3
+    points of PLR where much error is added linearly, and lose about as much where it is
+    independent."""
     anneal: float = 0.15
     own_motion: bool = True  # Else q is learnt from the training set, or `DEFAULT_Q`.
 
@@ -81,7 +92,9 @@ class RadialRTS:
         if self.passes is None and Knowledge.TRAIN not in context.granted:
             radial = replace(self, passes=usual).fit(context)
             linear = replace(self, passes=1, anneal=0.0).fit(context)
-            return lambda release: (radial if looks_radial(release) else linear)(release)
+            return lambda release: (radial if looks_radial(release) else linear)(
+                release
+            )
         q = self.DEFAULT_Q if self.q is None else self.q
         numbers = tried(self.passes, (1, usual, 2 * usual))
         densities = tried(self.q, around(q, factor=4.0))
@@ -105,7 +118,9 @@ class ImmRTS:
     Filter, smoother and their sources are those of `isac_track.kalman`.
     """
 
-    q: float | None = None  # m^2/s^3 while walking on; None, with `q_turn`: learnt or `DEFAULT_Q`.
+    q: float | None = (
+        None  # m^2/s^3 while walking on; None, with `q_turn`: learnt or `DEFAULT_Q`.
+    )
     q_turn: float | None = None  # m^2/s^3 while stopping or turning.
     walk_s: float = 4.0  # Mean time of walking on.
     turn_s: float = 1.5  # Mean time of stopping or turning.
@@ -132,8 +147,11 @@ class ImmRTS:
         self, release: Release, variance: Floats, density: tuple[float, float]
     ) -> Reconstruction:
         batch = Batch(release.t, release.xy, variance, release.offsets, PRIOR_STD)
-        # The spread between the modes couples the axes; what is claimed is their mean variance.
-        position, spread = imm_smoother(batch, Moods(density, (self.walk_s, self.turn_s)))
+        # The spread between the modes couples the axes; what is claimed is their mean
+        # variance.
+        position, spread = imm_smoother(
+            batch, Moods(density, (self.walk_s, self.turn_s))
+        )
         return Reconstruction(position, np.sqrt(spread))
 
 
@@ -144,7 +162,9 @@ def _smooth(release: Release, variance: Floats, choice: _Choice) -> Reconstructi
     if q is None:
         nothing = SlowError(0.0, 0.0)
         weight = white_probabilities(release)
-        position, spread = smooth_own_motion(batch, nothing, weight, passes=passes, anneal=anneal)
+        position, spread = smooth_own_motion(
+            batch, nothing, weight, passes=passes, anneal=anneal
+        )
     else:
         position, spread = smooth_positions(batch, q=q, passes=passes, anneal=anneal)
     return Reconstruction(position, np.sqrt(spread))
@@ -154,13 +174,15 @@ def _smooth(release: Release, variance: Floats, choice: _Choice) -> Reconstructi
 def information(release: Release, passes: int) -> Floats:
     """Return what each sample tells of where the walk was, per axis, (M,) 1/m^2.
 
-    The inverse of the error variance; under radial errors the weights in the last of a smoother's
-    `passes`: a sample close to the walk is very likely almost exact.
+    The inverse of the error variance; under radial errors the weights in the last of a
+    smoother's `passes`: a sample close to the walk is very likely almost exact.
     """
     variance = np.repeat(noise_m2(release), np.diff(release.offsets))
     if not looks_radial(release):
         return 1.0 / variance
-    found = smoothed(release, _smooth, _Choice(RadialRTS.DEFAULT_Q, passes, RadialRTS().anneal))
+    found = smoothed(
+        release, _smooth, _Choice(RadialRTS.DEFAULT_Q, passes, RadialRTS().anneal)
+    )
     assert found.std is not None
     square_m2 = ((release.xy - found.xy) ** 2).sum(axis=1)
     return np.asarray(1.0 / (square_m2 + 2.0 * found.std**2) + 0.5 / variance)
@@ -170,14 +192,18 @@ def information(release: Release, passes: int) -> Floats:
 def looks_radial(release: Release) -> bool:
     """Return whether the errors of a release are radial, by their distances to smoothed walks.
 
-    Of the logarithm of a distance the third cumulant is taken, about each track's own mean: what
-    scales the errors does not move it. A radial error is often far smaller than sigma, which skews
-    the logarithm to the left; the smoother's own error blurs that. Tracks of fewer than three
-    samples do not count.
+    Of the logarithm of a distance the third cumulant is taken, about each track's own
+    mean: what scales the errors does not move it. A radial error is often far smaller
+    than sigma, which skews the logarithm to the left; the smoother's own error blurs
+    that. Tracks of fewer than three samples do not count.
     """
-    off_m = release.xy - smoothed(release, _smooth, _Choice(KalmanRTS.DEFAULT_Q, 1, 0.0)).xy
+    off_m = (
+        release.xy - smoothed(release, _smooth, _Choice(KalmanRTS.DEFAULT_Q, 1, 0.0)).xy
+    )
     square_m2 = off_m[:, 0] * off_m[:, 0] + off_m[:, 1] * off_m[:, 1]
-    log_m = 0.5 * np.log(np.maximum(square_m2, _LEAST_M**2, out=square_m2), out=square_m2)
+    log_m = 0.5 * np.log(
+        np.maximum(square_m2, _LEAST_M**2, out=square_m2), out=square_m2
+    )
     sizes, first = np.diff(release.offsets), release.offsets[:-1]
     log_m -= np.repeat(np.add.reduceat(log_m, first) / sizes, sizes)
     unbiased = ((sizes - 1) * (sizes - 2) / sizes).sum()

@@ -11,19 +11,24 @@ from attacks.reconstruction.learning import around, smoother
 from isac_track.protocols import AttackContext, Reconstructor
 from isac_track.types import Floats, Ints, Knowledge, Reconstruction, Release
 
-REFERENCE_STD_M = 0.5  # Noise per axis at which a window has its nominal width: but a scale.
+REFERENCE_STD_M = (
+    0.5  # Noise per axis at which a window has its nominal width: but a scale.
+)
 
 
 @dataclass(frozen=True, slots=True)
 class MovingAverage:
     """Centred moving average, wider where a track is noisier.
 
-    The mean over a window of width h of a walk of acceleration a is off by a h^2 / 24: the best
-    window is ``width_s * (s / 0.5 m)^(2/5)`` (`half_windows`). Near the ends of a track both sides
-    are as short as the shorter one: a lopsided mean would lag behind the walk.
+    The mean over a window of width h of a walk of acceleration a is off by a h^2 / 24:
+    the best window is ``width_s * (s / 0.5 m)^(2/5)`` (`half_windows`). Near the ends
+    of a track both sides are as short as the shorter one: a lopsided mean would lag
+    behind the walk.
     """
 
-    width_s: float | None = None  # At errors of 0.5 m per axis; None: learnt, or `DEFAULT_WIDTH_S`.
+    width_s: float | None = (
+        None  # At errors of 0.5 m per axis; None: learnt, or `DEFAULT_WIDTH_S`.
+    )
 
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
     uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
@@ -48,13 +53,13 @@ class MovingAverage:
 class Savgol(MovingAverage):
     """Least-squares parabolas over a moving window, wider where a track is noisier.
 
-    At the middle of a window of width h a parabola (and a cubic, which is the same there) is off by
-    a multiple of h^4 times the fourth derivative of the walk: the best window is
-    ``width_s * (s / 0.5 m)^(2/9)`` (`half_windows`), no longer than the track. A track of one or
-    two samples is returned as it is.
+    At the middle of a window of width h a parabola (and a cubic, which is the same
+    there) is off by a multiple of h^4 times the fourth derivative of the walk: the best
+    window is ``width_s * (s / 0.5 m)^(2/9)`` (`half_windows`), no longer than the
+    track. A track of one or two samples is returned as it is.
 
-    A track is interpolated onto as many instants at its mean interval, and back. On that grid it is
-    ``scipy.signal.savgol_filter(..., window, 2, mode="interp")``.
+    A track is interpolated onto as many instants at its mean interval, and back. On
+    that grid it is ``scipy.signal.savgol_filter(..., window, 2, mode="interp")``.
 
     References
     ----------
@@ -73,14 +78,17 @@ class Savgol(MovingAverage):
         return Reconstruction(filtered(release, half, loop="fit_parabolas"))
 
 
-def half_windows(release: Release, variance: Floats, *, width_s: float, bias_order: int) -> Ints:
+def half_windows(
+    release: Release, variance: Floats, *, width_s: float, bias_order: int
+) -> Ints:
     """Return the samples on either side of the middle of each track's window, (N,).
 
-    A window of width h over independent errors of standard deviation s, with a bias of b h^p on a
-    smooth walk (p the `bias_order`), has the mean square error a s^2 / h + b^2 h^(2p), least where
-    h grows as s^(2 / (2p + 1)): from `width_s` at `REFERENCE_STD_M` (Fan, Gijbels, *Local
-    Polynomial Modelling*, 1996, 3.2.3), rounded to an odd number of samples of the track's mean
-    interval. `variance`, (M,) m^2, is s squared, alike along a track.
+    A window of width h over independent errors of standard deviation s, with a bias of
+    b h^p on a smooth walk (p the `bias_order`), has the mean square error a s^2 / h +
+    b^2 h^(2p), least where h grows as s^(2 / (2p + 1)): from `width_s` at
+    `REFERENCE_STD_M` (Fan, Gijbels, *Local Polynomial Modelling*, 1996, 3.2.3), rounded
+    to an odd number of samples of the track's mean interval. `variance`, (M,) m^2, is s
+    squared, alike along a track.
     """
     first, last = release.offsets[:-1], release.offsets[1:] - 1
     growth = (variance[first] / REFERENCE_STD_M**2) ** (1.0 / (2 * bias_order + 1))

@@ -29,17 +29,18 @@ _SHIFTS = 6  # Of an estimate, to where most draws are within epsilon.
 class Posterior:
     """The posterior of a walk behind radial or planar Laplace errors, by Gibbs sampling.
 
-    Both are Gaussian with a scale of its own for every sample. In turn the scales are drawn given
-    the walk, and the walk given the scales: the smoother of what was shared less a walk and errors
-    from the prior, plus that walk. Who knows a mechanism that adds independently draws what part of
-    an error it added, too. The estimate is where most draws lie within epsilon. Exact in the long
-    run for walks of its motion and errors as large as it takes them to be; where the release shows
-    neither law it is `RadialRTS`. Slow: a reference for what smoothers leave (docs/attacks.md).
+    Both are Gaussian with a scale of its own for every sample. In turn the scales are
+    drawn given the walk, and the walk given the scales: the smoother of what was shared
+    less a walk and errors from the prior, plus that walk. Who knows a mechanism that
+    adds independently draws what part of an error it added, too. The estimate is where
+    most draws lie within epsilon. Exact in the long run for walks of its motion and
+    errors as large as it takes them to be; where the release shows neither law it is
+    `RadialRTS`. Slow: a reference for what smoothers leave (docs/attacks.md).
 
     References
     ----------
-    Gibbs sampling of scale mixtures: Carter, Kohn, Biometrika 81(3), 1994, 541-553. Simulation
-    smoother: Durbin, Koopman, Biometrika 89(3), 2002, 603-616.
+    Gibbs sampling of scale mixtures: Carter, Kohn, Biometrika 81(3), 1994, 541-553.
+    Simulation smoother: Durbin, Koopman, Biometrika 89(3), 2002, 603-616.
     """
 
     q: float = Q_M2_PER_S3
@@ -54,7 +55,8 @@ class Posterior:
         positive(q=self.q)
         if self.draws < 1 or self.burn_in < 0:
             raise ValueError(
-                f"draws must be at least 1 and burn_in at least 0, got {self.draws}, {self.burn_in}"
+                f"draws must be at least 1 and burn_in at least 0, got {self.draws},"
+                f" {self.burn_in}"
             )
 
     @property
@@ -66,7 +68,9 @@ class Posterior:
         """Return what samples releases like those in the training set."""
         variance, first = learn_variance(context), RadialRTS().fit(context)
         seed = int(context.rng.integers(2**63))
-        mechanism = context.mechanism if Knowledge.MECHANISM in context.granted else None
+        mechanism = (
+            context.mechanism if Knowledge.MECHANISM in context.granted else None
+        )
         is_slow = added_error(mechanism)[1] > 0.0
 
         def reconstruct(release: Release) -> Reconstruction:
@@ -75,22 +79,32 @@ class Posterior:
                 return begun
             rng = np.random.default_rng(seed)
             parts = _parts(variance(release), mechanism)
-            return _where_most_are(self._draw(release, begun.xy, parts, rng), context.epsilon_m)
+            return _where_most_are(
+                self._draw(release, begun.xy, parts, rng), context.epsilon_m
+            )
 
         return reconstruct
 
-    def _draw(self, release: Release, xy: Floats, parts: Sequence[_Part], rng: Generator) -> Floats:
+    def _draw(
+        self, release: Release, xy: Floats, parts: Sequence[_Part], rng: Generator
+    ) -> Floats:
         """Return draws of the walks, (K, M, 2) m."""
         t, offsets = release.t, release.offsets
         motion, start = Motion(self.q, PRIOR_STD[1]), np.zeros((len(release), 2))
         found = np.empty((self.draws, *xy.shape))
         total_m2 = sum(np.square(std_m) for std_m, _ in parts)
-        errors = [(release.xy - xy) * (std_m**2 / total_m2)[:, None] for std_m, _ in parts]
+        errors = [
+            (release.xy - xy) * (std_m**2 / total_m2)[:, None] for std_m, _ in parts
+        ]
         for turn in range(-self.burn_in, self.draws):
             scales = [
                 # A walk that lay exactly on a sample would never leave it.
-                np.maximum(scale_m2(std_m, square / std_m**2, law=law, rng=rng), _LEAST_M2)
-                for square, (std_m, law) in zip(map(squared_lengths, errors), parts, strict=True)
+                np.maximum(
+                    scale_m2(std_m, square / std_m**2, law=law, rng=rng), _LEAST_M2
+                )
+                for square, (std_m, law) in zip(
+                    map(squared_lengths, errors), parts, strict=True
+                )
             ]
             variance = np.sum(scales, axis=0)
             free = simulated(t=t, offsets=offsets, start=start, motion=motion, rng=rng)
@@ -115,10 +129,15 @@ def _parts(variance: Floats, mechanism: object) -> Sequence[_Part]:
     """
     if getattr(mechanism, "adding", "linear") == "linear":
         return [(np.sqrt(2.0 * variance), "radial")]
-    law = "laplace" if isinstance(mechanism, Laplace) else getattr(mechanism, "law", None)
+    law = (
+        "laplace" if isinstance(mechanism, Laplace) else getattr(mechanism, "law", None)
+    )
     added_m2 = np.minimum(np.square(added_error(mechanism)[0]), _MOST_ADDED * variance)
     raw_m = np.sqrt(2.0 * (variance - added_m2))
-    return [(raw_m, "radial"), (np.sqrt(added_m2 * (1.0 if law else 2.0)), law or "radial")]
+    return [
+        (raw_m, "radial"),
+        (np.sqrt(added_m2 * (1.0 if law else 2.0)), law or "radial"),
+    ]
 
 
 def _where_most_are(draws: Floats, epsilon_m: float) -> Reconstruction:
@@ -132,5 +151,7 @@ def _where_most_are(draws: Floats, epsilon_m: float) -> Reconstruction:
         best = np.where((count > most)[:, None], point, best)
         most = np.maximum(count, most)
         inside = (draws * near[:, :, None]).sum(axis=0)
-        point = np.where(count[:, None] > 0, inside / np.maximum(count, 1)[:, None], point)
+        point = np.where(
+            count[:, None] > 0, inside / np.maximum(count, 1)[:, None], point
+        )
     return Reconstruction(best, std)

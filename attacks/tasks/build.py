@@ -1,8 +1,9 @@
 """What is to be linked: windows of true walks, and who is who in them.
 
-Sensing, sharing and the frames that an adversary sees come later. Where a task hides the frame,
-each window is first put in another place of the recording: sensed twice in one place, a walk would
-be known by its distance from the base station, on which the noise depends.
+Sensing, sharing and the frames that an adversary sees come later. Where a task hides
+the frame, each window is first put in another place of the recording: sensed twice in
+one place, a walk would be known by its distance from the base station, on which the
+noise depends.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -14,7 +15,14 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.random import Generator
 
-from attacks.tasks.sessions import N_FOLDS, Sessions, Windows, circumstances, halves, roles
+from attacks.tasks.sessions import (
+    N_FOLDS,
+    Sessions,
+    Windows,
+    circumstances,
+    halves,
+    roles,
+)
 from attacks.tasks.task_list import TASKS, Task, task_named
 from isac_track.config import StageSettings
 from isac_track.datasets import load, summarise
@@ -23,21 +31,39 @@ from isac_track.errors import DataError, SettingsError
 from isac_track.place import placed_together
 from isac_track.resample import sampling_times, walk
 from isac_track.rng import stream
-from isac_track.types import Bools, Floats, Ints, Tracks, end_to_end, runs_of, squared_lengths
+from isac_track.types import (
+    Bools,
+    Floats,
+    Ints,
+    Tracks,
+    end_to_end,
+    runs_of,
+    squared_lengths,
+)
 
-LEAST_PEOPLE = 24  # Fewer cannot be split into who teaches, calibrates and is attacked, twice.
-MOST_SIMULATED = 300  # People of the two-session crowd: more can be simulated, and show no more.
+LEAST_PEOPLE = (
+    24  # Fewer cannot be split into who teaches, calibrates and is attacked, twice.
+)
+MOST_SIMULATED = (
+    300  # People of the two-session crowd: more can be simulated, and show no more.
+)
 LEAST_COME_BACK = 8  # In a task that learns leaving one person out.
 WAY_STEP_S = 1 / 12  # Of the way along a walk: the mean step at which it is sensed.
 _ALIKE = 0.98  # Steps that differ by less are one rate, on a clock that is not exact.
-CLOCK_S = 1e-6  # Room for the rounding of a clock: of frames at 25 Hz, of seconds since 1970.
+CLOCK_S = (
+    1e-6  # Room for the rounding of a clock: of frames at 25 Hz, of seconds since 1970.
+)
 _Starts: TypeAlias = Callable[[Floats, Floats, Generator], Floats]
 """Draws where both windows of a person begin, from the first samples of the tracks that they are
 cut from and by how much these are longer than needed, (2,) s each."""
 
 
-@lru_cache(maxsize=2048)  # all tasks of a recording cut their windows from the same walks
-def _walk(tracks: Tracks, row: int, max_overshoot_m: float) -> Callable[[Floats], Floats]:
+@lru_cache(
+    maxsize=2048
+)  # all tasks of a recording cut their windows from the same walks
+def _walk(
+    tracks: Tracks, row: int, max_overshoot_m: float
+) -> Callable[[Floats], Floats]:
     return walk(tracks[row], max_overshoot_m=max_overshoot_m)
 
 
@@ -45,13 +71,18 @@ def _walk(tracks: Tracks, row: int, max_overshoot_m: float) -> Callable[[Floats]
 def _way(tracks: Tracks, row: int, max_overshoot_m: float) -> tuple[Floats, Floats]:
     """Return instants of a whole recorded walk, and how far it has come at them in m.
 
-    They follow each other in even steps from its first sample on, wherever windows are cut.
+    They follow each other in even steps from its first sample on, wherever windows are
+    cut.
     """
     track = tracks[row]
     n_steps = int((track.t[-1] - track.t[0]) / WAY_STEP_S)
     t = np.append(track.t[0] + WAY_STEP_S * np.arange(n_steps + 1), track.t[-1])
-    steps_m = np.sqrt(squared_lengths(np.diff(_walk(tracks, row, max_overshoot_m)(t), axis=0)))
-    return t, np.concatenate([[0.0], np.cumsum(np.minimum(steps_m, WAY_STEP_S * FAST_STEP_MPS))])
+    steps_m = np.sqrt(
+        squared_lengths(np.diff(_walk(tracks, row, max_overshoot_m)(t), axis=0))
+    )
+    return t, np.concatenate(
+        [[0.0], np.cumsum(np.minimum(steps_m, WAY_STEP_S * FAST_STEP_MPS))]
+    )
 
 
 @lru_cache(maxsize=4)  # of the recording, and both sessions of the crowd
@@ -68,11 +99,20 @@ class Stretches:
     walked_m: Floats  # (M,) m since the recorded walk began.
     offsets: Ints  # (N + 1,)
 
-    def windows(self, person: Ints, search: Ints, *, shift_m: Floats | float = 0.0) -> Windows:
+    def windows(
+        self, person: Ints, search: Ints, *, shift_m: Floats | float = 0.0
+    ) -> Windows:
         """Return them as windows of these people in these searches, each shifted, (N, 2) m."""
-        moved = np.repeat(np.broadcast_to(shift_m, (person.size, 2)), np.diff(self.offsets), axis=0)
+        moved = np.repeat(
+            np.broadcast_to(shift_m, (person.size, 2)), np.diff(self.offsets), axis=0
+        )
         return Windows(
-            self.t, self.xy + moved, self.offsets, person, search, walked_m=self.walked_m
+            self.t,
+            self.xy + moved,
+            self.offsets,
+            person,
+            search,
+            walked_m=self.walked_m,
         )
 
 
@@ -109,24 +149,39 @@ class Draft:
         least = LEAST_COME_BACK if self.task.comes_back else LEAST_PEOPLE
         if found < least:
             raise DataError(
-                f"task {self.task.name}: {found} {what}, but it takes {least}; use a longer "
-                "recording, shorter windows (--set linkage....) or leave the task out (--task)"
+                f"task {self.task.name}: {found} {what}, but it takes {least}; use a"
+                " longer recording, shorter windows (--set linkage....) or leave the"
+                " task out (--task)"
             )
 
     def cut(
-        self, side: str, rows: Ints, start_s: Floats, end_s: Floats, keys: Sequence[str] = ()
+        self,
+        side: str,
+        rows: Ints,
+        start_s: Floats,
+        end_s: Floats,
+        keys: Sequence[str] = (),
     ) -> Stretches:
         """Return stretches of walks as far as these go, at instants of their own.
 
-        All are (N,). `rows` may hold a track more than once, each time with another of `keys`.
+        All are (N,). `rows` may hold a track more than once, each time with another of
+        `keys`.
         """
         start_s = np.maximum(start_s, self.start_s[rows])
         end_s = np.minimum(end_s, self.end_s[rows])
         t, xy, walked_m, resample = [], [], [], self.settings.resample
-        each = zip(rows.tolist(), start_s, end_s.tolist(), keys or [""] * rows.size, strict=True)
+        each = zip(
+            rows.tolist(),
+            start_s,
+            end_s.tolist(),
+            keys or [""] * rows.size,
+            strict=True,
+        )
         for row, start, end, key in each:
             rng = self.rng("sampling", side, self.tracks.source[row], key)
-            t.append(sampling_times(start_s=start, end_s=end, settings=resample, rng=rng))
+            t.append(
+                sampling_times(start_s=start, end_s=end, settings=resample, rng=rng)
+            )
             xy.append(_walk(self.tracks, row, resample.max_overshoot_m)(t[-1]))
             way = _way(self.tracks, row, resample.max_overshoot_m)
             walked_m.append(np.interp(t[-1], *way))
@@ -143,16 +198,26 @@ class Draft:
         """Return the sessions of the people of these tracks; `found` is what else they hold."""
         learns, calibrates = may_teach, np.zeros_like(may_teach)
         if not self.task.comes_back:
-            learns, calibrates = roles(group, may_teach=may_teach, rng=self.rng("roles"))
+            learns, calibrates = roles(
+                group, may_teach=may_teach, rng=self.rng("roles")
+            )
         source = tuple(self.tracks.source[row] for row in rows)
         alone, moving = np.ones((2, rows.size), dtype=bool)
         for tracks in (self.tracks, self.later):
             there = rows_of(tracks, source)
-            _, cluster, sizes = np.unique(tracks.group, return_inverse=True, return_counts=True)
+            _, cluster, sizes = np.unique(
+                tracks.group, return_inverse=True, return_counts=True
+            )
             alone &= sizes[cluster][there] == 1
             moving &= _moving(tracks)[there]
-        found |= {"learns": learns, "calibrates": calibrates, "alone": alone, "moving": moving}
-        # mypy cannot follow what a task holds beside its people: that is named where it is built.
+        found |= {
+            "learns": learns,
+            "calibrates": calibrates,
+            "alone": alone,
+            "moving": moving,
+        }
+        # mypy cannot follow what a task holds beside its people: that is named where it
+        # is built.
         return Sessions(task=self.task, source=source, group=group, **found)  # type: ignore[arg-type]
 
 
@@ -162,7 +227,8 @@ def rows_of(tracks: Tracks, source: Sequence[str]) -> Ints:
     return np.array([row[name] for name in source], dtype=np.int64)
 
 
-# The sessions of each task; it is a DataError if too few tracks are long enough or people there
+# The sessions of each task; it is a DataError if too few tracks are long enough or
+# people there
 
 
 def rerelease(draft: Draft) -> Sessions:
@@ -179,7 +245,10 @@ def rerelease(draft: Draft) -> Sessions:
 
 def split(draft: Draft) -> Sessions:
     """Return two windows of each walk with a gap between them."""
-    length_s, gap_s = draft.settings.linkage.split_window_s, draft.settings.linkage.split_gap_s
+    length_s, gap_s = (
+        draft.settings.linkage.split_window_s,
+        draft.settings.linkage.split_gap_s,
+    )
     apart_s = np.array([0.0, length_s + gap_s])
 
     def starts_s(first_s: Floats, slack_s: Floats, rng: Generator) -> Floats:
@@ -205,12 +274,15 @@ def cross_session(draft: Draft) -> Sessions:
     tracks, needed_s = draft.tracks, draft.settings.linkage.window_s
     if tracks.session is None or tracks.person is None:
         raise DataError(
-            f"task {draft.task.name}: no person is known to be in two sessions; give sessions with "
-            "a markerID in their headers, or --persistent-ids if equal ids are the same person"
+            f"task {draft.task.name}: no person is known to be in two sessions; give"
+            " sessions with a markerID in their headers, or --persistent-ids if equal"
+            " ids are the same person"
         )
     longest: dict[str, dict[str, int]] = {name: {} for name in tracks.session}
     long = draft.lasting(needed_s)
-    for row in long[np.argsort((draft.end_s - draft.start_s)[long], kind="stable")].tolist():
+    for row in long[
+        np.argsort((draft.end_s - draft.start_s)[long], kind="stable")
+    ].tolist():
         longest[tracks.session[row]][tracks.person[row]] = row
     pairs = [*combinations(longest.values(), 2)]
     both_of = [sorted(one.keys() & other.keys()) for one, other in pairs]
@@ -238,9 +310,9 @@ def _named(tracks: Tracks, rows: Ints, names: Sequence[str]) -> Tracks:
 def sample_at(shares: Floats, tracks: Tracks) -> Ints:
     """Return the samples at these shares, (N,) from 0 up to 1, of all time that people were seen.
 
-    A sample stands for the time to the next one of its track, the last for that before it, and none
-    for more than the usual step of the slowest track, lest a gap draw everybody. Where all samples
-    stand for alike long each is as likely as another.
+    A sample stands for the time to the next one of its track, the last for that before
+    it, and none for more than the usual step of the slowest track, lest a gap draw
+    everybody. Where all samples stand for alike long each is as likely as another.
     """
     step_s = np.full(tracks.t.size, np.inf)  # a track of one sample tells of no step
     usual_s = []
@@ -258,7 +330,9 @@ def sample_at(shares: Floats, tracks: Tracks) -> Ints:
     return np.asarray(np.minimum(places, tracks.t.size - 1))
 
 
-def _closed(draft: Draft, length_s: float, starts_s: _Starts, *, needed_s: float = 0.0) -> Sessions:
+def _closed(
+    draft: Draft, length_s: float, starts_s: _Starts, *, needed_s: float = 0.0
+) -> Sessions:
     """Return sessions in which everybody is in both: one search for each half of the people."""
     tracks, later = draft.tracks, replace(draft, tracks=draft.later)
     needed_s = needed_s or length_s
@@ -267,10 +341,14 @@ def _closed(draft: Draft, length_s: float, starts_s: _Starts, *, needed_s: float
         what = f"people walk for {needed_s:g} s in both sessions"
     # Who stays at home on the second day is left out.
     there = {later.tracks.source[row] for row in later.lasting(needed_s)}
-    long = [row for row in draft.lasting(needed_s).tolist() if tracks.source[row] in there]
+    long = [
+        row for row in draft.lasting(needed_s).tolist() if tracks.source[row] in there
+    ]
     most = draft.settings.linkage.most_people
     if most < LEAST_PEOPLE:
-        raise SettingsError(f"linkage.most_people must be at least {LEAST_PEOPLE}, got {most}")
+        raise SettingsError(
+            f"linkage.most_people must be at least {LEAST_PEOPLE}, got {most}"
+        )
     draft.need_people(len(long), what)
     if draft.task.simulated:
         most = min(most, MOST_SIMULATED)
@@ -290,9 +368,14 @@ def _closed(draft: Draft, length_s: float, starts_s: _Starts, *, needed_s: float
         may_teach, searches = cluster[:, None] != cluster, ["everybody"]
     else:
         fold_of = halves(group, rng=draft.rng("folds"))
-        may_teach, searches = np.stack([fold_of == 1, fold_of == 0]), ["half 1", "half 2"]
+        may_teach, searches = (
+            np.stack([fold_of == 1, fold_of == 0]),
+            ["half 1", "half 2"],
+        )
 
-    def windows(side: str, day: Draft, track: Ints, start_s: Floats, person: Ints) -> Windows:
+    def windows(
+        side: str, day: Draft, track: Ints, start_s: Floats, person: Ints
+    ) -> Windows:
         start_s = start_s[person]
         found = day.cut(side, track[person], start_s, start_s + length_s)
         if draft.task.shows_scene:
@@ -323,12 +406,17 @@ def _closed(draft: Draft, length_s: float, starts_s: _Starts, *, needed_s: float
 def joined(first: Sequence[str], second: Sequence[str]) -> tuple[str, ...]:
     """Return the cluster of each person: who shares a group in either session, or over others.
 
-    Each is called by the first name, in alphabetical order, of its groups in the first session.
+    Each is called by the first name, in alphabetical order, of its groups in the first
+    session.
     """
     ids = tuple(map(str, range(len(first))))
-    days = [(ids, [f"{day}{name}" for name in of]) for day, of in enumerate((first, second))]
+    days = [
+        (ids, [f"{day}{name}" for name in of]) for day, of in enumerate((first, second))
+    ]
     members = [one for day in days for one in zip(*day, strict=True)]
-    return tuple(one.removeprefix("group:0") for one in walking_groups(ids=ids, members=members))
+    return tuple(
+        one.removeprefix("group:0") for one in walking_groups(ids=ids, members=members)
+    )
 
 
 def handover(draft: Draft) -> Sessions:
@@ -341,9 +429,13 @@ def handover(draft: Draft) -> Sessions:
     # The same instants whatever the gap, so that the gaps can be compared.
     longest_gap_s = max(task.gap_s for task in TASKS.values())
     first_s, last_s = float(tracks.t.min()), float(tracks.t.max())
-    count = int((last_s - first_s - longest_gap_s - least_s) / settings.handover_period_s)
+    count = int(
+        (last_s - first_s - longest_gap_s - least_s) / settings.handover_period_s
+    )
     every_s = settings.handover_period_s * max(1.0, count / settings.handover_instants)
-    at_s = first_s + every_s * np.arange(1.0, min(count, settings.handover_instants) + 1)
+    at_s = first_s + every_s * np.arange(
+        1.0, min(count, settings.handover_instants) + 1
+    )
     # Which tracks are there until then, and after the gap, (S, N).
     ends_s, begins_s = at_s[:, None], at_s[:, None] + gap_s
     began_s, left_s = draft.start_s - CLOCK_S, draft.end_s + CLOCK_S
@@ -358,20 +450,27 @@ def handover(draft: Draft) -> Sessions:
     draft.need_people(rows.size, "people are there when pseudonyms rotate")
     if used.size < N_FOLDS:
         raise DataError(
-            f"task {draft.task.name}: {used.size} rotations of pseudonyms have people to link, but "
-            "2 are needed; use a longer recording or a shorter linkage.handover_period_s"
+            f"task {draft.task.name}: {used.size} rotations of pseudonyms have people"
+            " to link, but 2 are needed; use a longer recording or a shorter"
+            " linkage.handover_period_s"
         )
-    # Since the recording began: whatever its clock says, the same instant has the same draws.
+    # Since the recording began: whatever its clock says, the same instant has the same
+    # draws.
     labels = [f"{after:g} s" for after in at_s[used] - first_s]
 
     def windows(side: str, present: Bools, since_s: float, until_s: float) -> Windows:
         """Return those of one side of every rotation, those of each in an order of its own."""
-        # By number among all instants: whatever the gap, the same instant has the same draws.
+        # By number among all instants: whatever the gap, the same instant has the same
+        # draws.
         orders = {n: draft.rng("order", side, n) for n in used.tolist()}
-        order = [rng.permutation(np.flatnonzero(present[n])) for n, rng in orders.items()]
+        order = [
+            rng.permutation(np.flatnonzero(present[n])) for n, rng in orders.items()
+        ]
         row = np.concatenate(order)
         search = np.repeat(np.arange(used.size), [part.size for part in order])
-        start_s, end_s = (at_s[used][search] + after_s for after_s in (since_s, until_s))
+        start_s, end_s = (
+            at_s[used][search] + after_s for after_s in (since_s, until_s)
+        )
         stretches = draft.cut(side, row, start_s, end_s, [labels[n] for n in search])
         return stretches.windows(np.searchsorted(rows, row), search)
 
@@ -383,7 +482,9 @@ def handover(draft: Draft) -> Sessions:
     # Whoever is seen in the other half alone may teach, company included.
     group = tuple(tracks.group[row] for row in rows)
     cluster = np.unique(group, return_inverse=True)[1]
-    seen = np.stack([there[fold == half][:, rows].any(axis=0) for half in range(N_FOLDS)])
+    seen = np.stack(
+        [there[fold == half][:, rows].any(axis=0) for half in range(N_FOLDS)]
+    )
     company = np.stack([np.bincount(cluster, one) > 0 for one in seen])[:, cluster]
     return draft.sessions(
         rows,
@@ -410,25 +511,35 @@ def _instants(draft: Draft, at_s: Floats, gap_s: float) -> Ints:
 
 
 _MAKERS: Final[Mapping[str, Callable[[Draft], Sessions]]] = {
-    make.__name__: make for make in (rerelease, split, new_traversal, cross_session, handover)
+    make.__name__: make
+    for make in (rerelease, split, new_traversal, cross_session, handover)
 }
 """By the family of the task."""
 
 
 def sessions_of(
-    task: Task, *, tracks: Tracks, stages: StageSettings, seed: int, later: Tracks | None = None
+    task: Task,
+    *,
+    tracks: Tracks,
+    stages: StageSettings,
+    seed: int,
+    later: Tracks | None = None,
 ) -> Sessions:
     """Return the sessions of a task: of the recording, or of the two-session crowd.
 
-    `later` is the second session, if it is another than that of the bundled crowd. DataError if
-    there are too few people for the task, or a half of them has nobody to link or to learn from;
-    SettingsError if there is no task of this name.
+    `later` is the second session, if it is another than that of the bundled crowd.
+    DataError if there are too few people for the task, or a half of them has nobody to
+    link or to learn from; SettingsError if there is no task of this name.
     """
     make = _MAKERS[task_named(task.name).family]
     if task.simulated and later is None:
         crowd = _crowd(stages.linkage.trait_strength)
         tracks, later = placed_together(crowd, settings=stages)
-    found = make(Draft(task=task, tracks=tracks, later=later or tracks, settings=stages, seed=seed))
+    found = make(
+        Draft(
+            task=task, tracks=tracks, later=later or tracks, settings=stages, seed=seed
+        )
+    )
     if task.comes_back:
         return found
     mated = found.mate >= 0
@@ -437,9 +548,10 @@ def sessions_of(
         mine, others = person[fold == half], person[fold != half]
         if mine.size < 2 or not found.learns[half][others].any():  # noqa: PLR2004 - one alone has no other
             raise DataError(
-                f"task {task.name}: half of the people have no mate, or no other people to train "
-                "on, since too many share a walking group or are present all the time; use a "
-                "recording of more people or leave the task out (--task)"
+                f"task {task.name}: half of the people have no mate, or no other people"
+                " to train on, since too many share a walking group or are present all"
+                " the time; use a recording of more people or leave the task out"
+                " (--task)"
             )
     return found
 
@@ -448,8 +560,14 @@ def _crowd(trait_strength: float) -> tuple[Tracks, Tracks]:
     """Return the two sessions of the crowd: the bundled ones, or simulated anew."""
     if trait_strength == 1.0:
         return load("plaza").tracks, load("plaza-session2").tracks
-    from isac_track.datasets.crowd import BUNDLED_SEED, CrowdSettings, generate  # noqa: PLC0415 - seldom needed
+    from isac_track.datasets.crowd import (  # noqa: PLC0415 - seldom needed
+        BUNDLED_SEED,
+        CrowdSettings,
+        generate,
+    )
 
     crowd = CrowdSettings(trait_strength=trait_strength)
-    first, second = (generate(crowd, seed=BUNDLED_SEED, session=number) for number in (1, 2))
+    first, second = (
+        generate(crowd, seed=BUNDLED_SEED, session=number) for number in (1, 2)
+    )
     return first, second

@@ -1,9 +1,10 @@
 """Controls of linkage: what every attack is held against, and what no task may reveal.
 
-Two controls must stay at chance whatever the task: random scores, and the scores of a real attack
-with the mates shuffled. The others are the *shortcut audit*: each sees one thing that has nothing
-to do with how a person walks. If it differs from chance, in either direction, the task gives people
-away by a side door, and what an attack achieves there is no measure of anything.
+Two controls must stay at chance whatever the task: random scores, and the scores of a
+real attack with the mates shuffled. The others are the *shortcut audit*: each sees one
+thing that has nothing to do with how a person walks. If it differs from chance, in
+either direction, the task gives people away by a side door, and what an attack achieves
+there is no measure of anything.
 """
 
 from collections.abc import Callable, Mapping
@@ -33,14 +34,22 @@ class Control:
     score: Score | None
     """From probe, gallery and a stream to scores (P, G), higher = more alike; None: the scores
     of an attack, with shuffled mates."""
-    in_scene: Score | None = None  # The same in the true frame, if it must look another way there.
+    in_scene: Score | None = (
+        None  # The same in the true frame, if it must look another way there.
+    )
     is_audit: bool = True
-    hides_in_scene: bool = False  # Whether it sees what a task in the true frame shows on purpose.
+    hides_in_scene: bool = (
+        False  # Whether it sees what a task in the true frame shows on purpose.
+    )
     is_evidence_live: bool = False
     """Whether what it sees is evidence where both sides show one time of one walk: there it is an
     ablation, of what a linker could do by this alone, and no shortcut."""
-    sees_times_only: bool = False  # Whether all levels that share every sample are alike to it.
-    circumstance: tuple[int, ...] = ()  # Columns of `circumstances`, which it sees instead.
+    sees_times_only: bool = (
+        False  # Whether all levels that share every sample are alike to it.
+    )
+    circumstance: tuple[
+        int, ...
+    ] = ()  # Columns of `circumstances`, which it sees instead.
 
     def applies(self, task: Task) -> bool:
         """Whether a task has this control."""
@@ -54,14 +63,20 @@ class Control:
 
     def scorer(self, task: Task) -> Score | None:
         """Return what scores in a task."""
-        return self.in_scene if task.shows_scene and self.in_scene is not None else self.score
+        return (
+            self.in_scene
+            if task.shows_scene and self.in_scene is not None
+            else self.score
+        )
 
 
 def _alike(features: Callable[[Release], Floats]) -> Score:
     """Return what scores the closeness of what features of tracks, (N,) or (N, F), tell."""
 
     def score(probe: Release, gallery: Release, _rng: Generator) -> Floats:
-        return closeness(*(features(one).reshape(len(one), -1) for one in (probe, gallery)))
+        return closeness(
+            *(features(one).reshape(len(one), -1) for one in (probe, gallery))
+        )
 
     return score
 
@@ -70,7 +85,8 @@ def closeness(first: Floats, second: Floats) -> Floats:
     """Return minus the distance of features, (P, F) and (G, F), each scaled by its spread."""
     spread = np.concatenate([first, second]).std(axis=0)
     square = np.zeros((len(first), len(second)))
-    # One by one: the gaps of thousands of people in all features at once are a gigabyte.
+    # One by one: the gaps of thousands of people in all features at once are a
+    # gigabyte.
     for one, other, width in zip(first.T, second.T, spread.tolist(), strict=True):
         gap = (one[:, None] - other) / (width if width > 0 else 1.0)
         square += np.square(gap, out=gap)
@@ -84,15 +100,21 @@ def _means(values: Floats, release: Release) -> Floats:
 
 
 def _sampling_times(release: Release) -> Floats:
-    step_s, starts = intervals_before(t=release.t, offsets=release.offsets), release.offsets[:-1]
+    step_s, starts = (
+        intervals_before(t=release.t, offsets=release.offsets),
+        release.offsets[:-1],
+    )
     extremes = (each.reduceat(step_s, starts) for each in (np.minimum, np.maximum))
-    return np.column_stack([_means(step_s, release), _means(step_s**2, release), *extremes])
+    return np.column_stack(
+        [_means(step_s, release), _means(step_s**2, release), *extremes]
+    )
 
 
 def _noise(release: Release) -> Floats:
     """Return the mean logarithm of each track's declared noise, (N, 1).
 
-    How far it ranges within a track tells how far the person walked, which is no shortcut.
+    How far it ranges within a track tells how far the person walked, which is no
+    shortcut.
     """
     assert release.sigma is not None  # a control sees all that is declared
     level = _means(np.log(np.maximum(release.sigma, _NO_SIGMA_M)), release)
@@ -102,7 +124,8 @@ def _noise(release: Release) -> Floats:
 def _over_neighbours(release: Release) -> Floats:
     """Return each track's noise level less the mean of its nearest few, (N, 1), of one release.
 
-    In the true frame noise that grows with the distance from the base station is but the place.
+    In the true frame noise that grows with the distance from the base station is but
+    the place.
     """
     from scipy.spatial import cKDTree  # noqa: PLC0415 - heavy, and used here alone
 
@@ -144,7 +167,9 @@ CONTROLS: Final[Mapping[str, Control]] = {
         "how long a release lasts",
         _alike(lambda one: one.t[one.offsets[1:] - 1] - one.t[one.offsets[:-1]]),
     ),
-    "sample_count": _Times("how many samples it has", _alike(lambda one: np.diff(one.offsets))),
+    "sample_count": _Times(
+        "how many samples it has", _alike(lambda one: np.diff(one.offsets))
+    ),
     "sampling_times": _Times("how its sampling steps vary", _alike(_sampling_times)),
     "noise_level": Control(
         "the standard deviations declared with it",
@@ -153,7 +178,9 @@ CONTROLS: Final[Mapping[str, Control]] = {
         # How well somebody is sensed does not change at once: physics, not a leak.
         is_evidence_live=True,
     ),
-    "frame": Control("where it lies and heads in its frame", _alike(_frame), hides_in_scene=True),
+    "frame": Control(
+        "where it lies and heads in its frame", _alike(_frame), hides_in_scene=True
+    ),
     "clock": _Times(
         "when it starts on its clock",
         _alike(lambda one: one.t[one.offsets[:-1]]),

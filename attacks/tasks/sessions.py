@@ -14,7 +14,9 @@ from attacks.tasks.task_list import Task
 from isac_track.types import Bools, Floats, Ints, Tracks, read_only
 
 N_FOLDS = 2
-CALIBRATING_SHARE = 1 / 3  # Of the people to learn from, kept apart to calibrate scores on.
+CALIBRATING_SHARE = (
+    1 / 3
+)  # Of the people to learn from, kept apart to calibrate scores on.
 COLUMNS: Final[Mapping[str, tuple[int, ...]]] = {
     "queue_place": (0, 1),
     "walking_direction": (2,),
@@ -34,7 +36,9 @@ class Windows:
     offsets: Ints  # (N + 1,)
     person: Ints  # (N,) row in the people of the `Sessions`.
     search: Ints  # (N,) which search it belongs to: candidates are compared within one.
-    about: Floats | None = None  # (N, 6) `circumstances`, where a task controls for them.
+    about: Floats | None = (
+        None  # (N, 6) `circumstances`, where a task controls for them.
+    )
     walked_m: Floats | None = None
     """(M,) m, walked since the recorded walk began; None: as if each began with its window."""
 
@@ -60,11 +64,15 @@ class Sessions:
     gallery: Windows
     mate: Ints  # (P,) gallery window of the same person in the same search, or -1.
     fold: Ints  # (S,) half of each search; its adversary learns on the other half.
-    searches: tuple[str, ...]  # (S,) for people: a fold's number, or the instant of a handover.
+    searches: tuple[
+        str, ...
+    ]  # (S,) for people: a fold's number, or the instant of a handover.
     learns: Bools
     """(2, K) people from whom the adversary of either fold learns; where the task is of few who
     come back, (K, K) from whom that of each person does."""
-    calibrates: Bools  # as `learns`: people on whose scores those of a fold are calibrated.
+    calibrates: (
+        Bools  # as `learns`: people on whose scores those of a fold are calibrated.
+    )
     too_short: int
     """Recorded tracks that are left out: shorter than the windows, or not there at the time."""
     not_drawn: int  # Further ones beyond `linkage.most_people`.
@@ -76,12 +84,16 @@ class Sessions:
         cluster = np.unique(self.group, return_inverse=True)[1]
         for fold, teachers in enumerate(self.learns | self.calibrates):
             sides = (self.probe, self.gallery)
-            attacked = np.concatenate([one.person[self.fold[one.search] == fold] for one in sides])
+            attacked = np.concatenate(
+                [one.person[self.fold[one.search] == fold] for one in sides]
+            )
             if self.task.comes_back:
                 attacked = np.array([fold])
             if np.intersect1d(cluster[attacked], cluster[teachers]).size:
                 raise AssertionError("a victim's group is among the training people")
-        learnt, known = (cluster[each.any(axis=0)] for each in (self.learns, self.calibrates))
+        learnt, known = (
+            cluster[each.any(axis=0)] for each in (self.learns, self.calibrates)
+        )
         if np.intersect1d(learnt, known).size:
             raise AssertionError("scores are calibrated on people who were learnt from")
 
@@ -99,7 +111,9 @@ def halves(group: tuple[str, ...], *, rng: Generator) -> Ints:
     return half[cluster]
 
 
-def roles(group: tuple[str, ...], *, may_teach: Bools, rng: Generator) -> tuple[Bools, Bools]:
+def roles(
+    group: tuple[str, ...], *, may_teach: Bools, rng: Generator
+) -> tuple[Bools, Bools]:
     """Return who is learnt from and who calibrates, (2, K) each: groups stay whole."""
     cluster = np.unique(group, return_inverse=True)[1]
     calibrates = np.zeros_like(may_teach)
@@ -114,10 +128,10 @@ def roles(group: tuple[str, ...], *, may_teach: Bools, rng: Generator) -> tuple[
 def circumstances(tracks: Tracks, rows: Ints, windows: Windows) -> Floats:
     """Return what goes with each window beside its person, (N, 6).
 
-    Of the tracks that they are cut from, `rows`, (N,): the place in the queue when the session
-    begins, on a circle (cosine and sine of the rank by bearing from its middle); which way round
-    that middle one walks, -1 to 1; how many people are there; when it is, s from the session's
-    start; and how long the whole track lasts, s.
+    Of the tracks that they are cut from, `rows`, (N,): the place in the queue when the
+    session begins, on a circle (cosine and sine of the rank by bearing from its
+    middle); which way round that middle one walks, -1 to 1; how many people are there;
+    when it is, s from the session's start; and how long the whole track lasts, s.
     """
     assert tracks.session is not None
     session = np.array(tracks.session)
@@ -128,10 +142,15 @@ def circumstances(tracks: Tracks, rows: Ints, windows: Windows) -> Floats:
         middle_m = tracks.xy[first[of_run[0]] : last[of_run[-1]] + 1].mean(axis=0)
         bearing = np.arctan2(*(tracks.xy[first[of_run]] - middle_m).T)
         turn = 2.0 * np.pi * float((bearing < bearing[of_run == row]).mean())
-        t, walk = windows.t[slice(*windows.offsets[n : n + 2])], slice(first[row], last[row] + 1)
+        t, walk = (
+            windows.t[slice(*windows.offsets[n : n + 2])],
+            slice(first[row], last[row] + 1),
+        )
         x, y = (np.interp(t, tracks.t[walk], tracks.xy[walk, axis]) for axis in (0, 1))
         out, step = (x + 1j * y - complex(*middle_m))[:-1], np.diff(x + 1j * y)
-        there = (tracks.t[first[of_run]] <= t.mean()) & (tracks.t[last[of_run]] >= t.mean())
+        there = (tracks.t[first[of_run]] <= t.mean()) & (
+            tracks.t[last[of_run]] >= t.mean()
+        )
         found[n] = (
             *(np.cos(turn), np.sin(turn)),
             (out.conj() * step).imag.sum() / max(float(np.abs(out * step).sum()), 1e-9),

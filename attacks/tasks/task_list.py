@@ -1,9 +1,10 @@
 """Which linkage tasks there are, and what each tells an adversary about frame and clock.
 
-Every task shows walks twice, before and after the pseudonyms change: as probe and as gallery. In a
-handover those of the live recording rotate at one instant, in the true frame and on the true clock:
-who left has no mate, who is new is a candidate all the same. In the others everybody is in both;
-they hide frame and clock, but for `rerelease-framed`, which no task is easier than.
+Every task shows walks twice, before and after the pseudonyms change: as probe and as
+gallery. In a handover those of the live recording rotate at one instant, in the true
+frame and on the true clock: who left has no mate, who is new is a candidate all the
+same. In the others everybody is in both; they hide frame and clock, but for
+`rerelease-framed`, which no task is easier than.
 """
 
 from collections.abc import Mapping
@@ -21,11 +22,17 @@ class Task:
 
     name: str
     about: str
-    shows_scene: bool = False  # Whether the releases come in the true frame and on the true clock.
+    shows_scene: bool = (
+        False  # Whether the releases come in the true frame and on the true clock.
+    )
     gap_s: float = 0.0  # Silence before all pseudonyms rotate.
-    comes_back: bool = False  # Of people in two sessions: so few that one is left out to learn.
+    comes_back: bool = (
+        False  # Of people in two sessions: so few that one is left out to learn.
+    )
     is_one_stretch: bool = False  # Whether both show the same steps, in part at least.
-    simulated: bool = False  # Whether it needs the two-session crowd instead of a recording.
+    simulated: bool = (
+        False  # Whether it needs the two-session crowd instead of a recording.
+    )
 
     @property
     def family(self) -> str:
@@ -65,26 +72,37 @@ TASKS: Final[Mapping[str, Task]] = {
     task.name: task
     for task in (
         Task(
-            "rerelease", "two logs of the same steps, without frame or clock", is_one_stretch=True
+            "rerelease",
+            "two logs of the same steps, without frame or clock",
+            is_one_stretch=True,
         ),
         Task(
             "rerelease-framed",
-            "two logs of the same steps, in the true frame and on the true clock: the bound",
+            "two logs of the same steps, in the true frame and on the true clock: the"
+            " bound",
             shows_scene=True,
             is_one_stretch=True,
         ),
-        Task("split", "two windows of one walk that do not touch: behaviour, and its noise level"),
+        Task(
+            "split",
+            "two windows of one walk that do not touch: behaviour, and its noise level",
+        ),
         *(
             Task(
                 f"handover-{gap_s:g}s",
-                f"all pseudonyms rotate after {gap_s:g} s of silence, in the true frame",
+                f"all pseudonyms rotate after {gap_s:g} s of silence, in the true"
+                " frame",
                 shows_scene=True,
                 gap_s=gap_s,
             )
             for gap_s in (1.0, 2.0, 5.0)
         ),
-        Task("new_traversal", "the same person on another day, simulated", simulated=True),
-        Task("cross_session", "the same real person in another session", comes_back=True),
+        Task(
+            "new_traversal", "the same person on another day, simulated", simulated=True
+        ),
+        Task(
+            "cross_session", "the same real person in another session", comes_back=True
+        ),
     )
 }
 

@@ -10,8 +10,8 @@ so that ``pytest -k null_stays_at_chance`` runs one of them. From the command li
 
     python -m attacks check my_module:MyAttack
 
-`CHECKS` are those of reconstruction attacks, `LINKAGE_CHECKS` those of linkage attacks. Every check
-of an attack runs once for each adversary that grants it something else
+`CHECKS` are those of reconstruction attacks, `LINKAGE_CHECKS` those of linkage attacks.
+Every check of an attack runs once for each adversary that grants it something else
 (`isac_track.protocols.grants`). All draws are seeded: a check never flickers.
 """
 
@@ -34,7 +34,13 @@ from isac_track.testing.engine import Check
 from isac_track.testing.engine import Outcome as CheckResult
 from isac_track.types import Knowledge
 
-__all__ = ["CHECKS", "LINKAGE_CHECKS", "MECHANISM_CHECKS", "PREDICTOR_CHECKS", "CheckResult"]
+__all__ = [
+    "CHECKS",
+    "LINKAGE_CHECKS",
+    "MECHANISM_CHECKS",
+    "PREDICTOR_CHECKS",
+    "CheckResult",
+]
 __all__ += ["adversaries_of", "checks_for", "parametrize_attack_checks", "run_checks"]
 __all__ += ["parametrize_mechanism_checks", "parametrize_predictor_checks"]
 
@@ -66,16 +72,20 @@ def _rows(subject: Hashable) -> list[Row]:
         try:
             row.raw(copied(row.ordinary))
         except AssertionError:
-            # Given everything, lest this one mistake fail all checks and hide the next one.
+            # Given everything, lest this one mistake fail all checks and hide the next
+            # one.
             row = dataclasses.replace(row, given=row.ordinary.everything)
         rows.append(row)
     return rows
 
 
-def _granted(subject: Any) -> dict[frozenset[Knowledge], str]:  # noqa: ANN401 - a stranger's
+def _granted(
+    subject: Any,  # noqa: ANN401 - a stranger's
+) -> dict[frozenset[Knowledge], str]:
     """Return the adversary of every row that a plug-in makes here, by what it is granted.
 
-    Of linkage these are the rows of all tasks, each once; no plug-in but attacks has an adversary.
+    Of linkage these are the rows of all tasks, each once; no plug-in but attacks has an
+    adversary.
     """
     nothing = frozenset[Knowledge]()
     if noun_of(subject) != "attack":
@@ -85,10 +95,15 @@ def _granted(subject: Any) -> dict[frozenset[Knowledge], str]:  # noqa: ANN401 -
         tasks = [(task.everyone, task.nobody) for task in TASKS.values()]
     made: dict[frozenset[Knowledge], str] = {}
     for everyone, nobody in tasks:
-        for adversary, granted in grants(subject, everyone=everyone, nobody=nobody).items():
+        for adversary, granted in grants(
+            subject, everyone=everyone, nobody=nobody
+        ).items():
             made.setdefault(granted, adversary)
     if not made:
-        why = "which nobody who links is granted: the repeats of a walk would be linked already"
+        why = (
+            "which nobody who links is granted: the repeats of a walk would be linked"
+            " already"
+        )
         raise PluginError(f"attack {type(subject).__name__} requires REPEATS, {why}")
     return made
 
@@ -113,7 +128,9 @@ _NOUNS = {"fit": "attack", "share": "mechanism", "predict": "predictor"}
 
 def noun_of(subject: object) -> str:
     """Return what somebody's object is, by its method; an attack if nothing says otherwise."""
-    return next((noun for method, noun in _NOUNS.items() if hasattr(subject, method)), "attack")
+    return next(
+        (noun for method, noun in _NOUNS.items() if hasattr(subject, method)), "attack"
+    )
 
 
 def _kind(subject: object) -> str:
@@ -128,7 +145,9 @@ def checks_for(subject: Any) -> dict[str, Check]:  # noqa: ANN401 - a stranger's
     """
     noun = noun_of(subject)
     if isinstance(subject, type):
-        raise PluginError(f"expected an object, got its class: write {subject.__name__}()")
+        raise PluginError(
+            f"expected an object, got its class: write {subject.__name__}()"
+        )
     kind, name = cast("plugins.Kind", f"{noun}s"), f"{noun} {type(subject).__name__}"
     plugins.check_class(kind, type(subject), name)
     plugins.check_declared(kind, subject, name)
@@ -139,13 +158,16 @@ def checks_for(subject: Any) -> dict[str, Check]:  # noqa: ANN401 - a stranger's
 def adversaries_of(attack: Attack) -> tuple[str, ...]:
     """Return the names of the adversaries whose rows an attack makes, weakest first.
 
-    Of a linkage attack those of a task that shows what it requires. Raises as `checks_for`.
+    Of a linkage attack those of a task that shows what it requires. Raises as
+    `checks_for`.
     """
     named = _granted(attack).values()
     return tuple(adversary for adversary in ADVERSARIES if adversary in named)
 
 
-def run_checks(subject: Subject, *, names: Sequence[str] | None = None) -> tuple[CheckResult, ...]:
+def run_checks(
+    subject: Subject, *, names: Sequence[str] | None = None
+) -> tuple[CheckResult, ...]:
     """Run all checks on a plug-in, or those called `names`; one that fails ends nothing.
 
     Raises as `checks_for`, and SettingsError for a check that does not exist.
@@ -170,9 +192,10 @@ def _parametrized(noun: str, subjects: Iterable[Subject]) -> Any:  # noqa: ANN40
 parametrize_attack_checks = partial(_parametrized, "attack")
 """Return a pytest decorator that runs a test once per attack and check.
 
-The test takes `attack` and `check`, and calls ``check(attack)``. A check that does not apply to an
-attack is skipped, with the reason. Attacks are instances. Raises as `checks_for`, and SettingsError
-without any attack. The two below do the same for mechanisms and predictors.
+The test takes `attack` and `check`, and calls ``check(attack)``. A check that does not
+apply to an attack is skipped, with the reason. Attacks are instances. Raises as
+`checks_for`, and SettingsError without any attack. The two below do the same for
+mechanisms and predictors.
 """
 parametrize_mechanism_checks = partial(_parametrized, "mechanism")
 parametrize_predictor_checks = partial(_parametrized, "predictor")
@@ -180,6 +203,12 @@ parametrize_predictor_checks = partial(_parametrized, "predictor")
 
 def _label(subject: Any) -> str:  # noqa: ANN401 - a frozen dataclass
     """Return the class, with the parameters that differ from their defaults."""
-    held = [(one, getattr(subject, one.name)) for one in dataclasses.fields(subject) if one.init]
-    changed = [f"{one.name}={value}" for one, value in held if repr(value) != repr(one.default)]
+    held = [
+        (one, getattr(subject, one.name))
+        for one in dataclasses.fields(subject)
+        if one.init
+    ]
+    changed = [
+        f"{one.name}={value}" for one, value in held if repr(value) != repr(one.default)
+    ]
     return type(subject).__name__ + (f"({','.join(changed)})" if changed else "")

@@ -18,7 +18,15 @@ from isac_track.model_world import Motion, errors_of, known_share, simulated
 from isac_track.privacy import exposure, leakage_indicator
 from isac_track.protocols import OF_WALKS, LinkageTrainingSet, TrainingSet
 from isac_track.sharing import Fixed
-from isac_track.types import Bools, ErrorLaw, Floats, Ints, Knowledge, Reconstruction, Release
+from isac_track.types import (
+    Bools,
+    ErrorLaw,
+    Floats,
+    Ints,
+    Knowledge,
+    Reconstruction,
+    Release,
+)
 
 N_TRACKS = 24  # And people.
 _MODEL_SIGMA_M = 0.7
@@ -26,7 +34,10 @@ EXTENTS, EXTRA_M = 3.0, 10.0  # How far an answer may lie from the middle of its
 GAP_S = 1.0  # Silence before the gallery goes on, where the scene is shown.
 PEOPLE, OTHERS = (128,) * N_TRACKS, (128,) * 20  # Samples of each: 12 s at 8 to 16 Hz.
 ODD = (  # Samples of probes, of the gallery and of the training set.
-    *(((128,) * probes, (128,) * gallery, OTHERS) for probes, gallery in ((1, 1), (4, 1), (1, 4))),
+    *(
+        ((128,) * probes, (128,) * gallery, OTHERS)
+        for probes, gallery in ((1, 1), (4, 1), (1, 4))
+    ),
     ((1, 1, 1), (1, 1, 1, 1), (40,) * 8),
     ((1, 2, 3, 128), (3, 2, 128, 1, 2), (40,) * 8),
     ((128, 128, 2), (128, 3, 1, 128), (1, 2, 3, 1, 2, 3, 40, 40, 40, 40)),
@@ -37,12 +48,18 @@ ODD = (  # Samples of probes, of the gallery and of the training set.
 class ReconstructionCase(made.Case):
     """One release with M samples, and everything that an adversary may know besides."""
 
-    asked: ClassVar[tuple[str, ...]] = ("release",)  # What the function from `fit` is called with.
+    asked: ClassVar[tuple[str, ...]] = (
+        "release",
+    )  # What the function from `fit` is called with.
     compared: ClassVar[str] = "positions or std"
     unit: ClassVar[str] = " m"
     hit: ClassVar[str] = "samples leak"
-    chance: ClassVar[float] = np.pi * EPSILON_M**2 / BOX_M**2  # Of a truth drawn in the square.
-    easy_share: ClassVar[float] = 0.5  # The shared positions themselves come to 1.0 there.
+    chance: ClassVar[float] = (
+        np.pi * EPSILON_M**2 / BOX_M**2
+    )  # Of a truth drawn in the square.
+    easy_share: ClassVar[float] = (
+        0.5  # The shared positions themselves come to 1.0 there.
+    )
     easy_hint: ClassVar[str] = "does it smooth too much, or lag behind?"
     levels_m: ClassVar[tuple[float, ...]] = (0.3, 1.0, 3.0)
     achieved: ClassVar[str] = "PLR"
@@ -56,7 +73,10 @@ class ReconstructionCase(made.Case):
     companions: tuple[Release, ...]
 
     def fault(self, result: object) -> str:
-        wrong = "expected a Reconstruction, got ndarray; wrap the positions: Reconstruction(xy)"
+        wrong = (
+            "expected a Reconstruction, got ndarray; wrap the positions:"
+            " Reconstruction(xy)"
+        )
         return "" if isinstance(result, Reconstruction) else wrong
 
     def read(self, result: Any) -> Floats:  # noqa: ANN401 - a stranger's
@@ -65,13 +85,19 @@ class ReconstructionCase(made.Case):
         if not isinstance(found, Reconstruction):
             raise ValueError(f"expected a Reconstruction, got {type(result).__name__}")  # noqa: TRY004 - of a stranger's
         if found.xy.shape != self.release.xy.shape:
-            wanted = f"expected {self.release.xy.shape}: one for every sample of the release"
-            raise ValueError(f"positions of shape {found.xy.shape}, {wanted}, in its order")
+            wanted = (
+                f"expected {self.release.xy.shape}: one for every sample of the release"
+            )
+            raise ValueError(
+                f"positions of shape {found.xy.shape}, {wanted}, in its order"
+            )
         return found.xy if found.std is None else np.column_stack([found.xy, found.std])
 
     def hits(self, answer: Floats) -> Bools:
         """Return which samples leak, (M,)."""
-        return leakage_indicator(shared_xy=answer[:, :2], true_xy=self.truth, epsilon_m=EPSILON_M)
+        return leakage_indicator(
+            shared_xy=answer[:, :2], true_xy=self.truth, epsilon_m=EPSILON_M
+        )
 
     def success(self, answer: Floats) -> Floats:
         """Return the PLR of each track, (N,)."""
@@ -80,14 +106,18 @@ class ReconstructionCase(made.Case):
 
     def out_of_bounds(self, answer: Floats) -> str:
         first, sizes = self.release.offsets[:-1], np.diff(self.release.offsets)
-        low, high = (each.reduceat(self.release.xy, first) for each in (np.minimum, np.maximum))
+        low, high = (
+            each.reduceat(self.release.xy, first) for each in (np.minimum, np.maximum)
+        )
         middle = np.repeat((low + high) / 2, sizes, axis=0)
         away_m = np.maximum.reduceat(np.hypot(*(answer[:, :2] - middle).T), first)
         limit_m = EXTENTS * np.hypot(*(high - low).T) + EXTRA_M
         if (away_m <= limit_m).all():
             return ""
         worst = int(np.argmax(away_m / limit_m))
-        room = f"{limit_m[worst]:.0f} m ({EXTENTS:g} times its extent and {EXTRA_M:g} m)"
+        room = (
+            f"{limit_m[worst]:.0f} m ({EXTENTS:g} times its extent and {EXTRA_M:g} m)"
+        )
         away = f"{away_m[worst]:.0f} m from the middle of track {worst}"
         return f"an answer lies {away}, expected at most {room}"
 
@@ -96,7 +126,9 @@ class ReconstructionCase(made.Case):
         rows, others = np.array([5, 2, 7, 0, 3, 6, 1, 4]), self.train.release
         place = np.repeat(np.argsort(rows), np.diff(self.release.offsets))
         samples = np.argsort(place, kind="stable")
-        changed = made.of_each(self, lambda one: one if one is others else one.tracks(rows))
+        changed = made.of_each(
+            self, lambda one: one if one is others else one.tracks(rows)
+        )
         return changed, lambda answer: answer[samples]
 
     def in_other_frames(self) -> tuple[ReconstructionCase, Callable[[Floats], Floats]]:
@@ -146,12 +178,17 @@ class ReconstructionCase(made.Case):
         expected = known_share(
             t=t, offsets=offsets, errors=errors, motion=motion, epsilon_m=EPSILON_M
         )
-        return replace(like, release=release, truth=truth, mechanism=mechanism), expected
+        return (
+            replace(like, release=release, truth=truth, mechanism=mechanism),
+            expected,
+        )
 
     def null(self) -> ReconstructionCase:
         """Return walks with a truth that has nothing to do with them."""
         case = self.noisy(BOX_M, "isotropic")
-        truth = draws("unrelated", "truth").uniform(-BOX_M / 2, BOX_M / 2, case.truth.shape)
+        truth = draws("unrelated", "truth").uniform(
+            -BOX_M / 2, BOX_M / 2, case.truth.shape
+        )
         about = f"{N_TRACKS} tracks of positions that have nothing to do with the truth"
         return replace(case, about=about, truth=truth)
 
@@ -161,7 +198,9 @@ class ReconstructionCase(made.Case):
             about = f"tracks of {', '.join(map(str, sizes))} samples"
             yield made_up("short", about=about, sizes=sizes)
         about = "8 walks with steps from 1 ms to 30 s"
-        yield made_up("irregular", about=about, sizes=(60,) * 8, steps_s=made.IRREGULAR_S)
+        yield made_up(
+            "irregular", about=about, sizes=(60,) * 8, steps_s=made.IRREGULAR_S
+        )
 
 
 @cache
@@ -178,7 +217,9 @@ def made_up(
     mechanism = Fixed(d_sigma=sigma_m - RAW_SIGMA_M, law=law)
     mine = made.walks(name, "walks", sizes=sizes, steps_s=steps_s)
     others = made.walks(name, "others", sizes=range(40, 88, 4), steps_s=steps_s)
-    truth, others_truth = (np.concatenate([xy for _, xy in some]) for some in (mine, others))
+    truth, others_truth = (
+        np.concatenate([xy for _, xy in some]) for some in (mine, others)
+    )
 
     def share(walked: list[made.Walk], *words: str | int) -> Release:
         return made.shared(walked, (name, *words), mechanism=mechanism)
@@ -192,7 +233,9 @@ def made_up(
         mechanism=mechanism,
         train=TrainingSet(share(others, "train"), others_truth),
         repeats=tuple(share(mine, "repeat", row) for row in range(2)),
-        anchor=Release(release.t[first], truth[first], None, np.arange(len(names) + 1), names),
+        anchor=Release(
+            release.t[first], truth[first], None, np.arange(len(names) + 1), names
+        ),
         companions=(replace(beside, xy=beside.xy + 1.0),),
     )
 
@@ -201,9 +244,10 @@ def made_up(
 class LinkageCase(made.Case):
     """P probes, G gallery tracks, and everything that an adversary may know besides.
 
-    Where the scene is hidden, every walk comes in a frame and on a clock of its own, in two
-    recordings. Where it is shown, all is in one, and the gallery goes on after `GAP_S` of silence,
-    or, for a linker of one stretch of a walk, shows the same steps at other instants.
+    Where the scene is hidden, every walk comes in a frame and on a clock of its own, in
+    two recordings. Where it is shown, all is in one, and the gallery goes on after
+    `GAP_S` of silence, or, for a linker of one stretch of a walk, shows the same steps
+    at other instants.
     """
 
     asked: ClassVar[tuple[str, ...]] = ("probe", "gallery")
@@ -211,11 +255,15 @@ class LinkageCase(made.Case):
     unit: ClassVar[str] = " of their spread"
     hit: ClassVar[str] = "mates come first"
     chance: ClassVar[float] = 1 / N_TRACKS
-    easy_share: ClassVar[float] = 1 / 4  # Chance alone brings 6 of 24 once in 1000 at most.
+    easy_share: ClassVar[float] = (
+        1 / 4
+    )  # Chance alone brings 6 of 24 once in 1000 at most.
     easy_hint: ClassVar[str] = "is the sign right? a higher score means the same person"
     levels_m: ClassVar[tuple[float, ...]] = (0.1, 10.0)
     """Averaged over 128 samples, 10 m come to 0.9 m: of a walk of some 15 m little is left."""
-    achieved: ClassVar[str] = "the mean logarithm of candidates over the rank of the mate"
+    achieved: ClassVar[str] = (
+        "the mean logarithm of candidates over the rank of the mate"
+    )
 
     probe: Release
     gallery: Release
@@ -223,12 +271,18 @@ class LinkageCase(made.Case):
     mechanism: Fixed
     train: LinkageTrainingSet
     scene: bool  # Whether the true frame and clock are shown.
-    same_steps: bool = False  # Whether the gallery then shows the same steps as the probes.
+    same_steps: bool = (
+        False  # Whether the gallery then shows the same steps as the probes.
+    )
 
     @property
     def everything(self) -> frozenset[Knowledge]:  # type: ignore[override]  # a class variable elsewhere
         """All that there is to grant: the repeats of a walk would be linked already."""
-        return frozenset(Knowledge) - OF_WALKS - ({Knowledge.SCENE} if not self.scene else set())
+        return (
+            frozenset(Knowledge)
+            - OF_WALKS
+            - ({Knowledge.SCENE} if not self.scene else set())
+        )
 
     @property
     def shown(self) -> dict[str, bool]:
@@ -246,7 +300,9 @@ class LinkageCase(made.Case):
         scores, expected = np.asarray(result), (len(self.probe), len(self.gallery))
         if scores.dtype.kind not in "fiub":
             got = f"{type(result).__name__} of {scores.dtype}"
-            raise ValueError(f"expected real numbers of shape (P, G) = {expected}, got {got}")
+            raise ValueError(
+                f"expected real numbers of shape (P, G) = {expected}, got {got}"
+            )
         if scores.shape != expected:
             turned = " (turned round?)" if scores.shape == expected[::-1] else ""
             rows = f"a row for every probe, a column for every gallery track{turned}"
@@ -276,13 +332,17 @@ class LinkageCase(made.Case):
     def reordered(self) -> tuple[LinkageCase, Callable[[Floats], Floats]]:
         """Return the ordinary case with its tracks in another order, and how scores follow."""
         rows, columns = (5, 2, 0, 3, 6, 1, 4), (4, 8, 0, 6, 2, 7, 1, 5, 3)
-        changed = replace(self, probe=self.probe.tracks(rows), gallery=self.gallery.tracks(columns))
+        changed = replace(
+            self, probe=self.probe.tracks(rows), gallery=self.gallery.tracks(columns)
+        )
         return changed, lambda scores: scores[np.ix_(rows, columns)]
 
     def in_other_frames(self) -> tuple[LinkageCase, Callable[[Floats], Floats]]:
         """Return the case with every walk of all four releases in yet another frame and clock."""
         rng = draws("linkage", "other frames")
-        changed = made.of_each(self, lambda one: made.moved(one, made.frames(rng, len(one))))
+        changed = made.of_each(
+            self, lambda one: made.moved(one, made.frames(rng, len(one)))
+        )
         return changed, lambda scores: scores
 
     @staticmethod
@@ -291,9 +351,14 @@ class LinkageCase(made.Case):
     ) -> tuple[LinkageCase, LinkageCase]:
         """Return a small case as most are, with P < G, and one of others under its pseudonyms."""
         sizes, about = (PEOPLE[:7], PEOPLE[:9], OTHERS), "P = 7, G = 9, noise of 0.3 m"
-        shown: dict[str, bool] = {"scene": Knowledge.SCENE in granted, "same_steps": same_steps}
+        shown: dict[str, bool] = {
+            "scene": Knowledge.SCENE in granted,
+            "same_steps": same_steps,
+        }
         case = people_made_up("ordinary", about=about, sizes=sizes, **shown)
-        other = people_made_up("another", about=f"{about}, of others", sizes=sizes, **shown)
+        other = people_made_up(
+            "another", about=f"{about}, of others", sizes=sizes, **shown
+        )
         probe = replace(other.probe, pseudonym=case.probe.pseudonym)
         gallery = replace(other.gallery, pseudonym=case.gallery.pseudonym)
         return case, replace(other, probe=probe, gallery=gallery, train=case.train)
@@ -301,14 +366,21 @@ class LinkageCase(made.Case):
     def noisy(self, sigma_m: float, law: ErrorLaw) -> LinkageCase:
         """Return the same 24 people against each other, with the same errors times `sigma_m`."""
         about = f"{N_TRACKS} people, {law} noise of {sigma_m:g} m"
-        return people_made_up("noisy", about=about, sigma_m=sigma_m, law=law, **self.shown)
+        return people_made_up(
+            "noisy", about=about, sigma_m=sigma_m, law=law, **self.shown
+        )
 
     def null(self) -> LinkageCase:
         """Return probes of people who are not in the gallery, with mates drawn one by one."""
-        strangers = people_made_up("strangers", about="", sigma_m=RAW_SIGMA_M, **self.shown)
+        strangers = people_made_up(
+            "strangers", about="", sigma_m=RAW_SIGMA_M, **self.shown
+        )
         return replace(
             self.noisy(RAW_SIGMA_M, "radial"),
-            about=f"{N_TRACKS} probes of people who are not among the {N_TRACKS} of the gallery",
+            about=(
+                f"{N_TRACKS} probes of people who are not among the {N_TRACKS} of the"
+                " gallery"
+            ),
             gallery=strangers.gallery,
             mate=draws("linkage", "strangers", "mate").integers(0, N_TRACKS, N_TRACKS),
         )
@@ -321,7 +393,9 @@ class LinkageCase(made.Case):
             yield people_made_up("short", about=about, sizes=sizes, **self.shown)
         sizes, about = ((60,) * 6, (60,) * 8, (60,) * 12), "steps from 1 ms to 30 s"
         steps_s = made.IRREGULAR_S
-        yield people_made_up("irregular", about=about, sizes=sizes, steps_s=steps_s, **self.shown)
+        yield people_made_up(
+            "irregular", about=about, sizes=sizes, steps_s=steps_s, **self.shown
+        )
 
 
 @cache
@@ -338,12 +412,15 @@ def people_made_up(
 ) -> LinkageCase:
     """Return people who differ in speed, in how evenly they walk and in how they turn.
 
-    All but the size of the errors depends on `name` and `sizes` alone: the samples of each track of
-    probe and gallery, the same people, and of either release of the training set.
+    All but the size of the errors depends on `name` and `sizes` alone: the samples of
+    each track of probe and gallery, the same people, and of either release of the
+    training set.
     """
     mechanism = Fixed(d_sigma=sigma_m - RAW_SIGMA_M, law=law)
 
-    def release(name: tuple[str, ...], who: list[made.Person], sizes: tuple[int, ...]) -> Release:
+    def release(
+        name: tuple[str, ...], who: list[made.Person], sizes: tuple[int, ...]
+    ) -> Release:
         walks = []
         for row, size in enumerate(sizes):
             elapsed = made.instants(draws(*name, row), size, steps_s)
@@ -364,7 +441,9 @@ def people_made_up(
         gallery = release((*name_of, "gallery"), people, sizes[1])
         # In an order of its own, lest a place in the list tell who is who.
         order = draws(*name_of, "order").permutation(len(gallery))
-        mate = np.concatenate([np.argsort(order), np.full(len(probe), -1)])[: len(probe)]
+        mate = np.concatenate([np.argsort(order), np.full(len(probe), -1)])[
+            : len(probe)
+        ]
         return LinkageTrainingSet(probe, gallery.tracks(order), mate)
 
     victims = pair("victims", *sizes[:2])

@@ -18,10 +18,16 @@ Case: TypeAlias = Any  # One of those of `_attack_cases` or `_plugin_checks`.
 
 SAME = 1e-6  # Room for rounding: m, or a share of the spread of the scores.
 SAME_FRAME = 1e-5  # The same after a motion by some hundred metres and seconds.
-SAME_LEARNT = 0.01  # Room for what a learner makes of the same examples in another order.
-SPREADS = 3.0  # So many times what two seeds of an attack that draws differ by, two runs may.
+SAME_LEARNT = (
+    0.01  # Room for what a learner makes of the same examples in another order.
+)
+SPREADS = (
+    3.0  # So many times what two seeds of an attack that draws differ by, two runs may.
+)
 SURPRISE = 1e-6  # Probability with which chance alone would fail an attack.
-LEAK_ERRORS = 4.5  # Of ten thousand sound attacks hardly one leaks so many standard errors.
+LEAK_ERRORS = (
+    4.5  # Of ten thousand sound attacks hardly one leaks so many standard errors.
+)
 STANDARD_ERRORS = 2.5  # One-sided 99 % for 24 people (Student's t).
 _LEAKS = "does the truth reach the attack by a way other than its context?"
 
@@ -32,8 +38,12 @@ class Row:
 
     subject: Any
     adversary: str  # Empty: a mechanism or a predictor.
-    granted: frozenset[Knowledge]  # What the adversary grants it, or a predictor requires.
-    given: frozenset[Knowledge]  # All there is, if it cannot keep to what it was granted.
+    granted: frozenset[
+        Knowledge
+    ]  # What the adversary grants it, or a predictor requires.
+    given: frozenset[
+        Knowledge
+    ]  # All there is, if it cannot keep to what it was granted.
     ordinary: Case  # For checks that compare two runs.
     another: Case  # What it may be asked after the ordinary case.
 
@@ -69,10 +79,18 @@ class Row:
         rng = stream(seed, "attacks", "testing", "attack")
         run = cases[0].prepared(self.subject, self.given, rng, who)
         who = f"{who} asked for {' and '.join(asked)}, it"
-        return [call(run, *(getattr(one, name) for name in asked), who=who) for one in cases]
+        return [
+            call(run, *(getattr(one, name) for name in asked), who=who) for one in cases
+        ]
 
     def expect_same(
-        self, got: Floats, expected: Floats, *, what: str, hint: str, tolerance: float = SAME
+        self,
+        got: Floats,
+        expected: Floats,
+        *,
+        what: str,
+        hint: str,
+        tolerance: float = SAME,
     ) -> None:
         """Fail if answers differ by more than rounding, or two seeds of an attack that draws."""
         case = self.ordinary
@@ -80,12 +98,19 @@ class Row:
         if gaps.max() <= tolerance:
             return
         between_seeds = case.gaps(self.answer(case, seed=1), self.answer(case))
-        chance, gap = (np.sqrt(np.mean(one**2, axis=-1)) for one in (between_seeds, gaps))
+        chance, gap = (
+            np.sqrt(np.mean(one**2, axis=-1)) for one in (between_seeds, gaps)
+        )
         gap = np.where(chance > 0, gap, gaps.max(axis=-1))
         if (gap > tolerance + SPREADS * chance).any():
-            drawn = f" (two seeds differ by {chance.max():.3g}{case.unit})" * bool(chance.any())
+            drawn = f" (two seeds differ by {chance.max():.3g}{case.unit})" * bool(
+                chance.any()
+            )
             found = f"{what}: {case.compared} differ by {gap.max():.3g}{case.unit}"
-            self.fail(case, f"{found}, expected at most {tolerance:g}{case.unit}{drawn}; {hint}")
+            self.fail(
+                case,
+                f"{found}, expected at most {tolerance:g}{case.unit}{drawn}; {hint}",
+            )
 
 
 # The checks; each is held against every row that an attack makes
@@ -106,7 +131,10 @@ def same_seed_same_result(row: Row) -> None:
     if first.tobytes() != second.tobytes():
         changed = case.gaps(first, second).max(axis=0) > 0
         many = f"{np.count_nonzero(changed)} of {changed.size} {case.compared}"
-        hint = "draw from the rng that is given and from nothing else, and keep nothing from run"
+        hint = (
+            "draw from the rng that is given and from nothing else, and keep nothing"
+            " from run"
+        )
         row.fail(case, f"two runs with one seed differ in {many}; {hint} to run")
 
 
@@ -115,10 +143,16 @@ def inputs_are_not_mutated(row: Row) -> None:
     case, own = row.ordinary, copied(row.ordinary)
     row.raw(own)
     arrays = zip(arrays_of(case), arrays_of(own), strict=True)
-    paths = [path[1:] for (path, came), (_, left) in arrays if came.tobytes() != left.tobytes()]
+    paths = [
+        path[1:]
+        for (path, came), (_, left) in arrays
+        if came.tobytes() != left.tobytes()
+    ]
     if paths:
         of_context = ("train", "repeats")
-        changed = ", ".join("context." * path.startswith(of_context) + path for path in paths)
+        changed = ", ".join(
+            "context." * path.startswith(of_context) + path for path in paths
+        )
         hint = f"work on a copy, as in xy = {case.asked[0]}.xy.copy()"
         row.fail(case, f"changed {changed}; others read the same arrays: {hint}")
 
@@ -132,9 +166,9 @@ def only_granted_knowledge_is_touched(row: Row) -> None:
         # Whether more knowledge would help tells a denial from any other fault.
         replace(row, given=case.everything).raw(copied(case))
         raise AssertionError(
-            f"{error}; given all knowledge it runs: declare what you touch in `requires` or "
-            "`uses`, and look into context.granted before you touch what is only in `uses` "
-            f"(without SIGMA, {case.asked[0]}.sigma is None)"
+            f"{error}; given all knowledge it runs: declare what you touch in"
+            " `requires` or `uses`, and look into context.granted before you touch"
+            f" what is only in `uses` (without SIGMA, {case.asked[0]}.sigma is None)"
         ) from error
 
 
@@ -142,7 +176,9 @@ def order_of_tracks_does_not_matter(row: Row) -> None:
     """Tracks in another order are answered in that order, and otherwise alike."""
     changed, follow = row.ordinary.reordered()
     got, expected = row.answer(changed), follow(row.answer(row.ordinary))
-    hint = "does anything run from one track into the next, or depend on a track's number?"
+    hint = (
+        "does anything run from one track into the next, or depend on a track's number?"
+    )
     row.expect_same(got, expected, what="tracks in another order", hint=hint)
 
 
@@ -152,13 +188,16 @@ def frames_do_not_matter(row: Row) -> None:
     Whoever is granted SCENE may well know where the walls are: such a row is exempt.
     """
     if Knowledge.SCENE in row.granted:
-        raise SkipTest("granted SCENE in every row: it may depend on the true frame and clock")
+        raise SkipTest(
+            "granted SCENE in every row: it may depend on the true frame and clock"
+        )
     changed, follow = row.ordinary.in_other_frames()
     got, expected = row.answer(changed), follow(row.answer(row.ordinary))
     what = "another frame and clock for every release"
     hint = (
-        "without SCENE they are random; does anything depend on x and y taken by themselves, "
-        "on headings, on absolute times, or on two of these sharing a frame?"
+        "without SCENE they are random; does anything depend on x and y taken by"
+        " themselves, on headings, on absolute times, or on two of these sharing a"
+        " frame?"
     )
     row.expect_same(got, expected, what=what, hint=hint, tolerance=SAME_FRAME)
 
@@ -167,7 +206,9 @@ def pseudonyms_do_not_matter(row: Row) -> None:
     """Other pseudonyms, same result."""
 
     def renamed(release: Release) -> Release:
-        backwards = sorted(release.pseudonym, reverse=True)  # so that their order is another one
+        backwards = sorted(
+            release.pseudonym, reverse=True
+        )  # so that their order is another one
         names = (f"p{backwards.index(name):04}" for name in release.pseudonym)
         return replace(release, pseudonym=tuple(names))
 
@@ -180,21 +221,27 @@ def odd_tracks_are_handled(row: Row) -> None:
     """With tracks of one to three samples and steps from 1 ms to 30 s answers stay in bounds."""
     for case in row.ordinary.odd():
         if wrong := case.out_of_bounds(row.answer(case)):
-            hint = "does a window or a fit get too few samples, or is anything divided by a time"
+            hint = (
+                "does a window or a fit get too few samples, or is anything divided by"
+                " a time"
+            )
             row.fail(case, f"{wrong}; {hint} step?")
 
 
 def training_without_mates_is_handled(row: Row) -> None:
     """Where a third of the training probes has no mate (-1), nobody is taken for theirs.
 
-    Of every other such probe the gallery track is gone. The training gallery is then turned back to
-    front: who takes -1 for the last track learns something else.
+    Of every other such probe the gallery track is gone. The training gallery is then
+    turned back to front: who takes -1 for the last track learns something else.
     """
     train = row.ordinary.train
     mate = train.mate.copy()
     mate[::3] = -1
     stays = np.setdiff1d(np.arange(len(train.gallery)), train.mate[::6])
-    about = f"{row.ordinary.about}, {np.count_nonzero(mate < 0)} of {mate.size} others mateless"
+    about = (
+        f"{row.ordinary.about}, {np.count_nonzero(mate < 0)} of {mate.size} others"
+        " mateless"
+    )
     cases = []
     for rows in (stays[::-1], stays):
         place = np.full(len(train.gallery) + 1, -1)  # the last is that of nobody, -1
@@ -211,7 +258,8 @@ def training_without_mates_is_handled(row: Row) -> None:
 def calls_do_not_remember(row: Row) -> None:
     """What the function from fit answers does not depend on what it was asked before.
 
-    B, asked between A and A again, has A's pseudonyms and as many samples, lest a cache go by them.
+    B, asked between A and A again, has A's pseudonyms and as many samples, lest a cache
+    go by them.
     """
     case, other = row.ordinary, row.another
     first, after, again = map(case.read, row.results(case, other, case))
@@ -227,7 +275,8 @@ def calls_do_not_remember(row: Row) -> None:
 def null_stays_at_chance(row: Row) -> None:
     """Where the releases say nothing of the truth, it is hit no more often than by chance.
 
-    Each part of the truth is drawn by itself: it is hit with the probability `chance` at most.
+    Each part of the truth is drawn by itself: it is hit with the probability `chance`
+    at most.
     """
     case = row.ordinary.null()
     hits = case.hits(row.answer(case))
@@ -262,15 +311,22 @@ def success_falls_with_noise(row: Row) -> None:
         fall = low - high
         needed = STANDARD_ERRORS * float(fall.std(ddof=1) / np.sqrt(fall.size))
         if not fall.mean() > needed:
-            found = f"{low.mean():.3f} at {less:g} m of noise and {high.mean():.3f} at {more:g} m"
-            wanted = f"a fall of more than {needed:.3f}; what does the attack take the noise for?"
+            found = (
+                f"{low.mean():.3f} at {less:g} m of noise and {high.mean():.3f} at"
+                f" {more:g} m"
+            )
+            wanted = (
+                f"a fall of more than {needed:.3f}; what does the attack take the noise"
+                " for?"
+            )
             row.fail(case, f"{world.achieved} is {found}, expected {wanted}")
 
 
 def nothing_beats_the_optimum(row: Row) -> None:
     """Of walks that follow a model no more leaks than the exact posterior of a genie tells.
 
-    Of isotropic and radial errors, told their scales. A row with more than one release is exempt.
+    Of isotropic and radial errors, told their scales. A row with more than one release
+    is exempt.
     """
     for law in ("isotropic", "radial"):
         case, expected = row.ordinary.modelled(law)
@@ -279,7 +335,9 @@ def nothing_beats_the_optimum(row: Row) -> None:
         if gap.mean() > limit and not row.given & OF_WALKS:
             posterior = f"where the exact posterior comes to {expected.mean():.3f}"
             found = f"PLR {(gap + expected).mean():.3f}, {posterior}"
-            row.fail(case, f"{found}, expected no more than {limit:.3f} above ({_LEAKS})")
+            row.fail(
+                case, f"{found}, expected no more than {limit:.3f} above ({_LEAKS})"
+            )
 
 
 _FIRST = by_name(
@@ -290,7 +348,10 @@ _FIRST = by_name(
 )
 _THEN = by_name(pseudonyms_do_not_matter, odd_tracks_are_handled)
 _LAST = by_name(
-    calls_do_not_remember, null_stays_at_chance, easy_case_beats_chance, success_falls_with_noise
+    calls_do_not_remember,
+    null_stays_at_chance,
+    easy_case_beats_chance,
+    success_falls_with_noise,
 )
 RECONSTRUCTION: dict[str, Body] = {
     "result_is_a_reconstruction": result_is_right,

@@ -44,7 +44,11 @@ class MechanismCase(made.Case):
     sensed: Sensed
 
     def prepared(
-        self, mechanism: made.Theirs, _given: frozenset[Knowledge], rng: Generator, _who: str
+        self,
+        mechanism: made.Theirs,
+        _given: frozenset[Knowledge],
+        rng: Generator,
+        _who: str,
     ) -> made.Theirs:
         """Return what shares, with its random stream."""
         return lambda sensed: mechanism.share(sensed, rng)
@@ -52,7 +56,9 @@ class MechanismCase(made.Case):
     def read(self, result: object) -> Floats:
         """Return track, t, xy and sigma, if declared, of all samples; ValueError if it cannot."""
         if not isinstance(result, Release):
-            raise ValueError(f"share must return a Release, got {type(result).__name__}")  # noqa: TRY004 - a stranger's
+            raise ValueError(  # noqa: TRY004 - a stranger's
+                f"share must return a Release, got {type(result).__name__}"
+            )
         if len(result) != len(self.sensed):
             raise ValueError(f"of {len(self.sensed)} tracks it returned {len(result)}")
         track = np.repeat(np.arange(len(result)), np.diff(result.offsets))
@@ -66,7 +72,8 @@ class MechanismCase(made.Case):
 
     def samples_of(self, release: Release) -> tuple[Ints, str]:
         """Return which of the sensed samples are shared, and what is wrong if one was not."""
-        # Number of the track and time: numpy orders complex numbers by the real part first.
+        # Number of the track and time: numpy orders complex numbers by the real part
+        # first.
         shared, known = (
             np.repeat(np.arange(len(one)), np.diff(one.offsets)) + 1j * one.t
             for one in (release, self.sensed)
@@ -75,7 +82,10 @@ class MechanismCase(made.Case):
         strange = shared[known[rows] != shared]
         if strange.size == 0:
             return rows, ""
-        what = f"in track {strange[0].real:g} nothing was sensed at {strange[0].imag:.12g} s"
+        what = (
+            f"in track {strange[0].real:g} nothing was sensed at"
+            f" {strange[0].imag:.12g} s"
+        )
         return rows, f"{what}; samples may be left out, not moved in time or added"
 
     def reordered(self) -> tuple[MechanismCase, Callable[[Floats], Floats]]:
@@ -92,7 +102,9 @@ class MechanismCase(made.Case):
 
         def follow(answer: Floats) -> Floats:
             place = np.argsort(rows)[answer[:, 0].astype(np.int64)]
-            return np.column_stack([place, answer[:, 1:]])[np.argsort(place, kind="stable")]
+            return np.column_stack([place, answer[:, 1:]])[
+                np.argsort(place, kind="stable")
+            ]
 
         return changed, follow
 
@@ -127,8 +139,12 @@ def sigma_is_declared(row: common.Row) -> None:
     (release,) = row.results(row.ordinary)
     sigma = release.sigma
     if sigma is None or not within(sigma, 0.0, SHARED_LIMIT_M):
-        wrong = "is None" if sigma is None else "is negative, or no number within the limit"
-        row.fail(row.ordinary, f"sigma {wrong}; declare the whole error of every sample, m")
+        wrong = (
+            "is None" if sigma is None else "is negative, or no number within the limit"
+        )
+        row.fail(
+            row.ordinary, f"sigma {wrong}; declare the whole error of every sample, m"
+        )
 
 
 def sigma_is_that_of_the_error(row: common.Row) -> None:
@@ -161,13 +177,24 @@ def another_rng_another_release(row: common.Row) -> None:
     (first,), (second,) = (row.results(case, seed=seed) for seed in range(2))
     names, again = first.pseudonym, set(first.pseudonym) & set(second.pseudonym)
     if again or len(set(names)) < len(names):
-        wrong = f"{min(again)!r} comes again under another rng" if again else "two tracks share one"
+        wrong = (
+            f"{min(again)!r} comes again under another rng"
+            if again
+            else "two tracks share one"
+        )
         row.fail(case, f"pseudonyms: {wrong}; `perturb` draws them afresh")
     is_independent = getattr(mechanism, "adding", "") == "independent"
-    is_independent &= getattr(mechanism, "reuse", "release") != "session"  # drawn from the walk
-    adds = getattr(mechanism, "adds_error", True) and not np.array_equal(first.xy, case.sensed.xy)
+    is_independent &= (
+        getattr(mechanism, "reuse", "release") != "session"
+    )  # drawn from the walk
+    adds = getattr(mechanism, "adds_error", True) and not np.array_equal(
+        first.xy, case.sensed.xy
+    )
     if is_independent and adds and np.array_equal(first.xy, second.xy):
-        row.fail(case, 'adding is "independent", but two rng give one error; draw it from rng')
+        row.fail(
+            case,
+            'adding is "independent", but two rng give one error; draw it from rng',
+        )
 
 
 MECHANISM: dict[str, Body] = {
@@ -194,7 +221,11 @@ class PredictorCase(made.Case):
     t_future: Floats  # (N, H) s
 
     def prepared(
-        self, predictor: made.Theirs, _given: frozenset[Knowledge], _rng: Generator, who: str
+        self,
+        predictor: made.Theirs,
+        _given: frozenset[Knowledge],
+        _rng: Generator,
+        who: str,
     ) -> made.Theirs:
         """Return what predicts; it knows the mechanism if it is aware."""
         return call(knowing, predictor, self.mechanism, who=f"{who} knowing").predict
@@ -202,10 +233,14 @@ class PredictorCase(made.Case):
     def read(self, result: object) -> Floats:
         """Return means and covariances, if any, of each track in a row; ValueError if it cannot."""
         if not isinstance(result, Prediction):
-            raise ValueError(f"predict must return a Prediction, got {type(result).__name__}")  # noqa: TRY004 - a stranger's
+            raise ValueError(  # noqa: TRY004 - a stranger's
+                f"predict must return a Prediction, got {type(result).__name__}"
+            )
         expected = (*self.t_future.shape, 2)
         if result.mean.shape != expected:
-            raise ValueError(f"mean has shape {result.mean.shape}, expected (N, H, 2) = {expected}")
+            raise ValueError(
+                f"mean has shape {result.mean.shape}, expected (N, H, 2) = {expected}"
+            )
         found = [one for one in (result.mean, result.cov) if one is not None]
         return np.column_stack([one.reshape(len(self.release), -1) for one in found])
 
@@ -226,7 +261,9 @@ class PredictorCase(made.Case):
 def _asked(sizes: tuple[int, ...], steps_s: tuple[float, float]) -> PredictorCase:
     walks = made.walks("plugin", "asked", sizes=sizes, steps_s=steps_s)
     release = made.shared(walks, ("plugin", *sizes), mechanism=PredictorCase.mechanism)
-    t_future = release.t[release.offsets[1:] - 1][:, None] + np.linspace(0.0, HORIZON_S, N_STEPS)
+    t_future = release.t[release.offsets[1:] - 1][:, None] + np.linspace(
+        0.0, HORIZON_S, N_STEPS
+    )
     return PredictorCase(_about(sizes, steps_s), release, t_future)
 
 
@@ -235,12 +272,20 @@ def one_track_is_predicted_as_among_others(row: common.Row) -> None:
     case = row.ordinary
     together = row.answer(case)
     for number, track in enumerate(case.release):
-        alone = row.answer(replace(case, release=track, t_future=case.t_future[[number]]))[0]
+        alone = row.answer(
+            replace(case, release=track, t_future=case.t_future[[number]])
+        )[0]
         if alone.shape != together[number].shape:
-            row.fail(case, f"track {number} alone has a covariance, or has none any more")
+            row.fail(
+                case, f"track {number} alone has a covariance, or has none any more"
+            )
         if not np.allclose(alone, together[number], rtol=common.SAME, atol=common.SAME):
             gap = float(np.abs(alone - together[number]).max())
-            row.fail(case, f"track {number} alone is predicted otherwise: mean or cov by {gap:.3g}")
+            row.fail(
+                case,
+                f"track {number} alone is predicted otherwise: mean or cov by"
+                f" {gap:.3g}",
+            )
 
 
 def track_is_causal(row: common.Row) -> None:
@@ -248,7 +293,11 @@ def track_is_causal(row: common.Row) -> None:
     if getattr(row.subject, "track", None) is None:
         raise SkipTest("it has no track")
     for case in (*row.ordinary.odd(), row.ordinary):
-        release = case.release if Knowledge.SIGMA in row.given else case.release.without_sigma()
+        release = (
+            case.release
+            if Knowledge.SIGMA in row.given
+            else case.release.without_sigma()
+        )
         who = f"{row}, {case.about}: track"
         track = call(knowing, row.subject, case.mechanism, who=who).track
         first = np.repeat(release.offsets[:-1], np.diff(release.offsets))
@@ -256,10 +305,14 @@ def track_is_causal(row: common.Row) -> None:
         moved = replace(release, xy=release.xy + np.where(late, 7.0, 0.0)[:, None])
         places, others = (call(track, one, who=who) for one in (release, moved))
         if np.shape(places) != release.xy.shape or not np.isfinite(places).all():
-            row.fail(case, f"track must return finite places, (M, 2) = {release.xy.shape}")
+            row.fail(
+                case, f"track must return finite places, (M, 2) = {release.xy.shape}"
+            )
         gap = np.abs(others - places)[~late].max()
         if not gap <= common.SAME:
-            row.fail(case, f"track: later samples move what was known before by {gap:.3g} m")
+            row.fail(
+                case, f"track: later samples move what was known before by {gap:.3g} m"
+            )
 
 
 PREDICTOR: dict[str, Body] = {

@@ -17,7 +17,9 @@ from isac_track.testing.engine import call
 from isac_track.types import ErrorLaw, Floats, Knowledge, Release, Sensed
 
 Person: TypeAlias = Callable[[Floats], Floats]
-Walk: TypeAlias = tuple[Floats, Floats]  # Times, (n,) s, and where somebody then was, (n, 2) m.
+Walk: TypeAlias = tuple[
+    Floats, Floats
+]  # Times, (n,) s, and where somebody then was, (n, 2) m.
 Theirs: TypeAlias = Any  # A plug-in, or what is called of it.
 Holder = TypeVar("Holder", bound=Any)  # A case, or a training set.
 
@@ -35,7 +37,9 @@ def draws(*name: str | int) -> np.random.Generator:
     return stream(0, "attacks", "testing", *name)
 
 
-def instants(rng: np.random.Generator, size: int, steps_s: tuple[float, float]) -> Floats:
+def instants(
+    rng: np.random.Generator, size: int, steps_s: tuple[float, float]
+) -> Floats:
     """Return so many instants after 0, s, whose steps are drawn evenly in their logarithm."""
     shortest, longest = np.log(steps_s)
     return np.cumsum(np.exp(rng.uniform(shortest, longest, size)))
@@ -46,7 +50,8 @@ def person(speed_mps: float, rng: np.random.Generator) -> Person:
     round_rad = 2.0 * np.pi
     # By what share of itself the speed rises and falls, and how often.
     sway, sway_s, sway_phase = rng.uniform([0.05, 2.0, 0.0], [0.3, 6.0, round_rad])
-    # How fast a person turns on the whole, and by how much more or less on the way, how often.
+    # How fast a person turns on the whole, and by how much more or less on the way, how
+    # often.
     turn_radps, wind_radps, wind_s = rng.uniform([-0.25, 0.1, 3.0], [0.25, 0.8, 8.0])
     wind_phase, heading_rad = rng.uniform(0.0, round_rad, 2)
     start_m = rng.uniform(-BOX_M / 2, BOX_M / 2, 2)
@@ -77,25 +82,34 @@ def walks(*name: str, sizes: Iterable[int], steps_s: tuple[float, float]) -> lis
     return found
 
 
-def shared(walks: Sequence[Walk], name: tuple[str | int, ...], *, mechanism: Fixed) -> Release:
+def shared(
+    walks: Sequence[Walk], name: tuple[str | int, ...], *, mechanism: Fixed
+) -> Release:
     """Return walks as the mechanism shares them, under new pseudonyms."""
     found = sensed(walks, name, law=mechanism.law or "radial")
     return mechanism.share(found, draws("share", *name))
 
 
-def sensed(walks: Sequence[Walk], of: tuple[str | int, ...], *, law: ErrorLaw = "radial") -> Sensed:
+def sensed(
+    walks: Sequence[Walk], of: tuple[str | int, ...], *, law: ErrorLaw = "radial"
+) -> Sensed:
     """Return walks as the network senses them, with errors of `RAW_SIGMA_M`."""
     t, xy = (np.concatenate(arrays) for arrays in zip(*walks, strict=True))
     unit = unit_errors(n_samples=t.size, law=law, rng=draws("errors", *of))
     offsets = np.cumsum([0, *(times.size for times, _ in walks)])
     sigma, information = np.full(t.size, RAW_SIGMA_M), np.full(t.size, RAW_SIGMA_M**-2)
     fid = fisher_information_density(information=information, t=t, offsets=offsets)
-    return Sensed(t, xy + RAW_SIGMA_M * unit, unit, sigma, information, fid, offsets, law=law)
+    return Sensed(
+        t, xy + RAW_SIGMA_M * unit, unit, sigma, information, fid, offsets, law=law
+    )
 
 
 def frames(rng: np.random.Generator, count: int) -> Floats:
     """Return frames, (count, 4): turned by, rad, then shifted by x and y, m; how much later, s."""
-    low, high = (0.0, -_FARTHEST_M, -_FARTHEST_M, 0.0), (2 * np.pi, *[_FARTHEST_M] * 2, _LATEST_S)
+    low, high = (
+        (0.0, -_FARTHEST_M, -_FARTHEST_M, 0.0),
+        (2 * np.pi, *[_FARTHEST_M] * 2, _LATEST_S),
+    )
     return rng.uniform(low, high, (count, 4))
 
 
@@ -103,7 +117,9 @@ def turned(xy: Floats, frame: Floats) -> Floats:
     """Return points, (M, 2) m, in another frame, or each in one of its own, (4,) or (M, 4)."""
     angle_rad, *shift_m, _ = frame.T
     cos, sin, (x, y) = np.cos(angle_rad), np.sin(angle_rad), xy.T
-    return np.stack([cos * x - sin * y + shift_m[0], sin * x + cos * y + shift_m[1]], axis=1)
+    return np.stack(
+        [cos * x - sin * y + shift_m[0], sin * x + cos * y + shift_m[1]], axis=1
+    )
 
 
 def moved(release: Release, frames: Floats) -> Release:
@@ -118,14 +134,20 @@ class Case:
     """What a plug-in is asked, for checks that hold for several kinds: as an attack is, mostly."""
 
     asked: ClassVar[tuple[str, ...]]  # Names of what it is called with.
-    everything: ClassVar[frozenset[Knowledge]] = frozenset(Knowledge)  # All that there is to grant.
+    everything: ClassVar[frozenset[Knowledge]] = frozenset(
+        Knowledge
+    )  # All that there is to grant.
     compared: ClassVar[str]  # What an answer is made of.
     unit: ClassVar[str]
 
     about: str  # For messages.
 
     def prepared(
-        self, plugin: Theirs, granted: frozenset[Knowledge], rng: np.random.Generator, who: str
+        self,
+        plugin: Theirs,
+        granted: frozenset[Knowledge],
+        rng: np.random.Generator,
+        who: str,
     ) -> Theirs:
         """Return what is called: of an attack the function from `fit`, given what is granted."""
         names = ("mechanism", "train", "repeats", "anchor", "companions")
@@ -141,10 +163,13 @@ class Case:
 
     def gaps(self, one: Floats, other: Floats) -> Floats:
         """Return how far apart the numbers of two answers are, a row for each sort of number."""
-        return np.abs(one - other).T if one.shape == other.shape else np.array([[np.inf]])
+        return (
+            np.abs(one - other).T if one.shape == other.shape else np.array([[np.inf]])
+        )
 
 
-# The same case, seen otherwise; what is said of cases holds for the training sets in them
+# The same case, seen otherwise; what is said of cases holds for the training sets in
+# them
 
 
 def of_each(case: Holder, change: Callable[[Release], Release]) -> Holder:

@@ -1,9 +1,10 @@
 """The robot that misses least, without the bias of its choice.
 
-The least of several noisy rates is too low. Here each half of the people chooses a robot, by its
-mean over all levels, and the choice is scored on the other half (`cross_fit`). A half has a curve,
-a false-alarm rate at raw and hence a threshold of its own, so that nothing is shared by choice and
-score. Every replicate of an interval repeats all of that.
+The least of several noisy rates is too low. Here each half of the people chooses a
+robot, by its mean over all levels, and the choice is scored on the other half
+(`cross_fit`). A half has a curve, a false-alarm rate at raw and hence a threshold of
+its own, so that nothing is shared by choice and score. Every replicate of an interval
+repeats all of that.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -12,7 +13,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from evaluation.analysis.cross_fit import best_rival, interval_of_choice, is_few, ratio_of_sums
+from evaluation.analysis.cross_fit import (
+    best_rival,
+    interval_of_choice,
+    is_few,
+    ratio_of_sums,
+)
 from evaluation.analysis.decisions import curve
 from evaluation.analysis.families import RAW
 from evaluation.analysis.keys import Found, Key, Measure, Where
@@ -31,7 +37,9 @@ _NUMBERS: Final = (*BEST, FALSE_ALARMS)
 class BestRobots:
     """What the best robot of a run misses, and how often it raises a false alarm."""
 
-    estimates: dict[Key, Estimate] = field(default_factory=dict)  # Under the names of `BEST`.
+    estimates: dict[Key, Estimate] = field(
+        default_factory=dict
+    )  # Under the names of `BEST`.
     choices: dict[str, tuple[str, str]] = field(default_factory=dict)
     """By these names which robot either half chose: the first half is scored by the second."""
 
@@ -40,7 +48,8 @@ class BestRobots:
 class _People:
     """Clusters of people in two halves, and R rows of weights for them.
 
-    The first row is the people themselves, the next B are replicates, the others lack a cluster.
+    The first row is the people themselves, the next B are replicates, the others lack a
+    cluster.
     """
 
     rows: Floats  # (R, C)
@@ -71,17 +80,24 @@ class _Trials:
     @property
     def needs_deletions(self) -> bool:
         """Whether an interval is a jackknife's."""
-        return any(is_few(effective_clusters(trials)) for trials in self.by_number.values())
+        return any(
+            is_few(effective_clusters(trials)) for trials in self.by_number.values()
+        )
 
 
 def best_robots(
-    scored: Sequence[Scored], manifest: Mapping[str, Any], found: Found, *, among: Collection[str]
+    scored: Sequence[Scored],
+    manifest: Mapping[str, Any],
+    found: Found,
+    *,
+    among: Collection[str],
 ) -> BestRobots:
     """Return the best robots of a run at one horizon, by all conflicts and by those to come.
 
-    `scored` is what predictors said of every scene, `found` their estimates at raw's false-alarm
-    rate; levels of the mechanisms `among` choose and are scored. Robots count that ran at most of
-    these levels. A single one is the best without a choice, and keeps its estimates.
+    `scored` is what predictors said of every scene, `found` their estimates at raw's
+    false-alarm rate; levels of the mechanisms `among` choose and are scored. Robots
+    count that ran at most of these levels. A single one is the best without a choice,
+    and keeps its estimates.
     """
     robots: dict[str, dict[Where, Scored]] = {}
     for robot in scored:
@@ -158,7 +174,9 @@ def _trials_of(robot: Scored, n_clusters: int) -> _Trials:
     }
     return _Trials(
         {
-            number: cluster_sums(values=trials * 1.0, cluster=cluster, n_clusters=n_clusters)
+            number: cluster_sums(
+                values=trials * 1.0, cluster=cluster, n_clusters=n_clusters
+            )
             for number, trials in has_trial.items()
         }
     )
@@ -180,7 +198,8 @@ def _sums_of_robot(
 ) -> Floats:
     """Return numerators and denominators of a robot's numbers, (L, 3, 2, 2, R).
 
-    By level, number (`_NUMBERS`), numerator or denominator, half of the people, row of weights.
+    By level, number (`_NUMBERS`), numerator or denominator, half of the people, row of
+    weights.
     """
     sums = np.zeros((len(wheres), len(_NUMBERS), 2, 2, len(people.rows)))
     raw = levels[RAW, None]
@@ -190,7 +209,9 @@ def _sums_of_robot(
             *missed, alarms = sums[place, :, :, half]
             alarms[:] = _alarms(levels[where], in_half, people.rows)
             for number, half_sums in zip(BEST, missed, strict=True):
-                half_sums[:] = _misses(levels[where], in_half, people.rows, at_raw, number=number)
+                half_sums[:] = _misses(
+                    levels[where], in_half, people.rows, at_raw, number=number
+                )
     return sums
 
 
@@ -213,9 +234,15 @@ def _misses(
     some = in_half[cluster]
     if number == FUTURE_EQUAL_ALARMS:
         some &= ~(columns["conflict"] & columns["inside_now"])
-    conflict, score = columns["conflict"][some], -columns["predicted_separation_m"][some]
-    # The curve has the row of the people themselves before the weights that it is given.
-    rates = curve(score=score, conflict=conflict, cluster=cluster[some], weights=rows[1:])
+    conflict, score = (
+        columns["conflict"][some],
+        -columns["predicted_separation_m"][some],
+    )
+    # The curve has the row of the people themselves before the weights that it is
+    # given.
+    rates = curve(
+        score=score, conflict=conflict, cluster=cluster[some], weights=rows[1:]
+    )
     if rates is None:
         return np.zeros((2, len(rows)))
     (conflicts,) = _weighted([columns["conflict"] & some], cluster, rows)
@@ -228,7 +255,9 @@ def _weighted(scenes: Sequence[Bools], cluster: Ints, rows: Floats) -> Floats:
     """Return how many of some scenes there are under each row of weights, (K, R)."""
     n_clusters = rows.shape[1]
     sums = [
-        cluster_sums(values=some.astype(np.float64), cluster=cluster, n_clusters=n_clusters)
+        cluster_sums(
+            values=some.astype(np.float64), cluster=cluster, n_clusters=n_clusters
+        )
         for some in scenes
     ]
     return np.asarray(np.array(sums) @ rows.T)
@@ -240,7 +269,12 @@ def _choices(sums: Floats) -> Ints:
     everybody = best_rival(over.sum(axis=2), under.sum(axis=2), least=True, otherwise=0)
     return np.stack(
         [
-            best_rival(over[:, :, half], under[:, :, half], least=True, otherwise=int(everybody[0]))
+            best_rival(
+                over[:, :, half],
+                under[:, :, half],
+                least=True,
+                otherwise=int(everybody[0]),
+            )
             for half in (0, 1)
         ]
     )

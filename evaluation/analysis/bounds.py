@@ -1,9 +1,10 @@
 """How far the attacks of a run are from what no attack exceeds, where that is known.
 
-In worlds where each walk follows the motion that was fitted to it, `plr_gap` is what an attack with
-one release lacks of the exact posterior where errors are Gaussian, and at most what it lacks where
-they are not, since only a genie who is told the scale of every error reaches the ceiling. Recorded
-walks follow no model: there the genie's value is no bound, and a gap would mix errors with motion.
+In worlds where each walk follows the motion that was fitted to it, `plr_gap` is what an
+attack with one release lacks of the exact posterior where errors are Gaussian, and at
+most what it lacks where they are not, since only a genie who is told the scale of every
+error reaches the ceiling. Recorded walks follow no model: there the genie's value is no
+bound, and a gap would mix errors with motion.
 """
 
 from collections.abc import Sequence
@@ -13,7 +14,14 @@ import numpy as np
 import pandas as pd
 
 from evaluation.analysis.keys import Found, Key, Source, Where, worlds_of
-from evaluation.analysis.metrics import BOUNDS, EXPOSURE, GAP, RANK_GAP, RANK_OPTIMUM, SUCCESS
+from evaluation.analysis.metrics import (
+    BOUNDS,
+    EXPOSURE,
+    GAP,
+    RANK_GAP,
+    RANK_OPTIMUM,
+    SUCCESS,
+)
 from evaluation.analysis.strongest import HEADLINE
 from evaluation.experiment.constants import BOUND, MODEL
 from isac_track.intervals import Estimate, difference
@@ -28,7 +36,11 @@ def linked_gaps(found: Found) -> dict[Key, Estimate]:
     for key, one in found.items():
         task, _, who = key.consumer.partition("/")
         if who == BOUND:
-            named |= {key._replace(metric=RANK_OPTIMUM): one} if key.metric == SUCCESS else {}
+            named |= (
+                {key._replace(metric=RANK_OPTIMUM): one}
+                if key.metric == SUCCESS
+                else {}
+            )
             continue
         named[key] = one
         best = found.get(Key(*key.where, f"{task}/{BOUND}", SUCCESS))
@@ -52,16 +64,25 @@ class Gap(NamedTuple):
 def gaps(summary: pd.DataFrame) -> Sequence[Gap]:
     """Return the closest attack, short of the oracle's, at every level of every model world.
 
-    First those that rebuild, then those that link. Of few tracks an attack may seem closer than it
-    is: the closest is who is surely so.
+    First those that rebuild, then those that link. Of few tracks an attack may seem
+    closer than it is: the closest is who is surely so.
     """
     world = worlds_of(summary)
     rows = summary.assign(world=world)[world.str.startswith(MODEL)]
     rows = rows.assign(task=[Source(one).task for one in rows["consumer"]])
-    rows["most"] = rows["ci_high"].fillna(rows["value"])  # very few people have no interval
+    rows["most"] = rows["ci_high"].fillna(
+        rows["value"]
+    )  # very few people have no interval
     found = []
-    for gap, metric, known in ((GAP, EXPOSURE, BOUNDS), (RANK_GAP, SUCCESS, (RANK_OPTIMUM,))):
-        able = (rows["metric"] == gap) & rows["knowledge"].isin(HEADLINE) & rows["value"].notna()
+    for gap, metric, known in (
+        (GAP, EXPOSURE, BOUNDS),
+        (RANK_GAP, SUCCESS, (RANK_OPTIMUM,)),
+    ):
+        able = (
+            (rows["metric"] == gap)
+            & rows["knowledge"].isin(HEADLINE)
+            & rows["value"].notna()
+        )
         some = rows[able | rows["metric"].isin([*known, metric])]
         for place, of in some.groupby(_PLACE, sort=False, dropna=False):
             name, mechanism, level, _ = cast("tuple[str, str, float, str]", place)
@@ -71,7 +92,9 @@ def gaps(summary: pd.DataFrame) -> Sequence[Gap]:
                 continue
             best = lacking.iloc[0]
             source = Source(best["consumer"], best["knowledge"])
-            is_own = (of["consumer"] == source.consumer) & (of["knowledge"] == source.knowledge)
+            is_own = (of["consumer"] == source.consumer) & (
+                of["knowledge"] == source.knowledge
+            )
             reached = of.loc[is_own & (of["metric"] == metric)].iloc[0]
             is_exact = known[0] in bounds["metric"].to_numpy()
             bound = bounds[(bounds["metric"] == known[0]) | (not is_exact)].iloc[0]

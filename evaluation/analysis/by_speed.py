@@ -24,7 +24,15 @@ EDGES_MPS: Final = (0.0, 0.05, 0.5, 1.0, 1.5, np.inf)
 """Of the bins: below the first inner edge people stand. Finer ones hold too few for an interval."""
 COLUMNS: Final = [
     *("dataset", "mechanism", "level", "consumer", "knowledge"),
-    *("speed_low_mps", "speed_high_mps", "speed_mps", "value", "ci_low", "ci_high", "n"),
+    *(
+        "speed_low_mps",
+        "speed_high_mps",
+        "speed_mps",
+        "value",
+        "ci_low",
+        "ci_high",
+        "n",
+    ),
 ]
 _SPEED: Final = "speed_mps"
 
@@ -39,17 +47,24 @@ def by_speed(
 ) -> pd.DataFrame:
     """Return PLR in bins of net speed, as shared and after the strongest attack; as `COLUMNS`.
 
-    The net speed of a track is the way from its first to its last true position over its duration.
-    The strongest attack on raw, FID and fixed noise is the run's, on another mechanism its own, as
-    in the first table. `found` are the run's estimates, `best` its strongest attacks. Raises
-    DataError if a cell cannot be read.
+    The net speed of a track is the way from its first to its last true position over
+    its duration. The strongest attack on raw, FID and fixed noise is the run's, on
+    another mechanism its own, as in the first table. `found` are the run's estimates,
+    `best` its strongest attacks. Raises DataError if a cell cannot be read.
     """
     entries = {
-        ((entry["mechanism"], entry["level"]), Source(entry["consumer"], entry["knowledge"])): entry
+        (
+            (entry["mechanism"], entry["level"]),
+            Source(entry["consumer"], entry["knowledge"]),
+        ): entry
         for entry in manifest["cells"]
         if entry["kind"] in ("shared", "attack") and not entry.get("world")
     }
-    shown = [where for where, source in entries if source == AS_SHARED and _is_shown(known, where)]
+    shown = [
+        where
+        for where, source in entries
+        if source == AS_SHARED and _is_shown(known, where)
+    ]
     if not shown:
         return pd.DataFrame(columns=COLUMNS)
     at_raw = (RAW, None) if (RAW, None) in shown else shown[0]
@@ -69,7 +84,8 @@ def by_speed(
                     source.knowledge,
                 )
                 rows += [
-                    (*about, *numbers) for numbers in _bins(out, manifest, entry, speed_by_source)
+                    (*about, *numbers)
+                    for numbers in _bins(out, manifest, entry, speed_by_source)
                 ]
     return pd.DataFrame(rows, columns=COLUMNS)
 
@@ -81,7 +97,9 @@ def _is_shown(known: Mapping[str, Family], where: Where) -> bool:
 def _speeds(out: Path, entry: Mapping[str, Any]) -> dict[str, float]:
     """Return the net speed of each source track of a cell, m/s."""
     table = read_rows(out, entry, columns=["source", _SPEED])
-    return dict(zip(table["source"].to_pylist(), table[_SPEED].to_pylist(), strict=True))
+    return dict(
+        zip(table["source"].to_pylist(), table[_SPEED].to_pylist(), strict=True)
+    )
 
 
 def _bins(
@@ -106,7 +124,10 @@ def _bins(
             for part in (np.where(inside, values, 0.0), inside.astype(np.float64))
         ]
         (plr,) = ratio_estimates(
-            numerator=sums[0][None], denominator=sums[1][None], weights=weights, is_share=[True]
+            numerator=sums[0][None],
+            denominator=sums[1][None],
+            weights=weights,
+            is_share=[True],
         )
         mean_mps = float(speed_mps[inside].mean())
         yield low, high, mean_mps, plr.value, plr.ci_low, plr.ci_high, plr.n
@@ -115,5 +136,7 @@ def _bins(
 def _row_speeds(table: pa.Table, speed_by_source: Mapping[str, float]) -> Floats:
     """Return the net speed of each row's source, (R,) m/s; NaN where it is not known."""
     column = table["source"].combine_chunks()
-    speeds = np.array([speed_by_source.get(name, np.nan) for name in column.dictionary.to_pylist()])
+    speeds = np.array(
+        [speed_by_source.get(name, np.nan) for name in column.dictionary.to_pylist()]
+    )
     return np.asarray(speeds[column.indices.to_numpy()])

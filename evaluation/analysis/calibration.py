@@ -1,10 +1,11 @@
 """The free constants of the sensing model, fitted to the paper's numbers.
 
-The paper's link budget leaves three constants open: processing gain (net of the CRB gap) and
-large-scale spread are fitted to raw PLR and raw MEL, the CRB gap to the PLR of FID at eta = 1000,
-with sigma_cap_m, a fourth one in all but name, fixed beforehand. No other number was fitted, but
-all had been seen when the readings were chosen. The ridge shows how the constants move, and the
-other numbers with them, when what was fixed beforehand is fixed elsewhere.
+The paper's link budget leaves three constants open: processing gain (net of the CRB
+gap) and large-scale spread are fitted to raw PLR and raw MEL, the CRB gap to the PLR of
+FID at eta = 1000, with sigma_cap_m, a fourth one in all but name, fixed beforehand. No
+other number was fitted, but all had been seen when the readings were chosen. The ridge
+shows how the constants move, and the other numbers with them, when what was fixed
+beforehand is fixed elsewhere.
 """
 
 import math
@@ -29,8 +30,16 @@ from isac_track.place import placed
 from isac_track.scenes import Cut, cut, make_scenes, track_order
 from isac_track.types import Floats, Ints, Tracks
 
-FITTED = ("processing_gain_db", "large_scale_db", "crb_gap_db")  # Settings of the sensing model.
-_GAINS, _SPREADS, _GAPS = (-20.0, 60.0), (2.0, 30.0), (0.0, 40.0)  # In dB; gains less the CRB gap.
+FITTED = (
+    "processing_gain_db",
+    "large_scale_db",
+    "crb_gap_db",
+)  # Settings of the sensing model.
+_GAINS, _SPREADS, _GAPS = (
+    (-20.0, 60.0),
+    (2.0, 30.0),
+    (0.0, 40.0),
+)  # In dB; gains less the CRB gap.
 _RESOLUTION_DB = 0.01
 _FID_ETA = 1000.0
 _LEVELS = ("raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1")
@@ -54,7 +63,10 @@ def ridge() -> dict[str, dict[str, float]]:
     """Return what else could be fixed beforehand: settings, by what they are called."""
     return (
         {f"cap {m:g} m": {"sensing.sigma_cap_m": m} for m in (1.5, 2.5, 3.0)}
-        | {f"beam {db:.2g} dB": {"sensing.beam_fluctuation_db": db} for db in (math.sqrt(2.0), 4.0)}
+        | {
+            f"beam {db:.2g} dB": {"sensing.beam_fluctuation_db": db}
+            for db in (math.sqrt(2.0), 4.0)
+        }
         | {f"exponent {n:g}": {"sensing.path_loss_exponent": n} for n in (2.0, 3.5)}
     )
 
@@ -64,8 +76,8 @@ def calibrate(
 ) -> Calibration:
     """Return the constants that reproduce the paper's fitted numbers on a recording.
 
-    `changes` is ``{"stage.key": value}``: what is fixed elsewhere than as committed. Raises
-    DataError if no constants in the searched ranges do.
+    `changes` is ``{"stage.key": value}``: what is fixed elsewhere than as committed.
+    Raises DataError if no constants in the searched ranges do.
     """
     stages = StageSettings().changed(changes)
     tracks = cut(placed(recorded, settings=stages), settings=stages, seed=seed)
@@ -76,14 +88,20 @@ def calibrate(
     return found, predictions(tracks, stages=fitted, n_scenes=n_scenes, seed=seed)
 
 
-def links(tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int) -> tuple[Link, ...]:
+def links(
+    tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int
+) -> tuple[Link, ...]:
     """Return the links of the run's own scenes, block by block."""
     without_spread = replace(stages.sensing, large_scale_db=0.0)
     station = np.array([stages.sensing.bs_x_m, stages.sensing.bs_y_m])
     found = []
     for block in _blocks(tracks, stages=stages, n_scenes=n_scenes, seed=seed):
         scenes = make_scenes(
-            tracks, order=block.order, first=block.first_scene, settings=stages, seed=seed
+            tracks,
+            order=block.order,
+            first=block.first_scene,
+            settings=stages,
+            seed=seed,
         )
         n_samples = np.diff(scenes.offsets)
         per_track = n_samples.reshape(len(scenes), -1)
@@ -103,7 +121,9 @@ def links(tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int) -> tu
             settings=without_spread,
         )
         unit_norm = np.hypot(*channel.unit_error.T)
-        found.append(Link(gain, channel.large_scale, unit_norm, scenes.t, scenes.offsets))
+        found.append(
+            Link(gain, channel.large_scale, unit_norm, scenes.t, scenes.offsets)
+        )
     return tuple(found)
 
 
@@ -121,7 +141,9 @@ def descriptors(
         info = sensing.information(gain=gain, settings=settings)
         sigma = sensing.sigma_from_information(information=info, settings=settings)
         if eta is not None:
-            fid = sensing.fisher_information_density(information=info, t=one.t, offsets=one.offsets)
+            fid = sensing.fisher_information_density(
+                information=info, t=one.t, offsets=one.offsets
+            )
             sigma = sigma + sharing.fid_d_sigma(fid=fid, eta=eta, alpha_m=0.5, beta=1.5)
         leaked = sigma * one.unit_norm < rule.epsilon_m
         exposure = privacy.exposure(
@@ -137,8 +159,8 @@ def fit(
 ) -> SensingSettings:
     """Return the settings whose `FITTED` constants, to 0.01 dB, reproduce the targets.
 
-    Those are raw PLR, raw MEL in s, and PLR under FID at eta = 1000 with linear adding. Raises
-    DataError as `calibrate`.
+    Those are raw PLR, raw MEL in s, and PLR under FID at eta = 1000 with linear adding.
+    Raises DataError as `calibrate`.
     """
     raw_plr, raw_mel_s, fid_plr = targets
 
@@ -147,15 +169,23 @@ def fit(
         return replace(stages.sensing, **known)
 
     def trial(
-        net_db: float, spread_db: float, gap_db: float = 0.0, *, eta: float | None = None
+        net_db: float,
+        spread_db: float,
+        gap_db: float = 0.0,
+        *,
+        eta: float | None = None,
     ) -> tuple[float, float]:
         tried = fitted(net_db + gap_db, spread_db, gap_db)
         return descriptors(blocks, settings=tried, rule=stages.privacy, eta=eta)
 
     def net_for(spread: float) -> float:
-        return _root(lambda net: trial(net, spread)[0] - raw_plr, _GAINS, what="raw PLR")
+        return _root(
+            lambda net: trial(net, spread)[0] - raw_plr, _GAINS, what="raw PLR"
+        )
 
-    spread_db = _root(lambda db: trial(net_for(db), db)[1] - raw_mel_s, _SPREADS, what="raw MEL")
+    spread_db = _root(
+        lambda db: trial(net_for(db), db)[1] - raw_mel_s, _SPREADS, what="raw MEL"
+    )
     net_db = net_for(spread_db)
     gap_db = _root(
         lambda gap: trial(net_db, spread_db, gap, eta=_FID_ETA)[0] - fid_plr,
@@ -173,29 +203,41 @@ def predictions(
     consumers = (Consumer("shared"), Consumer("predictor", predictor))
     levels = tuple((one, consumers) for one in plugins.parse_all("mechanisms", _LEVELS))
     sums: dict[tuple[str, str], Floats] = {}
-    for block in _blocks(tracks, stages=stages, n_scenes=n_scenes, seed=seed, levels=levels):
-        for _, level, consumer, tables in cells(block, tracks=tracks, stages=stages, seed=seed):
+    for block in _blocks(
+        tracks, stages=stages, n_scenes=n_scenes, seed=seed, levels=levels
+    ):
+        for _, level, consumer, tables in cells(
+            block, tracks=tracks, stages=stages, seed=seed
+        ):
             for metric, ratio in ratios(consumer.kind, tables[ROWS]).items():
                 key = level.spec, metric
                 sums[key] = sums.get(key, 0.0) + np.sum(ratio, axis=1)
     wanted = {metric for _, _, metric, _ in PUBLISHED}
-    return {key: float(over / under) for key, (over, under) in sums.items() if key[1] in wanted}
+    return {
+        key: float(over / under)
+        for key, (over, under) in sums.items()
+        if key[1] in wanted
+    }
 
 
 def _blocks(
     tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int, levels: Levels = ()
 ) -> Iterator[Block]:
     agents = stages.scenes.agents
-    order = track_order(n_tracks=len(tracks), n_scenes=n_scenes, agents=agents, seed=seed)
+    order = track_order(
+        n_tracks=len(tracks), n_scenes=n_scenes, agents=agents, seed=seed
+    )
     for number, first in enumerate(range(0, n_scenes, BLOCK_SCENES)):
         yield Block(number, first, order[first : first + BLOCK_SCENES], levels)
 
 
-def _root(function: Callable[[float], float], bounds: tuple[float, float], *, what: str) -> float:
+def _root(
+    function: Callable[[float], float], bounds: tuple[float, float], *, what: str
+) -> float:
     low, high = function(bounds[0]), function(bounds[1])
     if not (math.isfinite(low) and math.isfinite(high) and low * high <= 0):
         raise DataError(
-            f"no constant between {bounds[0]:g} and {bounds[1]:g} dB gives the paper's {what} "
-            "on this recording; the calibration is made for students03"
+            f"no constant between {bounds[0]:g} and {bounds[1]:g} dB gives the paper's"
+            f" {what} on this recording; the calibration is made for students03"
         )
     return float(brentq(function, *bounds, xtol=_RESOLUTION_DB / 2))

@@ -1,13 +1,14 @@
 """The best of many rivals without the bias of its choice: chosen on one half, scored on the other.
 
-Whoever takes the highest of many noisy numbers takes one that chance has raised. Here two halves of
-the clusters choose for each other (cross-fitting), and every replicate of an interval repeats the
-choice, whose uncertainty is thus a part of it.
+Whoever takes the highest of many noisy numbers takes one that chance has raised. Here
+two halves of the clusters choose for each other (cross-fitting), and every replicate of
+an interval repeats the choice, whose uncertainty is thus a part of it.
 
 References
 ----------
-Chernozhukov, Chetverikov, Demirer, Duflo, Hansen, Newey, Robins, "Double/debiased machine learning
-for treatment and structural parameters", Econometrics Journal 21(1), 2018.
+Chernozhukov, Chetverikov, Demirer, Duflo, Hansen, Newey, Robins, "Double/debiased
+machine learning for treatment and structural parameters", Econometrics Journal 21(1),
+2018.
 """
 
 from collections.abc import Sequence
@@ -35,7 +36,9 @@ _NONE: Final = np.zeros(0)
 class _Contest:
     """Sums of K rivals within each of C clusters, at L levels and of J numbers."""
 
-    choosing: Floats  # (K, L, 2, C) of what they are chosen by: numerator and denominator
+    choosing: (
+        Floats  # (K, L, 2, C) of what they are chosen by: numerator and denominator
+    )
     scored: Floats  # (K, J, 2, C) of what is scored
     is_first: Bools  # (C,) which clusters are in the first half
     least: bool  # Whether the lowest is the best.
@@ -58,7 +61,9 @@ class _Contest:
         for half, choice in zip(halves, best[::-1], strict=True):
             for rival in np.unique(choice).tolist():
                 chose = np.flatnonzero(choice == rival)
-                sums[..., chose] += self.scored[rival][..., half] @ rows[np.ix_(chose, half)].T
+                sums[..., chose] += (
+                    self.scored[rival][..., half] @ rows[np.ix_(chose, half)].T
+                )
         return sums, best
 
 
@@ -73,11 +78,11 @@ def cross_fit(
 ) -> tuple[list[Estimate], tuple[int, int]]:
     """Return what the best of K rivals achieves, and which one each half of the clusters chose.
 
-    On either half the rival is chosen whose ratio of sums has the highest mean over the levels of
-    `choosing` (with `least` the lowest; of equals the first). All J numbers of `scored` then join
-    the sums of either half under the choice of the other one. Intervals are those of
-    `isac_track.intervals.ratio_estimates`, but every replicate, and every deletion of the
-    jackknife, chooses anew (`interval_of_choice`).
+    On either half the rival is chosen whose ratio of sums has the highest mean over the
+    levels of `choosing` (with `least` the lowest; of equals the first). All J numbers
+    of `scored` then join the sums of either half under the choice of the other one.
+    Intervals are those of `isac_track.intervals.ratio_estimates`, but every replicate,
+    and every deletion of the jackknife, chooses anew (`interval_of_choice`).
 
     Parameters
     ----------
@@ -101,17 +106,26 @@ def cross_fit(
     # Of every cluster what the choice of the other half leaves it, (J, 2, C).
     joined = scored[choice, :, :, np.arange(choice.size)].transpose(1, 2, 0)
     plain = ratio_estimates(
-        numerator=joined[:, 0], denominator=joined[:, 1], weights=weights[:1], is_share=is_share
+        numerator=joined[:, 0],
+        denominator=joined[:, 1],
+        weights=weights[:1],
+        is_share=is_share,
     )
     fixed = ratio_of_sums(joined.transpose(1, 0, 2) @ weights.T)
     few = [is_few(effective_clusters(trials)) for trials in joined[:, 1]]
-    deleted = contest.joined(1.0 - np.eye(is_first.size))[0] if any(few) else sums[..., :0]
+    deleted = (
+        contest.joined(1.0 - np.eye(is_first.size))[0] if any(few) else sums[..., :0]
+    )
     estimates = [
         interval_of_choice(
             estimate,
             drawn=values[place],
             fixed=fixed[place],
-            without=ratio_of_sums(deleted[place])[joined[place, 1] > 0.0] if few[place] else _NONE,
+            without=(
+                ratio_of_sums(deleted[place])[joined[place, 1] > 0.0]
+                if few[place]
+                else _NONE
+            ),
             is_share=is_share[place],
             may_be_negative=bool(joined[place, 0].min() < 0.0),
         )
@@ -123,8 +137,9 @@ def cross_fit(
 def best_rival(over: Floats, under: Floats, *, least: bool, otherwise: int) -> Ints:
     """Return the rival with the best mean over the levels in each row, (R,).
 
-    `over` and `under`, (K, L, R), are numerators and denominators of K rivals at L levels; a level
-    counts where all rivals have trials. `otherwise` stands where no level counts.
+    `over` and `under`, (K, L, R), are numerators and denominators of K rivals at L
+    levels; a level counts where all rivals have trials. `otherwise` stands where no
+    level counts.
     """
     is_known = (under > 0.0).all(axis=0)
     ratio = np.divide(over, under, out=np.zeros_like(over), where=is_known)
@@ -149,12 +164,12 @@ def interval_of_choice(
 ) -> Estimate:
     """Return an estimate with an interval that repeats the choice of the best rival.
 
-    `drawn`, (1 + B,), are the number and its replicates, each with a choice of its own; `fixed`,
-    (B,), the replicates under the choice of all clusters; `without`, (D,), the number without each
-    cluster that counts. A replicate, which has noise on top of noise, chooses worse than the people
-    themselves: by as much as that moves the mean of all replicates they are moved back. Few
-    clusters take the jackknife's interval (`is_few`); fewer keep what `plain` has, which also tells
-    how many there are.
+    `drawn`, (1 + B,), are the number and its replicates, each with a choice of its own;
+    `fixed`, (B,), the replicates under the choice of all clusters; `without`, (D,), the
+    number without each cluster that counts. A replicate, which has noise on top of
+    noise, chooses worse than the people themselves: by as much as that moves the mean
+    of all replicates they are moved back. Few clusters take the jackknife's interval
+    (`is_few`); fewer keep what `plain` has, which also tells how many there are.
     """
     replicates = drawn[1:] - (_mean(drawn[1:]) - _mean(fixed))
     ends = plain.ci_low, plain.ci_high
@@ -175,7 +190,9 @@ def interval_of_choice(
 def ratio_of_sums(sums: Floats) -> Floats:
     """Return numerators, the first of (2, ...), over denominators; NaN where these are 0."""
     over, under = sums
-    return np.asarray(np.divide(over, under, out=np.full(over.shape, np.nan), where=under > 0.0))
+    return np.asarray(
+        np.divide(over, under, out=np.full(over.shape, np.nan), where=under > 0.0)
+    )
 
 
 def _mean(replicates: Floats) -> float:

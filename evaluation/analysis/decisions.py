@@ -1,8 +1,8 @@
 """What each predictor lets a robot decide: misses against false alarms, the whole curve.
 
-A robot may act on the predicted separation or, where there is a covariance, on the probability of a
-conflict: two scores, two curves. Counts per cluster and bin of the score are all that the bootstrap
-needs, so that its cost does not grow with the scenes.
+A robot may act on the predicted separation or, where there is a covariance, on the
+probability of a conflict: two scores, two curves. Counts per cluster and bin of the
+score are all that the bootstrap needs, so that its cost does not grow with the scenes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -41,13 +41,15 @@ class Curve:
     def areas(self) -> Floats:
         """Return the area under missed over false-alarm rate, (1 + B,): 0 perfect, 0.5 chance."""
         width = np.diff(self.false_alarm, axis=1)
-        return np.asarray((width * 0.5 * (self.missed[:, 1:] + self.missed[:, :-1])).sum(axis=1))
+        return np.asarray(
+            (width * 0.5 * (self.missed[:, 1:] + self.missed[:, :-1])).sum(axis=1)
+        )
 
     def missed_at(self, false_alarm: Floats) -> Floats:
         """Return the missed rate at a false-alarm rate of each row, (1 + B,), interpolated.
 
-        Where a threshold jumps over several scenes the robot may draw lots between its two
-        sides: linear interpolation is what it can reach.
+        Where a threshold jumps over several scenes the robot may draw lots between its
+        two sides: linear interpolation is what it can reach.
         """
         rows = np.arange(self.missed.shape[0])
         # Of several thresholds with this very rate the most sensitive one.
@@ -62,16 +64,20 @@ class Curve:
     def points(self) -> Floats:
         """Return the estimate at `N_POINTS` equally spaced false-alarm rates, (`N_POINTS`,)."""
         shape = (N_POINTS, self.missed.shape[1])
-        estimate = (np.broadcast_to(one[0], shape) for one in (self.missed, self.false_alarm))
+        estimate = (
+            np.broadcast_to(one[0], shape) for one in (self.missed, self.false_alarm)
+        )
         return Curve(*estimate).missed_at(np.linspace(0.0, 1.0, N_POINTS))
 
 
-def curve(*, score: Floats, conflict: Bools, cluster: Ints, weights: Floats) -> Curve | None:
+def curve(
+    *, score: Floats, conflict: Bools, cluster: Ints, weights: Floats
+) -> Curve | None:
     """Return the curve of a score with its bootstrap replicates; None without both labels.
 
-    A higher `score`, (S,), means that a `conflict`, (S,), is likelier; `cluster`, (S,), is the
-    column of a scene's cluster in `weights`, (B, C), from `intervals.cluster_weights`. Raises
-    ValueError if a score is NaN.
+    A higher `score`, (S,), means that a `conflict`, (S,), is likelier; `cluster`, (S,),
+    is the column of a scene's cluster in `weights`, (B, C), from
+    `intervals.cluster_weights`. Raises ValueError if a score is NaN.
     """
     if np.isnan(score).any():
         raise ValueError("a score is NaN")
@@ -79,8 +85,11 @@ def curve(*, score: Floats, conflict: Bools, cluster: Ints, weights: Floats) -> 
         return None
     distinct = np.unique(score)
     if distinct.size > N_BINS:
-        distinct = np.unique(np.quantile(score, np.linspace(0, 1, N_BINS), method="lower"))
-    # Bin 0 holds the highest scores; a scene counts as soon as the threshold reaches its bin.
+        distinct = np.unique(
+            np.quantile(score, np.linspace(0, 1, N_BINS), method="lower")
+        )
+    # Bin 0 holds the highest scores; a scene counts as soon as the threshold reaches
+    # its bin.
     bins = distinct.size - np.searchsorted(distinct, score, side="right")
     rows = np.where(conflict, distinct.size, 0) + bins
     # Sparse: of thousands of people few are in a bin.
@@ -105,7 +114,10 @@ def _curves(
     ahead = ~(conflict & columns["inside_now"])
     every = curve(score=score, conflict=conflict, cluster=cluster, weights=weights)
     return every, curve(
-        score=score[ahead], conflict=conflict[ahead], cluster=cluster[ahead], weights=weights
+        score=score[ahead],
+        conflict=conflict[ahead],
+        cluster=cluster[ahead],
+        weights=weights,
     )
 
 
@@ -119,12 +131,13 @@ def decisions(
 ) -> tuple[pd.DataFrame, pd.DataFrame, dict[Key, Estimate]]:
     """Return the curves of every predictor, a row on each, and misses at raw's false alarms.
 
-    The row gives the area under the curve and the missed-conflict rate at the false-alarm rate that
-    the reference, the first predictor of the run, has at its operating point under the same
-    mechanism, with the paired difference from what its own curve by separation reaches there. The
-    misses (`EQUAL_ALARMS`, and of conflicts that are still to come `FUTURE_EQUAL_ALARMS`) are by
-    separation, at the false-alarm rate that the predictor itself has at raw. `dataset` is what the
-    rows are named after.
+    The row gives the area under the curve and the missed-conflict rate at the
+    false-alarm rate that the reference, the first predictor of the run, has at its
+    operating point under the same mechanism, with the paired difference from what its
+    own curve by separation reaches there. The misses (`EQUAL_ALARMS`, and of conflicts
+    that are still to come `FUTURE_EQUAL_ALARMS`) are by separation, at the false-alarm
+    rate that the predictor itself has at raw. `dataset` is what the rows are named
+    after.
     """
     reference = next(iter(manifest["settings"]["predictors"]), None)
     weights = weights_of(manifest)
@@ -133,7 +146,9 @@ def decisions(
     points, future_points = [np.zeros(0)], [np.zeros(0)]
     rows: list[dict[str, Any]] = []
     # The reference first: the others are compared with its curve.
-    order = sorted(enumerate(scored), key=lambda one: one[1][0]["consumer"] != reference)
+    order = sorted(
+        enumerate(scored), key=lambda one: one[1][0]["consumer"] != reference
+    )
     for place, (entry, cluster, columns) in order:
         where, consumer = (entry["mechanism"], entry["level"]), entry["consumer"]
         alarms = Measure(consumer, "false_alarm_rate")
@@ -157,7 +172,9 @@ def decisions(
                     if rates is not None
                 }
             points.append(drawn.points())
-            future_points.append(future.points() if future else np.full(N_POINTS, np.nan))
+            future_points.append(
+                future.points() if future else np.full(N_POINTS, np.nan)
+            )
             level = np.nan if where[1] is None else where[1]
             whose = dataset, where[0], level, consumer, name
             row = dict(zip(_ABOUT, whose, strict=True)) | {"place": place}

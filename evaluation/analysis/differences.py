@@ -1,6 +1,7 @@
 """What differs between two runs: settings, code, and every number that both have.
 
-Nothing is computed anew: the estimates and their replicates come from the finished cells.
+Nothing is computed anew: the estimates and their replicates come from the finished
+cells.
 """
 
 import math
@@ -39,12 +40,19 @@ from isac_track.types import Floats
 Manifest = Mapping[str, Any]
 Apart = dict[str, tuple[Any, Any]]
 
-IDENTICAL, DIFFERS, BETWEEN, UNTESTED = "identical", "differs", "between", "untested"  # Findings.
+IDENTICAL, DIFFERS, BETWEEN, UNTESTED = (
+    "identical",
+    "differs",
+    "between",
+    "untested",
+)  # Findings.
 SIGNIFICANCE: Final = 0.05  # Of a family, after Holm.
 DRAWS, PEOPLE, NONE = "people and draws", "people", "none"  # Pairing of a row.
 _VERDICT = "verdict.json"  # Compares over galleries of any size.
 _MOST_NAMED, _MOST_LEVELS = 4, 5
-_ABOUT_DATA = frozenset({"dataset", "sha256", "format", "fps", "unit", "tracks", "tracks_used"})
+_ABOUT_DATA = frozenset(
+    {"dataset", "sha256", "format", "fps", "unit", "tracks", "tracks_used"}
+)
 _ABOUT_CODE = ("code version", "isac_track", "git_commit", "python", "machine")
 _DECIDED = ("conflict.decision", "conflict.probability_threshold")
 _KEEP_DRAWS = ("dataset", "privacy.", "sensing.", *_DECIDED)
@@ -70,7 +78,9 @@ class Difference(NamedTuple):
     difference: float
     ci_low: float = math.nan
     ci_high: float = math.nan
-    t: float = math.nan  # Difference over its standard error, which has n - 1 degrees of freedom.
+    t: float = (
+        math.nan
+    )  # Difference over its standard error, which has n - 1 degrees of freedom.
     p_value: float = math.nan  # Two-sided; NaN where there is no interval.
 
 
@@ -89,7 +99,9 @@ class Comparison:
     lead: pd.DataFrame
     """Its rows of missed conflicts, at further horizons of those to come, of PLR after A's
     strongest attack and of rank 1, at a few levels."""
-    verdicts: dict[str, Any] | None  # Decisions that changed; None unless both runs have a verdict.
+    verdicts: (
+        dict[str, Any] | None
+    )  # Decisions that changed; None unless both runs have a verdict.
 
     @property
     def headline(self) -> pd.DataFrame:
@@ -104,14 +116,17 @@ class Comparison:
         findings = set(self.headline["finding"])
         if UNTESTED in findings and findings <= {UNTESTED, IDENTICAL}:
             # A gate that nothing can shut is none.
-            raise DataError("--fail-on-change: no headline number that changed has an interval")
+            raise DataError(
+                "--fail-on-change: no headline number that changed has an interval"
+            )
         return DIFFERS in findings
 
 
 def compare(out_a: Path, out_b: Path) -> Comparison:
     """Return two runs side by side; their folders may be the same.
 
-    Raises DataError for a folder without a run, a cell missing or broken, or no number in common.
+    Raises DataError for a folder without a run, a cell missing or broken, or no number
+    in common.
     """
     first = read_manifest(out_a)
     second = first if out_a.resolve() == out_b.resolve() else read_manifest(out_b)
@@ -122,17 +137,24 @@ def compare(out_a: Path, out_b: Path) -> Comparison:
         # A run's draws depend on its seed and on its list of groups: both take one.
         same = {"groups": sorted({*first["groups"], *second["groups"]})}
         seed = {"seed": first["identity"]["seed"]}
-        runs = [(out, one | same | {"identity": one["identity"] | seed}) for out, one in runs]
+        runs = [
+            (out, one | same | {"identity": one["identity"] | seed})
+            for out, one in runs
+        ]
     numbers = [_numbers(out, manifest) for out, manifest in runs]
     in_a, in_b = numbers[0], numbers[-1]
     both = [number for number in in_a if number in in_b]
     if not both:
-        has_a, has_b = (short_list([*families_in(one["cells"])]) for one in (first, second))
-        raise DataError(
-            f"{out_a} and {out_b} share no number: A has {has_a}, B has {has_b}; compare runs with "
-            "a common mechanism, level and consumer"
+        has_a, has_b = (
+            short_list([*families_in(one["cells"])]) for one in (first, second)
         )
-    rows = _rows({number: (in_a[number], in_b[number]) for number in both}, first, second)
+        raise DataError(
+            f"{out_a} and {out_b} share no number: A has {has_a}, B has {has_b};"
+            " compare runs with a common mechanism, level and consumer"
+        )
+    rows = _rows(
+        {number: (in_a[number], in_b[number]) for number in both}, first, second
+    )
     own = {number.key: in_a[number] for number in both if not number.world}
     return Comparison(
         a=about(out_a, first),
@@ -160,12 +182,13 @@ def _numbers(out: Path, manifest: Manifest) -> dict[_Number, Estimate]:
 def difference(a: Estimate, b: Estimate, *, paired: bool, metric: str) -> Difference:
     """Return B - A with its 95 % interval and a two-sided p-value.
 
-    `paired` says whether row k of both replicates is the same draw of people. Then the interval is
-    that of their differences; where one of them has no spread (a share of exactly 0 or 1), or
-    nothing is paired, both intervals are combined as of independent estimates (Newcombe 1998; Zou
-    and Donner 2008). The p-value is of Student's t with a degree of freedom less than the smaller
-    number of clusters: replicates alone tell none below 0.002, and Holm needs smaller ones. Of less
-    than two clusters, or without replicates, there is neither.
+    `paired` says whether row k of both replicates is the same draw of people. Then the
+    interval is that of their differences; where one of them has no spread (a share of
+    exactly 0 or 1), or nothing is paired, both intervals are combined as of independent
+    estimates (Newcombe 1998; Zou and Donner 2008). The p-value is of Student's t with a
+    degree of freedom less than the smaller number of clusters: replicates alone tell
+    none below 0.002, and Holm needs smaller ones. Of less than two clusters, or without
+    replicates, there is neither.
     """
     value, n_clusters = b.value - a.value, min(a.n, b.n)
     n_rows = min(a.replicates.size, b.replicates.size)
@@ -200,7 +223,9 @@ def counts(rows: pd.DataFrame) -> dict[str, int]:
 
 
 def _rows(
-    pairs: Mapping[_Number, tuple[Estimate, Estimate]], first: Manifest, second: Manifest
+    pairs: Mapping[_Number, tuple[Estimate, Estimate]],
+    first: Manifest,
+    second: Manifest,
 ) -> pd.DataFrame:
     """Return a row for each pair with what Holm says of either family, the surest first."""
     consumers = {number.key.consumer for number in pairs}
@@ -251,7 +276,9 @@ def _rows(
     table["finding"] = table["finding"].where(~tested, differs)
     # Of p-values too small to tell apart, the larger t is the surer.
     order = pd.DataFrame({"p": table["p_value"], "t": -table["t"].abs()})
-    return table.loc[order.sort_values(["p", "t"], kind="stable").index].reset_index(drop=True)
+    return table.loc[order.sort_values(["p", "t"], kind="stable").index].reset_index(
+        drop=True
+    )
 
 
 def _is_headline(world: str, key: Key) -> bool:
@@ -265,7 +292,9 @@ def _is_headline(world: str, key: Key) -> bool:
 def _lead(rows: pd.DataFrame, found: Found, cells: Sequence[Manifest]) -> pd.DataFrame:
     """Return the rows that tell most, at the levels of the smoke preset, else at the first ones."""
     best = strongest(found, families_in(cells))
-    known = dict.fromkeys(key.measure for key, one in found.items() if np.isfinite(one.value))
+    known = dict.fromkeys(
+        key.measure for key, one in found.items() if np.isfinite(one.value)
+    )
     wanted = [measure for measure in known if measure.metric == MISSED_RATE][:1]
     wanted += [best[""].measure(EXPOSURE)] if "" in best else []
     for linker in [best[task] for task in best if task][:1]:
@@ -276,13 +305,18 @@ def _lead(rows: pd.DataFrame, found: Found, cells: Sequence[Manifest]) -> pd.Dat
     at = {spec: where for spec, where in every if where in there}
     levels = [at[spec] for spec in PRESETS["smoke"].mechanisms if spec in at]
     levels = levels or list(dict.fromkeys(at.values()))[:_MOST_LEVELS]
-    place = dict(zip(zip(rows["world"], keys_of(rows), strict=True), rows.index, strict=True))
+    place = dict(
+        zip(zip(rows["world"], keys_of(rows), strict=True), rows.index, strict=True)
+    )
     asked = [("", measure.at(*where)) for measure in wanted for where in levels]
-    # Behind the misses of the run's own horizon those of conflicts that are still to come.
+    # Behind the misses of the run's own horizon those of conflicts that are still to
+    # come.
     worlds = [world for world in dict.fromkeys(rows["world"]) if world]
     missed = [measure for measure in wanted if measure.metric == MISSED_RATE]
     robots = [measure._replace(metric=MISSED_FUTURE) for measure in missed]
-    ahead = [(world, robot.at(*at)) for world in worlds for robot in robots for at in levels]
+    ahead = [
+        (world, robot.at(*at)) for world in worlds for robot in robots for at in levels
+    ]
     behind = len(missed) * len(levels)
     asked[behind:behind] = ahead
     lead = rows.loc[[place[number] for number in asked if number in place]]
@@ -298,7 +332,8 @@ def short_list(names: Sequence[str]) -> str:
 def pairing(first: Manifest, second: Manifest, *, consumer: str) -> str:
     """Return how a consumer's numbers in two runs are paired.
 
-    Replicates of linkage were drawn with the cell: nobody can draw the same people later.
+    Replicates of linkage were drawn with the cell: nobody can draw the same people
+    later.
     """
     moved = _unequal(first["identity"], second["identity"])
     task, is_linked, _ = consumer.partition("/")
@@ -313,7 +348,9 @@ def pairing(first: Manifest, second: Manifest, *, consumer: str) -> str:
         return NONE
     # Whether the same people's random numbers are the same, too.
     keep = (*_KEEP_DRAWS, *aside)
-    other = any(name.startswith(_CHANGE_DRAWS) or not name.startswith(keep) for name in moved)
+    other = any(
+        name.startswith(_CHANGE_DRAWS) or not name.startswith(keep) for name in moved
+    )
     return PEOPLE if other else DRAWS
 
 
@@ -339,7 +376,9 @@ def changed(first: Manifest, second: Manifest) -> dict[str, Apart]:
     described, code = [], []
     for one in (first, second):
         tracks = {name: one["dataset"][name] for name in ("tracks", "tracks_used")}
-        described.append(one["identity"] | tracks | {"preset": one["settings"]["preset"]})
+        described.append(
+            one["identity"] | tracks | {"preset": one["settings"]["preset"]}
+        )
         by = {"code version": one["code"], **one["environment"]}
         code.append({name: by[name] for name in _ABOUT_CODE} | by["libraries"])
     settings = _unequal(*described)
@@ -363,7 +402,9 @@ def _axes(manifest: Manifest) -> dict[str, list[str]]:
     cells = manifest["cells"]
 
     def of(*kinds: str) -> list[str]:
-        return [cell["consumer"] for kind in kinds for cell in cells if cell["kind"] == kind]
+        return [
+            cell["consumer"] for kind in kinds for cell in cells if cell["kind"] == kind
+        ]
 
     return {
         "mechanisms": [cell["spec"] for cell in cells],
@@ -378,13 +419,17 @@ def verdicts(out_a: Path, out_b: Path) -> dict[str, Any] | None:
     runs = out_a, out_b
     if not all((out / _VERDICT).is_file() for out in runs):
         return None
-    a, b = ({one["id"]: one["decision"] for one in verdict_of(out)["items"]} for out in runs)
+    a, b = (
+        {one["id"]: one["decision"] for one in verdict_of(out)["items"]} for out in runs
+    )
     both = [name for name in a if name in b]
     return {
         "in_both": len(both),
         "only_a": _beside(a, b),
         "only_b": _beside(b, a),
-        "changed": [{"id": one, "a": a[one], "b": b[one]} for one in both if a[one] != b[one]],
+        "changed": [
+            {"id": one, "a": a[one], "b": b[one]} for one in both if a[one] != b[one]
+        ],
     }
 
 
@@ -397,5 +442,7 @@ def verdict_of(out: Path) -> dict[str, Any]:
     try:
         list(map(itemgetter("id", "decision"), said["items"]))
     except (KeyError, TypeError):
-        raise DataError(f"{out / _VERDICT} cannot be read: it is no verdict of a run") from None
+        raise DataError(
+            f"{out / _VERDICT} cannot be read: it is no verdict of a run"
+        ) from None
     return said

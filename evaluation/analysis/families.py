@@ -1,7 +1,7 @@
 """THE table of mechanism families: of which family a mechanism is, and under which rule it adds.
 
-A mechanism of the results is a family with the parameters that are not the default, and has a value
-for each of its levels. Nobody else takes names apart.
+A mechanism of the results is a family with the parameters that are not the default, and
+has a value for each of its levels. Nobody else takes names apart.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,10 @@ RAW, CLEAN, FIXED, FID = "raw", "clean", "fixed", "fid"
 """Families: nothing added, no error at all, the baseline, and the paper's."""
 ADDING_RULES: Final[tuple[str, ...]] = get_args(Adding)
 SWEPT: Final = (RAW, FIXED, FID)  # Families that the paper compares.
-LEVEL_UNITS: Final = {FID: "eta in 1/(m^2 s)", FIXED: "d_sigma in m"}  # What a level is.
+LEVEL_UNITS: Final = {
+    FID: "eta in 1/(m^2 s)",
+    FIXED: "d_sigma in m",
+}  # What a level is.
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +28,12 @@ class Family:
 
     mechanism: str  # As in the results: `fid:adding=independent`.
     family: str  # The plug-in's name without parameters: `fid`.
-    adding: str  # The rule that it declares: `linear`, `independent`, or empty without one.
-    protects: bool = True  # Whether it claims to protect: controls, raw and clean do not.
+    adding: (
+        str  # The rule that it declares: `linear`, `independent`, or empty without one.
+    )
+    protects: bool = (
+        True  # Whether it claims to protect: controls, raw and clean do not.
+    )
 
     @property
     def rules(self) -> tuple[str, ...]:
@@ -36,7 +43,10 @@ class Family:
     @property
     def has_one_rule(self) -> bool:
         """Whether no parameter sets its rule, so that there is no other to ask for."""
-        return self.adding == "independent" and f"adding={self.adding}" not in self.mechanism
+        return (
+            self.adding == "independent"
+            and f"adding={self.adding}" not in self.mechanism
+        )
 
     @property
     def is_added(self) -> bool:
@@ -58,12 +68,13 @@ class Family:
 def families_in(rows: pd.DataFrame | Sequence[Mapping[str, Any]]) -> dict[str, Family]:
     """Return the mechanisms of a run by name, in its order.
 
-    `rows` have `mechanism`, `family` and `adding`: a summary, or `manifest["cells"]`, which also
-    say whether each claims to protect.
+    `rows` have `mechanism`, `family` and `adding`: a summary, or `manifest["cells"]`,
+    which also say whether each claims to protect.
     """
     texts = ["mechanism", "family", "adding"]
     frame = pd.DataFrame(rows, columns=[*texts, "protects"]).drop_duplicates(texts)
-    # Of a file that was read without care an empty text is missing; a summary does not say.
+    # Of a file that was read without care an empty text is missing; a summary does not
+    # say.
     known = frame[texts].astype(object).fillna("").itertuples(index=False, name=None)
     claims = frame["protects"].astype(object).fillna(value=True).astype(bool)
     return {

@@ -1,8 +1,9 @@
 """How many candidates there are, and how often the right one comes first: `gallery.csv`.
 
-Of the strongest linker of each task. Up to the smallest gallery that all probes were compared with,
-every number is measured: the mean over all galleries of that size that could be drawn, without
-companions. Rank 1 in larger ones is predicted; the TPR is of pairs and does not depend on the size.
+Of the strongest linker of each task. Up to the smallest gallery that all probes were
+compared with, every number is measured: the mean over all galleries of that size that
+could be drawn, without companions. Rank 1 in larger ones is predicted; the TPR is of
+pairs and does not depend on the size.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -30,7 +31,11 @@ TPR: Final = "tpr_at_fpr_1pct"
 
 
 def galleries(
-    probes: Mapping[str, Sequence[LinkedProbes]], found: Found, *, dataset: str, seed: int
+    probes: Mapping[str, Sequence[LinkedProbes]],
+    found: Found,
+    *,
+    dataset: str,
+    seed: int,
 ) -> pd.DataFrame:
     """Return rank 1, TPR and expected rank over the gallery's size; the columns are `COLUMNS`.
 
@@ -41,10 +46,17 @@ def galleries(
         if not levels:
             continue
         n, name = len(levels[0].clusters), ("gallery", task)
-        weights = intervals.cluster_weights(n_clusters=n, n_replicates=_DRAWS, seed=seed, of=name)
+        weights = intervals.cluster_weights(
+            n_clusters=n, n_replicates=_DRAWS, seed=seed, of=name
+        )
         for one in levels:
             own = dataset_of(one.linker.consumer, dataset=dataset)
-            about = own, one.mechanism, np.nan if one.level is None else one.level, *one.linker
+            about = (
+                own,
+                one.mechanism,
+                np.nan if one.level is None else one.level,
+                *one.linker,
+            )
             tpr = found.get(one.linker.measure(TPR).at(one.mechanism, one.level))
             rows += [
                 (*about, size, metric, of.value, of.ci_low, of.ci_high, size > measured)
@@ -67,7 +79,9 @@ def _of_level(
     every = sorted({*within, *tried, *parts})
     rates = _ratios(one, [first_among(one.strangers, size) for size in every], weights)
     first = dict(zip(every, rates, strict=True))
-    (ahead,) = _ratios(one, [(above + 0.5 * (tied - 1)) / np.maximum(candidates - 1, 1)], weights)
+    (ahead,) = _ratios(
+        one, [(above + 0.5 * (tied - 1)) / np.maximum(candidates - 1, 1)], weights
+    )
     for size in [*within, *steps]:
         rank1 = first[size] if size <= measured else _predicted(first, measured, size)
         yield measured, size, "rank1", rank1
@@ -81,8 +95,9 @@ def _of_level(
 def _predicted(first: Mapping[int, Estimate], measured: int, size: int) -> Estimate:
     """Return rank 1 in a larger gallery, corrected by what the same step misses within.
 
-    A step is predicted from one gallery and a tenth of it. The same one is tried up to the gallery
-    that was measured; its miss divides the prediction, and widens the interval on both sides.
+    A step is predicted from one gallery and a tenth of it. The same one is tried up to
+    the gallery that was measured; its miss divides the prediction, and widens the
+    interval on both sides.
     """
 
     def step(of: int, to: int) -> Floats:
@@ -98,7 +113,10 @@ def _predicted(first: Mapping[int, Estimate], measured: int, size: int) -> Estim
     low, high = np.nan, np.nan
     if first[measured].n_effective >= intervals.LEAST_CLUSTERS:
         low, high = intervals.percentile_interval(corrected[1:])
-        low, high = max(0.0, low - changed), min(high + changed, first[measured].ci_high)
+        low, high = (
+            max(0.0, low - changed),
+            min(high + changed, first[measured].ci_high),
+        )
     return Estimate(float(corrected[0]), low, high)
 
 
@@ -106,8 +124,12 @@ def _ratios(one: LinkedProbes, of: Sequence[Floats], weights: Floats) -> list[Es
     """Return the means of some values of each probe, (N,)."""
     if not of or not one.cluster.size:
         return [Estimate(np.nan) for _ in of]
-    summed = partial(intervals.cluster_sums, cluster=one.cluster, n_clusters=len(one.clusters))
-    *sums, count = (summed(values=values) for values in (*of, np.ones(one.cluster.size)))
+    summed = partial(
+        intervals.cluster_sums, cluster=one.cluster, n_clusters=len(one.clusters)
+    )
+    *sums, count = (
+        summed(values=values) for values in (*of, np.ones(one.cluster.size))
+    )
     over, under = np.stack(sums), np.tile(count, (len(of), 1))
     return intervals.ratio_estimates(
         numerator=over, denominator=under, weights=weights, is_share=[True] * len(of)

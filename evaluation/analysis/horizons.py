@@ -29,9 +29,9 @@ _COLUMNS: Final = ["group", "conflict", "time_to_conflict_s"]
 def conflict_times(out: Path, manifest: Mapping[str, Any]) -> pd.DataFrame:
     """Return the share of conflicts in which somebody is inside by a time, at every horizon.
 
-    `TIME_COLUMNS`: `by_s` is the time from now in s, 0 tells who is inside already; `value` is the
-    share. The scenes are one for all predictors and levels: the first ones are read. Raises
-    DataError as `read_rows`.
+    `TIME_COLUMNS`: `by_s` is the time from now in s, 0 tells who is inside already;
+    `value` is the share. The scenes are one for all predictors and levels: the first
+    ones are read. Raises DataError as `read_rows`.
     """
     frames = [pd.DataFrame(columns=TIME_COLUMNS, dtype=float)]
     name, robots = manifest["dataset"]["name"], dict[str, Mapping[str, Any]]()
@@ -45,7 +45,9 @@ def conflict_times(out: Path, manifest: Mapping[str, Any]) -> pd.DataFrame:
     return pd.concat(frames[1:] or frames, ignore_index=True)[TIME_COLUMNS]
 
 
-def _distribution(out: Path, entry: Mapping[str, Any], manifest: Mapping[str, Any]) -> pd.DataFrame:
+def _distribution(
+    out: Path, entry: Mapping[str, Any], manifest: Mapping[str, Any]
+) -> pd.DataFrame:
     table, weights = read_rows(out, entry, columns=_COLUMNS), weights_of(manifest)
     conflict, time_s = (table[column].to_numpy() for column in _COLUMNS[1:])
     by_s = np.linspace(0.0, np.nanmax(time_s, initial=0.0), N_TIMES)
@@ -70,19 +72,26 @@ def _distribution(out: Path, entry: Mapping[str, Any], manifest: Mapping[str, An
     return pd.DataFrame(rows, columns=TIME_COLUMNS[1:])
 
 
-def beaten_by_standing_still(own: Found, later: Mapping[float, Found]) -> list[dict[str, Any]]:
+def beaten_by_standing_still(
+    own: Found, later: Mapping[float, Found]
+) -> list[dict[str, Any]]:
     """Return a record for each robot and horizon: where it surely misses more than `BASELINE`.
 
-    `own` is of the run's own horizon, `later` of further ones, s. The comparison is paired, same
-    scenes and draws, at the same level; fewer than `FEWEST_EFFECTIVE` effective clusters say
-    nothing. `levels` counts the levels compared, `loses` names those where it loses.
+    `own` is of the run's own horizon, `later` of further ones, s. The comparison is
+    paired, same scenes and draws, at the same level; fewer than `FEWEST_EFFECTIVE`
+    effective clusters say nothing. `levels` counts the levels compared, `loses` names
+    those where it loses.
     """
     records = []
     for horizon_s, at_horizon in ((None, own), *later.items()):
         robots: dict[str, list[dict[str, Any]]] = {}
         for key, missed in at_horizon.items():
             still = at_horizon.get(Measure(BASELINE, MISSED_RATE).at(*key.where))
-            if key.metric == MISSED_RATE and key.consumer != BASELINE and still is not None:
+            if (
+                key.metric == MISSED_RATE
+                and key.consumer != BASELINE
+                and still is not None
+            ):
                 compared = _compared(missed, still)
                 about = {"mechanism": key.mechanism, "level": key.level}
                 robots.setdefault(key.consumer, []).append(about | compared)

@@ -30,7 +30,9 @@ class Source(NamedTuple):
     @property
     def label(self) -> str:
         """For people."""
-        return f"{self.consumer} ({self.knowledge})" if self.knowledge else self.consumer
+        return (
+            f"{self.consumer} ({self.knowledge})" if self.knowledge else self.consumer
+        )
 
     @property
     def task(self) -> str:
@@ -117,7 +119,10 @@ def rows_of(frame: pd.DataFrame) -> list[dict[str, Any]]:
 def keys_of(rows: pd.DataFrame) -> list[Key]:
     """Return what the rows of a summary are about."""
     texts = rows["knowledge"].astype(object).fillna("")
-    columns = [*(rows[name] for name in ("mechanism", "level", "consumer", "metric")), texts]
+    columns = [
+        *(rows[name] for name in ("mechanism", "level", "consumer", "metric")),
+        texts,
+    ]
     every = zip(*columns, strict=True)
     return [Key(name, None if math.isnan(at) else at, *of) for name, at, *of in every]
 
@@ -125,18 +130,22 @@ def keys_of(rows: pd.DataFrame) -> list[Key]:
 def horizons_in(entries: Iterable[Mapping[str, Any]]) -> list[float]:
     """Return the further horizons of a run, s, ascending, by the cells of its manifest."""
     worlds = {entry.get("world") or "" for entry in entries}
-    return sorted(seconds for world in worlds if (seconds := horizon_of(world)) is not None)
+    return sorted(
+        seconds for world in worlds if (seconds := horizon_of(world)) is not None
+    )
 
 
 def judged_at(own: Found, at_horizon: Found) -> Found:
     """Return the estimates of a run with its robots judged at another horizon.
 
-    What that horizon has replaces the run's own number: of robots; all else is one for both. A
-    robot that is not read there is left out, lest two horizons are compared.
+    What that horizon has replaces the run's own number: of robots; all else is one for
+    both. A robot that is not read there is left out, lest two horizons are compared.
     """
     robots = {key.consumer for key in own if key.metric == MISSED_RATE}
     absent = robots - {key.consumer for key in at_horizon}
-    rest = {key: estimate for key, estimate in own.items() if key.consumer not in absent}
+    rest = {
+        key: estimate for key, estimate in own.items() if key.consumer not in absent
+    }
     return {**rest, **at_horizon}
 
 
@@ -144,7 +153,10 @@ def worlds_of(frame: pd.DataFrame) -> pd.Series[str]:
     """Return of which other world the rows of a summary are; empty: that of the run."""
     names = frame["dataset"]
     parts = {name: name.rpartition(":") for name in names.unique()}
-    of = {name: end if start and is_world(end) else "" for name, (start, _, end) in parts.items()}
+    of = {
+        name: end if start and is_world(end) else ""
+        for name, (start, _, end) in parts.items()
+    }
     return names.map(of).astype(names.dtype)
 
 

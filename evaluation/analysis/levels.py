@@ -1,10 +1,11 @@
 """What a site would get and pay at each level that it could choose: `levels.csv`.
 
-A row is a number of a level: what robots miss and how often they raise a false alarm, at every
-horizon of the run, and the same of the cross-fitted best robot, under names of its own
-(`evaluation.analysis.best_robot`); the descriptors as shared and after the strongest attack of each
-group of adversaries; and how often the strongest linker of a task finds a person again, also as a
-share of what it finds under raw. Raw is there, too; mechanisms that do not protect are not.
+A row is a number of a level: what robots miss and how often they raise a false alarm,
+at every horizon of the run, and the same of the cross-fitted best robot, under names of
+its own (`evaluation.analysis.best_robot`); the descriptors as shared and after the
+strongest attack of each group of adversaries; and how often the strongest linker of a
+task finds a person again, also as a share of what it finds under raw. Raw is there,
+too; mechanisms that do not protect are not.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -36,7 +37,16 @@ from isac_track.linkability import GALLERY
 
 COLUMNS: Final = [
     *("dataset", "mechanism", "level", "family", "adding", "protects"),
-    *("adversary", "consumer", "knowledge", "metric", "value", "ci_low", "ci_high", "n"),
+    *(
+        "adversary",
+        "consumer",
+        "knowledge",
+        "metric",
+        "value",
+        "ci_low",
+        "ci_high",
+        "n",
+    ),
     *("outcome", "invalid", "first_choice", "second_choice"),
 ]
 """The last two: the robot, or the attack, that either half of the people chose."""
@@ -50,13 +60,19 @@ def group_name(among: tuple[str, ...]) -> str:
     return ONE_RELEASE if among == HEADLINE else among[0]
 
 
-def linked_share(linked: Estimate, chance: float, raw: Estimate, raw_chance: float) -> Estimate:
+def linked_share(
+    linked: Estimate, chance: float, raw: Estimate, raw_chance: float
+) -> Estimate:
     """Return how much of raw's rank 1 above chance is left, paired by person cluster.
 
-    The estimates have their replicates from the same rows of weights. NaN where raw does not link.
+    The estimates have their replicates from the same rows of weights. NaN where raw
+    does not link.
     """
     n_drawn = min(linked.replicates.size, raw.replicates.size)
-    above, of_raw = linked.drawn[: n_drawn + 1] - chance, raw.drawn[: n_drawn + 1] - raw_chance
+    above, of_raw = (
+        linked.drawn[: n_drawn + 1] - chance,
+        raw.drawn[: n_drawn + 1] - raw_chance,
+    )
     share = np.full(n_drawn + 1, np.nan)
     np.divide(above, of_raw, out=share, where=of_raw > 0.0)
     effective = min(linked.n_effective, raw.n_effective)
@@ -77,16 +93,22 @@ def levels(
 ) -> pd.DataFrame:
     """Return a row for each number of raw and of every level that claims to protect: `COLUMNS`.
 
-    `found` is every estimate of the run, misses at raw's false alarms among them, `attacks` are the
-    strongest on each mechanism, `horizons` the estimates of robots by further horizon (as in
-    `dataset`, behind the name), `best` the best robots by horizon (empty: the run's own), `linked`
-    is `linkability.csv`.
+    `found` is every estimate of the run, misses at raw's false alarms among them,
+    `attacks` are the strongest on each mechanism, `horizons` the estimates of robots by
+    further horizon (as in `dataset`, behind the name), `best` the best robots by
+    horizon (empty: the run's own), `linked` is `linkability.csv`.
     """
-    chosen = {name for name, family in known.items() if family.protects or family.family == RAW}
+    chosen = {
+        name
+        for name, family in known.items()
+        if family.protects or family.family == RAW
+    }
     own = {key: number for key, number in found.items() if key.mechanism in chosen}
     rows = list(_of_robots(own, "", known, dataset))
     for world, of_world in horizons.items():
-        some = {key: number for key, number in of_world.items() if key.mechanism in chosen}
+        some = {
+            key: number for key, number in of_world.items() if key.mechanism in chosen
+        }
         rows += _of_robots(some, world, known, dataset)
     for world, robots in best.items():
         rows += _of_best_robots(robots, world, known, dataset)
@@ -102,7 +124,10 @@ def levels(
 
 
 def _of_reconstructions(
-    attacks: Sequence[Strongest], found: Found, known: Mapping[str, Family], dataset: str
+    attacks: Sequence[Strongest],
+    found: Found,
+    known: Mapping[str, Family],
+    dataset: str,
 ) -> Iterator[dict[str, Any]]:
     """Yield what the strongest reconstructions leave."""
     farther = by_task(found, metric=WIDE).get("", {})
@@ -110,7 +135,9 @@ def _of_reconstructions(
         if attack.source.task:
             continue
         # Farther off another attack may be the stronger one.
-        at_wide = against_each(farther, among=attack.among).get(attack.mechanism, attack.source)
+        at_wide = against_each(farther, among=attack.among).get(
+            attack.mechanism, attack.source
+        )
         for where in attack.wheres:
             for metric in (*DESCRIPTORS, MEDIAN, WIDE):
                 key, source = attack.source.measure(metric).at(*where), attack.source
@@ -120,7 +147,10 @@ def _of_reconstructions(
                     estimate = found.get(source.measure(WIDE).at(*where))
                 if estimate is not None:
                     own = source.measure(metric).at(*where)
-                    about = {"adversary": group_name(attack.among), **_choices(attack, metric)}
+                    about = {
+                        "adversary": group_name(attack.among),
+                        **_choices(attack, metric),
+                    }
                     yield _row(own, estimate, known, dataset) | about
 
 
@@ -152,9 +182,13 @@ def _of_linkers(
 ) -> Iterator[dict[str, Any]]:
     """Yield what the strongest linker of each task finds, and its share of what raw leaves."""
     cards = _cards(linked)
-    linkers = [attack for attack in attacks if attack.source.task and attack.among == HEADLINE]
+    linkers = [
+        attack for attack in attacks if attack.source.task and attack.among == HEADLINE
+    ]
     raws = {
-        linker.source.task: linker for linker in linkers if known[linker.mechanism].family == RAW
+        linker.source.task: linker
+        for linker in linkers
+        if known[linker.mechanism].family == RAW
     }
     for linker in linkers:
         raw = raws.get(linker.source.task)
@@ -168,18 +202,25 @@ def _of_linkers(
             rank = linker.at(where, metric, found) or _UNKNOWN
             chance = _chance(linker.source, metric, where, found)
             yield _row(key, rank, known, data) | about
-            yield _row(key._replace(metric="chance"), Estimate(chance), known, data) | about
+            yield (
+                _row(key._replace(metric="chance"), Estimate(chance), known, data)
+                | about
+            )
             if raw is not None:
                 at_raw = raw.at(raw.wheres[0], metric, found) or _UNKNOWN
                 its_chance = _chance(raw.source, metric, raw.wheres[0], found)
                 share = linked_share(rank, chance, at_raw, its_chance)
-                yield _row(key._replace(metric=LINKAGE_SHARE), share, known, data) | about
+                yield (
+                    _row(key._replace(metric=LINKAGE_SHARE), share, known, data) | about
+                )
 
 
 def _cards(linked: pd.DataFrame) -> dict[tuple[Any, ...], dict[Any, Any]]:
     """Return the rows of `linkability.csv` of everybody, by level and linker."""
     cards = {}
-    for row in linked[linked["cohort"] == "all"].to_dict("records") if len(linked) else ():
+    for row in (
+        linked[linked["cohort"] == "all"].to_dict("records") if len(linked) else ()
+    ):
         level = None if np.isnan(row["level"]) else row["level"]
         cards[row["mechanism"], level, row["consumer"], row["knowledge"]] = row
     return cards
@@ -199,7 +240,9 @@ def _chance(source: Source, metric: str, where: Where, found: Found) -> float:
     return found.get(source.measure("chance").at(*where), _UNKNOWN).value
 
 
-def _row(key: Key, number: Estimate, known: Mapping[str, Family], dataset: str) -> dict[str, Any]:
+def _row(
+    key: Key, number: Estimate, known: Mapping[str, Family], dataset: str
+) -> dict[str, Any]:
     family = known[key.mechanism]
     return {
         "dataset": dataset,

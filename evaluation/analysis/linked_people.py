@@ -1,8 +1,8 @@
 """Who is linked at every level of a task, and what their own windows give away.
 
-The descriptors are those of the windows that are linked, not of the tracks in scenes. Summed by
-cluster, everything is a ratio of sums: a bootstrap, a jackknife or one half of the people are
-weights of these.
+The descriptors are those of the windows that are linked, not of the tracks in scenes.
+Summed by cluster, everything is a ratio of sums: a bootstrap, a jackknife or one half
+of the people are weights of these.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,13 @@ import pyarrow.compute as pc
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW
 from evaluation.analysis.keys import Measure, Source
 from evaluation.analysis.matching import Sweeps
-from evaluation.analysis.metrics import ASSIGNED, DESCRIPTORS, METRICS, SUCCESS, SUCCESS_OF_100
+from evaluation.analysis.metrics import (
+    ASSIGNED,
+    DESCRIPTORS,
+    METRICS,
+    SUCCESS,
+    SUCCESS_OF_100,
+)
 from evaluation.analysis.strongest import against_each, by_task, first_half
 from evaluation.cells.link_scores import COMPANIONS, NAMED_MATES
 from evaluation.cells.link_setup import SIDES
@@ -31,12 +37,25 @@ from isac_track.linkability import GALLERY
 from isac_track.linkability.ranks import among_strangers, expected_hit, first_among
 from isac_track.types import Floats, Ints
 
-COVARIATES: Final = ("n_samples", "duration_s", "speed_mps", "sigma_m")  # Of either release.
+COVARIATES: Final = (
+    "n_samples",
+    "duration_s",
+    "speed_mps",
+    "sigma_m",
+)  # Of either release.
 _WHOSE: Final = ("search", "source")
 _COLUMN_OF: Final = {name: METRICS[name].column for name in DESCRIPTORS} | dict(
     zip(ON_TRIAL, ON_TRIAL, strict=True)
 )
-_OF_PROBES: Final = (*_WHOSE, "group", "above", "tied", "chance", "assigned", *COMPANIONS)
+_OF_PROBES: Final = (
+    *_WHOSE,
+    "group",
+    "above",
+    "tied",
+    "chance",
+    "assigned",
+    *COMPANIONS,
+)
 Choices: TypeAlias = "Mapping[str, Sequence[Measure]]"
 _NO_CHOICES: Final[Mapping[tuple[str, str], Choices]] = MappingProxyType({})
 _OF_WINDOWS: Final = ("side", *_WHOSE, *COVARIATES, *_COLUMN_OF.values())
@@ -50,7 +69,9 @@ class LinkedProbes:
     level: float | None
     linker: Source
     hit: Floats  # (N,) expected share of cases in which the mate comes first
-    hit_among: Floats  # (N,) the same among `GALLERY` without companions; NaN with fewer
+    hit_among: (
+        Floats  # (N,) the same among `GALLERY` without companions; NaN with fewer
+    )
     chance: Floats  # (N,) of `hit`
     cluster: Ints  # (N,) numbered alike at all levels of a task
     clusters: tuple[str, ...]  # Their names.
@@ -68,8 +89,10 @@ class LinkedLevel:
 
     mechanism: str
     level: float | None
-    linker: Source  # Whose success it is: of all linkers the strongest against this mechanism.
-    success: Floats  # (C,) sum over mated probes of rank-1 at a gallery of 100, or of their own
+    # Whose success it is: of all linkers the strongest against this mechanism.
+    linker: Source
+    # (C,) sum over mated probes of rank-1 at a gallery of 100, or of their own
+    success: Floats
     chance: Floats  # (C,) the same of a guess
     probes: Floats  # (C,) mated probes
     descriptors: Mapping[str, Floats]
@@ -81,7 +104,9 @@ class LinkedTask:
     """All levels of a task, raw among them."""
 
     task: str
-    gallery: int | None  # At which rank-1 is read: 100, or None where it is everybody's own.
+    gallery: (
+        int | None
+    )  # At which rank-1 is read: 100, or None where it is everybody's own.
     clusters: tuple[str, ...]  # (C,) names, sorted
     levels: tuple[LinkedLevel, ...]
 
@@ -96,16 +121,21 @@ def read_probes(
 ) -> dict[str, list[LinkedProbes]]:
     """Return who is linked at every level, by task, in the order of the run.
 
-    `strongest` is by task its strongest linker. Raw, fixed noise and FID are linked by it, every
-    other mechanism by who is strongest there. `choices` are by task and mechanism, or "" for raw,
-    fixed noise and FID, whom either half of the people chose (`CrossFitted.choices`): the other
-    half is linked by that. Without them all are linked by the strongest, probe by probe. Raises
-    DataError if a cell cannot be read.
+    `strongest` is by task its strongest linker. Raw, fixed noise and FID are linked by
+    it, every other mechanism by who is strongest there. `choices` are by task and
+    mechanism, or "" for raw, fixed noise and FID, whom either half of the people chose
+    (`CrossFitted.choices`): the other half is linked by that. Without them all are
+    linked by the strongest, probe by probe. Raises DataError if a cell cannot be read.
     """
     place = itemgetter("mechanism", "level", "consumer", "knowledge")
-    cells = {place(entry): entry for entry in manifest["cells"] if not entry.get("world")}
+    cells = {
+        place(entry): entry for entry in manifest["cells"] if not entry.get("world")
+    }
     levels = by_task(sweeps.found, metric=SUCCESS)
-    swept = [RAW, *(sweeps.named(one, adding=of) for of in ADDING_RULES for one in (FIXED, FID))]
+    swept = [
+        RAW,
+        *(sweeps.named(one, adding=of) for of in ADDING_RULES for one in (FIXED, FID)),
+    ]
     found: dict[str, list[LinkedProbes]] = {task: [] for task in strongest if task}
     for task, probes in found.items():
         usual = strongest[task]
@@ -115,9 +145,14 @@ def read_probes(
                 linked = cells.get((*where, *who.get(where[0], usual)))
                 windows = cells.get((*where, f"{task}/{WINDOWS}", ""))
                 if linked and windows:
-                    chosen = choices.get((task, "" if where[0] in swept else where[0]), {})
+                    chosen = choices.get(
+                        (task, "" if where[0] in swept else where[0]), {}
+                    )
                     pairs = {
-                        metric: [(cells.get((*where, *one.source)), one.metric) for one in both]
+                        metric: [
+                            (cells.get((*where, *one.source)), one.metric)
+                            for one in both
+                        ]
                         for metric, both in chosen.items()
                     }
                     probes.append(_probes(out, linked, windows, pairs))
@@ -145,12 +180,16 @@ def _hits(probes: pa.Table, metric: str) -> Floats:
         return np.array([name in NAMED_MATES for name in named], dtype=np.float64)
     if metric == SUCCESS_OF_100:
         return first_among(_strangers(probes))
-    above, tied = (probes[name].to_numpy().astype(np.int64) for name in ("above", "tied"))
+    above, tied = (
+        probes[name].to_numpy().astype(np.int64) for name in ("above", "tied")
+    )
     return expected_hit(above, tied)
 
 
 def _crossed_hits(
-    out: Path, pair: Sequence[tuple[Mapping[str, Any] | None, str]], group: Sequence[str]
+    out: Path,
+    pair: Sequence[tuple[Mapping[str, Any] | None, str]],
+    group: Sequence[str],
 ) -> Floats | None:
     """Return how often mates are named, each half of the people linked by the other's choice."""
     (first, by_first), (second, by_second) = pair
@@ -173,7 +212,9 @@ def _probes(
     names, sides = _names(tracks), []
     for side in SIDES:
         mine = np.flatnonzero(pc.equal(tracks["side"], side).to_numpy())
-        sides.append(mine[pc.index_in(_names(probes), value_set=names.take(mine)).to_numpy()])
+        sides.append(
+            mine[pc.index_in(_names(probes), value_set=names.take(mine)).to_numpy()]
+        )
 
     def both(column: str) -> Floats:
         values = tracks[column].to_numpy().astype(np.float64)
@@ -210,7 +251,9 @@ def by_cluster(probes: Mapping[str, Sequence[LinkedProbes]]) -> tuple[LinkedTask
     """Return the tasks of a run summed by cluster; `probes` is what `read_probes` returns."""
     found = []
     for task, levels in probes.items():
-        gallery = GALLERY if all(np.isfinite(one.hit_among).all() for one in levels) else None
+        gallery = (
+            GALLERY if all(np.isfinite(one.hit_among).all() for one in levels) else None
+        )
         summed = tuple(_summed(one, gallery) for one in levels)
         if levels:
             found.append(LinkedTask(task, gallery, levels[0].clusters, summed))
@@ -220,13 +263,20 @@ def by_cluster(probes: Mapping[str, Sequence[LinkedProbes]]) -> tuple[LinkedTask
 def _summed(one: LinkedProbes, gallery: int | None) -> LinkedLevel:
 
     def sums(values: Floats) -> Floats:
-        return cluster_sums(values=values, cluster=one.cluster, n_clusters=len(one.clusters))
+        return cluster_sums(
+            values=values, cluster=one.cluster, n_clusters=len(one.clusters)
+        )
 
     descriptors = {
-        name: np.stack([sums(np.nan_to_num(of).sum(axis=1)), sums((~np.isnan(of)).sum(axis=1))])
+        name: np.stack(
+            [sums(np.nan_to_num(of).sum(axis=1)), sums((~np.isnan(of)).sum(axis=1))]
+        )
         for name, of in one.descriptors.items()
     }
     success = sums(one.hit_among if gallery else one.hit)
     chance = sums(np.full(one.hit.size, 1.0 / gallery) if gallery else one.chance)
-    about, n_probes = (one.mechanism, one.level, one.linker), sums(np.ones(one.hit.size))
+    about, n_probes = (
+        (one.mechanism, one.level, one.linker),
+        sums(np.ones(one.hit.size)),
+    )
     return LinkedLevel(*about, success, chance, n_probes, descriptors)

@@ -1,8 +1,8 @@
 """FID, or another mechanism, against fixed noise at equal cost or equal PLR: `matched.csv`.
 
-Operating points are matched at an equal rise of the missed-conflict rate over raw, at an equal rise
-of it while false alarms are held at raw's rate, at the same of conflicts that are still to come, or
-at an equal PLR as shared.
+Operating points are matched at an equal rise of the missed-conflict rate over raw, at
+an equal rise of it while false alarms are held at raw's rate, at the same of conflicts
+that are still to come, or at an equal PLR as shared.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -31,10 +31,16 @@ from isac_track.types import Bools, Floats, Ints
 
 MISSED, AT_EQUAL_ALARMS, FUTURE, PLR = "missed", EQUAL_ALARMS, "missed_future", "plr"
 """Criteria of matching."""
-CRITERIA: Final = {MISSED: MISSED_RATE, AT_EQUAL_ALARMS: EQUAL_ALARMS, FUTURE: FUTURE_EQUAL_ALARMS}
+CRITERIA: Final = {
+    MISSED: MISSED_RATE,
+    AT_EQUAL_ALARMS: EQUAL_ALARMS,
+    FUTURE: FUTURE_EQUAL_ALARMS,
+}
 """What noise may cost: false alarms are held at raw's rate but in the first, the paper's."""
 N_POINTS, N_ATTACK_POINTS = 20, 10  # Of a curve as shared, and of one after an attack.
-MIN_DEFINED = 0.975  # Share of replicates that must reach a point for it to have an interval.
+MIN_DEFINED = (
+    0.975  # Share of replicates that must reach a point for it to have an interval.
+)
 FEWEST_LEVELS: Final = 2  # Of a curve, beside raw.
 _SHOWN: Final = AS_SHARED.measure(EXPOSURE)
 _SMALLEST = 1e-12
@@ -61,12 +67,18 @@ class Sweeps:
         self.known = known
         self._levels: dict[str, list[float | None]] = {}
         for key in found:
-            if key.metric == EXPOSURE and key.measure == _SHOWN and known[key.mechanism].is_added:
+            if (
+                key.metric == EXPOSURE
+                and key.measure == _SHOWN
+                and known[key.mechanism].is_added
+            ):
                 self._levels.setdefault(key.mechanism, []).append(key.level)
         for mechanism, levels in self._levels.items():
             levels.sort(key=lambda level: (level is None, level))
             family = known[mechanism].family
-            least, most = (found[_SHOWN.at(mechanism, levels[end])].value for end in (0, -1))
+            least, most = (
+                found[_SHOWN.at(mechanism, levels[end])].value for end in (0, -1)
+            )
             if not (family == FID or (family != FIXED and least < most)):
                 levels.reverse()
 
@@ -80,26 +92,39 @@ class Sweeps:
     def named(self, family: str, *, adding: str) -> str:
         """Return a family's mechanism under an adding rule, nothing else of it changed, or ""."""
         wanted = family, adding, ""
-        found = {(one.family, one.adding, one.parameters): name for name, one in self.known.items()}
+        found = {
+            (one.family, one.adding, one.parameters): name
+            for name, one in self.known.items()
+        }
         return found.get(wanted, "")
 
     def swept(self, adding: str) -> list[str]:
         """Return what is a curve under an adding rule: FID, fixed noise, and others with levels."""
         plain = [self.named(family, adding=adding) for family in (FID, FIXED)]
-        more = (name for name, levels in self._levels.items() if len(levels) >= FEWEST_LEVELS)
-        of_rule = [name for name in more if adding in self.known[name].rules and name not in plain]
+        more = (
+            name
+            for name, levels in self._levels.items()
+            if len(levels) >= FEWEST_LEVELS
+        )
+        of_rule = [
+            name
+            for name in more
+            if adding in self.known[name].rules and name not in plain
+        ]
         return [*filter(None, plain), *of_rule]
 
     def curves(self, a: str, b: str, measures: Iterable[Measure]) -> Curves:
         """Return the curves of two mechanisms that end in one raw, by what both are measured by."""
-        found = {one: self.together(dict.fromkeys((a, b, RAW), one)) for one in measures}
+        found = {
+            one: self.together(dict.fromkeys((a, b, RAW), one)) for one in measures
+        }
         return {one: (of[a], of[b]) for one, of in found.items() if {a, b} <= of.keys()}
 
     def together(self, by: Mapping[str, Measure]) -> dict[str, Floats]:
         """Return the curves of mechanisms that end in one raw, pooled over all, (1 + B, L) each.
 
-        `by` is what each is measured by; without raw among them there are none. Left out is what
-        has fewer than two levels, or lacks one.
+        `by` is what each is measured by; without raw among them there are none. Left
+        out is what has fewer than two levels, or lacks one.
         """
         found: dict[str, Floats] = {}
         if RAW not in by:
@@ -114,11 +139,15 @@ class Sweeps:
         curves = joined([*found.values()], increasing=rises) if found else []
         return dict(zip(found, curves, strict=True))
 
-    def rests_on(self, mechanisms: Iterable[str], *measures: Measure) -> tuple[int, float]:
+    def rests_on(
+        self, mechanisms: Iterable[str], *measures: Measure
+    ) -> tuple[int, float]:
         """Return the least number of clusters, and of effective ones, over all levels and raw."""
         added = ((name, level) for name in mechanisms for level in self.levels(name))
         keys = (one.at(*where) for where in (*added, (RAW, None)) for one in measures)
-        of = [self.found[key] for key in keys if key in self.found] or [Estimate(np.nan)]
+        of = [self.found[key] for key in keys if key in self.found] or [
+            Estimate(np.nan)
+        ]
         return min(one.n for one in of), min(one.n_effective for one in of)
 
     def n(self, mechanism: str, measure: Measure) -> int:
@@ -137,29 +166,40 @@ def matched(
 ) -> pd.DataFrame:
     """Return every mechanism with levels against fixed noise: every criterion, rule and measure.
 
-    Both curves end in one raw; what is matched and what is compared are made monotone over the
-    levels (`joined`) and interpolated, never beyond what both reach. Matched is the *change from
-    raw*, so that each bootstrap replicate, which repeats all of it on its own drawn people, is read
-    at its own raw value plus that change: the comparison is paired in both.
+    Both curves end in one raw; what is matched and what is compared are made monotone
+    over the levels (`joined`) and interpolated, never beyond what both reach. Matched
+    is the *change from raw*, so that each bootstrap replicate, which repeats all of it
+    on its own drawn people, is read at its own raw value plus that change: the
+    comparison is paired in both.
 
-    Descriptors as shared are compared for every predictor; the same after each attack, and what
-    each linker achieves, for the first one. A mechanism is compared under its own adding rule, one
-    that declares none under both; FID comes first. `sweeps` are of every metric of the run; `world`
-    is the further horizon, if it is one, at which their robots are judged.
+    Descriptors as shared are compared for every predictor; the same after each attack,
+    and what each linker achieves, for the first one. A mechanism is compared under its
+    own adding rule, one that declares none under both; FID comes first. `sweeps` are of
+    every metric of the run; `world` is the further horizon, if it is one, at which
+    their robots are judged.
 
-    The columns are `COLUMNS`. `at` is the rise of the missed rate over raw, or the PLR as shared;
-    `missed_conflict_rate` is that of raw plus the rise. `defined` is the share of replicates that
-    reach the point; below `MIN_DEFINED` there is no interval (NaN), since those that are left would
-    all lie on one side.
+    The columns are `COLUMNS`. `at` is the rise of the missed rate over raw, or the PLR
+    as shared; `missed_conflict_rate` is that of raw plus the rise. `defined` is the
+    share of replicates that reach the point; below `MIN_DEFINED` there is no interval
+    (NaN), since those that are left would all lie on one side.
     """
     known = dict.fromkeys(key.measure for key in sweeps.found)
-    shared = [one for one in known if one.source == AS_SHARED and one.metric in DESCRIPTORS]
+    shared = [
+        one for one in known if one.source == AS_SHARED and one.metric in DESCRIPTORS
+    ]
     attacked = [one for one in known if one.consumer != SHARED and one.knowledge]
     measures = shared + [
-        one for one in attacked if one.metric in (ACHIEVED if one.source.task else DESCRIPTORS)
+        one
+        for one in attacked
+        if one.metric in (ACHIEVED if one.source.task else DESCRIPTORS)
     ]
     matched_by = [
-        (criterion, Measure(predictor, metric), predictor, shared if place else measures)
+        (
+            criterion,
+            Measure(predictor, metric),
+            predictor,
+            shared if place else measures,
+        )
         for place, predictor in enumerate(predictors)
         for criterion, metric in CRITERIA.items()
         if criterion in criteria
@@ -182,7 +222,9 @@ def matched(
         for fixed in [sweeps.named(FIXED, adding=adding)]
         for mechanism in sweeps.swept(adding)
         if mechanism != fixed
-        for curves in [sweeps.curves(mechanism, fixed, {*measures, *(of[1] for of in matched_by)})]
+        for curves in [
+            sweeps.curves(mechanism, fixed, {*measures, *(of[1] for of in matched_by)})
+        ]
         for criterion, by, predictor, wanted in matched_by
         for measure, points in _compared(curves, by, wanted)
     ]
@@ -210,19 +252,27 @@ def _compared(
             defined = np.isfinite(gap[1:]).mean(axis=0)
             points = {"at": raw - at if is_plr else at, "missed_conflict_rate": rate}
             for names, values in zip(_INTERVALS, (compared, fixed, gap), strict=True):
-                has_ends = np.isfinite(values[1:]).all(axis=0) | (defined >= MIN_DEFINED)
+                has_ends = np.isfinite(values[1:]).all(axis=0) | (
+                    defined >= MIN_DEFINED
+                )
                 points |= with_ends(names, values, has_ends)
             yield measure, points | {"defined": defined}
 
 
-def with_ends(names: tuple[str, str, str], values: Floats, can_say: Bools) -> dict[str, Floats]:
+def with_ends(
+    names: tuple[str, str, str], values: Floats, can_say: Bools
+) -> dict[str, Floats]:
     """Return estimate and both ends, (P,) each, of estimate and replicates, (1 + B, P).
 
     `can_say`, (P,), is where there may be an interval.
     """
     drawn = values[1:].T.copy()
-    has_ends = can_say & (np.isfinite(drawn).sum(axis=1) >= MIN_DEFINED * drawn.shape[1])
-    ends = np.where(has_ends & np.isfinite(values[0]), percentile_intervals(drawn), np.nan)
+    has_ends = can_say & (
+        np.isfinite(drawn).sum(axis=1) >= MIN_DEFINED * drawn.shape[1]
+    )
+    ends = np.where(
+        has_ends & np.isfinite(values[0]), percentile_intervals(drawn), np.nan
+    )
     # A copy: a view would keep all replicates in memory.
     return dict(zip(names, (values[0].copy(), *ends), strict=True))
 
@@ -232,7 +282,8 @@ def at_changes(
 ) -> Iterator[tuple[Measure, Floats, Floats]]:
     """Yield measures of both mechanisms where `by` has changed from raw by `at`, (1 + B, P) each.
 
-    Raw is one for both; what is out of reach is NaN. Measures that a level lacks are left out.
+    Raw is one for both; what is out of reach is NaN. Measures that a level lacks are
+    left out.
     """
     where = [places(at, np.abs(scale - scale[:, -1:])) for scale in curves.get(by, ())]
     for measure in measures if where else ():
@@ -248,8 +299,9 @@ def at_changes(
 def rising(values: Floats) -> Floats:
     """Return each row made to rise from left to right by isotonic regression, (R, L).
 
-    By the min-max formula (Barlow et al. 1972): the largest over all beginnings of the smallest
-    over all ends of the mean between them. SciPy's takes replicates row by row.
+    By the min-max formula (Barlow et al. 1972): the largest over all beginnings of the
+    smallest over all ends of the mean between them. SciPy's takes replicates row by
+    row.
     """
     is_broken = ~(np.diff(values, axis=1) >= 0.0).all(axis=1)
     if not is_broken.all():  # about half of the replicates rise by themselves
@@ -273,9 +325,9 @@ def rising(values: Floats) -> Floats:
 def joined(curves: Sequence[Floats], *, increasing: bool) -> list[Floats]:
     """Return curves that end in one raw, their last column, made monotone together.
 
-    Isotonic regression over all of them, (R, L) each, in which raw counts once: with what lies
-    above it, once every curve is monotone by itself, it is pooled to their mean (isotonic
-    regression within bounds; Barlow et al. 1972).
+    Isotonic regression over all of them, (R, L) each, in which raw counts once: with
+    what lies above it, once every curve is monotone by itself, it is pooled to their
+    mean (isotonic regression within bounds; Barlow et al. 1972).
     """
     if not increasing:
         return [-one for one in joined([-one for one in curves], increasing=True)]
@@ -289,13 +341,15 @@ def joined(curves: Sequence[Floats], *, increasing: bool) -> list[Floats]:
 def places(at: Floats, change: Floats) -> tuple[Ints, Floats]:
     """Return where each row has changed by `at` from raw, (R, P) each.
 
-    The level to the right (left of it is raw), and how far it is from the level to the left, 0..1;
-    NaN out of reach. `at` is (P,) for all rows, or (R, P); `change`, (R, L), falls from left to
-    right, to 0 at raw.
+    The level to the right (left of it is raw), and how far it is from the level to the
+    left, 0..1; NaN out of reach. `at` is (P,) for all rows, or (R, P); `change`, (R,
+    L), falls from left to right, to 0 at raw.
     """
     x = change[:, ::-1]
     # Rounding must not put the end of a curve out of its own reach.
-    wanted = np.maximum(np.broadcast_to(at, (x.shape[0], at.shape[-1])) - _ROUNDING, 0.0)
+    wanted = np.maximum(
+        np.broadcast_to(at, (x.shape[0], at.shape[-1])) - _ROUNDING, 0.0
+    )
     right = np.zeros(wanted.shape, dtype=np.int64)
     for level in x.T:
         right += level[:, None] < wanted
@@ -316,8 +370,9 @@ def nearest_places(at: Floats, scale: Floats) -> tuple[Ints, Floats]:
 def interpolated(where: tuple[Ints, Floats], values: Floats, *, log: bool) -> Floats:
     """Return the values, (R, L), of each row at its places, (R, P); NaN out of reach.
 
-    Of unequal numbers of rows the first are read. With `log` the logarithm is interpolated: close
-    to a descriptor's curve over a wide step, as it falls about exponentially with the rate.
+    Of unequal numbers of rows the first are read. With `log` the logarithm is
+    interpolated: close to a descriptor's curve over a wide step, as it falls about
+    exponentially with the rate.
     """
     n_rows = min(len(where[0]), len(values))
     right, share = where[0][:n_rows], where[1][:n_rows]

@@ -6,10 +6,13 @@ A new metric is a row here, and the function that computes it.
 from dataclasses import dataclass
 from typing import Final, Literal
 
-Measured = Literal["predictor", "descriptor", "reconstruction", "distance", "linkage", "bound"]
+Measured = Literal[
+    "predictor", "descriptor", "reconstruction", "distance", "linkage", "bound"
+]
 """Of what a metric is: a predictor's utility; a privacy descriptor of positions, as shared and
-after a reconstruction; what else a reconstruction is measured by; how far off positions are beyond
-epsilon; what a linker achieves; what no attack does better in a world of the fitted motion."""
+after a reconstruction; what else a reconstruction is measured by; how far off positions
+are beyond epsilon; what a linker achieves; what no attack does better in a world of the
+fitted motion."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,11 +25,18 @@ class Metric:
     summary_unit: str = "fraction"  # As in `summary.csv`: a value is in this unit.
     noun: str = ""  # In a sentence; empty: as over a column.
     digits: int = 1  # Shown after the point, in the unit shown.
-    column: str = ""  # Of a cell's tracks: the metric is the mean of it, over those that have one.
-    over: str = ""  # What the sum of `column` is divided by, instead of the number of tracks.
+    # Of a cell's tracks: the metric is the mean of it, over those that have one.
+    column: str = ""
+    over: str = (
+        ""  # What the sum of `column` is divided by, instead of the number of tracks.
+    )
     is_root: bool = False  # Whether the square root of that ratio is the metric.
-    is_headline: bool = False  # Tested with the few that tell the story where runs are compared.
-    is_biased: bool = False  # Whether its replicates are, so that its intervals are basic ones.
+    is_headline: bool = (
+        False  # Tested with the few that tell the story where runs are compared.
+    )
+    is_biased: bool = (
+        False  # Whether its replicates are, so that its intervals are basic ones.
+    )
     is_difference: bool = False  # Of two metrics: it may be negative.
 
     @property
@@ -57,11 +67,21 @@ class Metric:
 
 _ROWS: Final = (
     Metric(
-        "missed_conflict_rate", "missed", "predictor", noun="missed-conflict rate", is_headline=True
+        "missed_conflict_rate",
+        "missed",
+        "predictor",
+        noun="missed-conflict rate",
+        is_headline=True,
     ),
-    Metric("missed_future_rate", "missed future", "predictor", noun="missed-future rate"),
     Metric(
-        "false_alarm_rate", "false alarm", "predictor", noun="false-alarm rate", is_headline=True
+        "missed_future_rate", "missed future", "predictor", noun="missed-future rate"
+    ),
+    Metric(
+        "false_alarm_rate",
+        "false alarm",
+        "predictor",
+        noun="false-alarm rate",
+        is_headline=True,
     ),
     Metric("distance_mae", "distance MAE", "predictor", "m", digits=2),
     Metric("plr_robot", "robot's own PLR", "predictor"),
@@ -69,7 +89,9 @@ _ROWS: Final = (
     Metric("ael", "AEL", "descriptor", "s", digits=3, column="ael_s", is_headline=True),
     Metric("mel", "MEL", "descriptor", "s", digits=3, column="mel_s", is_headline=True),
     Metric("plr_worst_tenth", "PLR, worst tenth", "reconstruction"),
-    Metric("rmse", "RMSE", "reconstruction", "m", digits=3, column="mse_m2", is_root=True),
+    Metric(
+        "rmse", "RMSE", "reconstruction", "m", digits=3, column="mse_m2", is_root=True
+    ),
     Metric(
         *("rmse_over_benchmark", "RMSE ratio", "reconstruction", "ratio"),
         digits=2,
@@ -84,8 +106,14 @@ _ROWS: Final = (
         over="benchmark_plr",
     ),
     Metric("plr_wide", "PLR at 4/3 epsilon", "distance", column="plr_wide"),
-    Metric(*("median_error", "median error", "distance", "m"), digits=2, column="median_error_m"),
-    Metric("plr_gap", "below the optimum", "bound", column="plr_gap", is_difference=True),
+    Metric(
+        *("median_error", "median error", "distance", "m"),
+        digits=2,
+        column="median_error_m",
+    ),
+    Metric(
+        "plr_gap", "below the optimum", "bound", column="plr_gap", is_difference=True
+    ),
     Metric("rank1_optimum", "optimal rank 1", "bound"),
     Metric("rank1_gap", "below the optimum", "bound", is_difference=True),
     Metric("plr_optimum", "optimal PLR", "bound", column="plr_optimum"),
@@ -107,7 +135,9 @@ _ROWS: Final = (
     Metric("residual_risk", "residual risk", "linkage"),
     Metric("chance", "chance", "linkage"),
 )
-METRICS: Final = {metric.name: metric for metric in _ROWS}  # In the order in which they are shown.
+METRICS: Final = {
+    metric.name: metric for metric in _ROWS
+}  # In the order in which they are shown.
 
 
 def measured(*where: Measured) -> tuple[str, ...]:
@@ -117,13 +147,18 @@ def measured(*where: Measured) -> tuple[str, ...]:
 
 UTILITY: Final = measured("predictor")
 DESCRIPTORS: Final = measured("descriptor")  # Of privacy: PLR, AEL and MEL.
-RECONSTRUCTION: Final = measured("descriptor", "reconstruction")  # Of what an attack rebuilds.
+RECONSTRUCTION: Final = measured(
+    "descriptor", "reconstruction"
+)  # Of what an attack rebuilds.
 DISTANCE: Final = measured("distance")  # Whether errors lie just outside epsilon.
 WIDE, MEDIAN = DISTANCE
 GAP: Final = "plr_gap"  # In model worlds alone.
 RANK_OPTIMUM, RANK_GAP = "rank1_optimum", "rank1_gap"  # The same of rank 1.
 CEILING: Final = "plr_ceiling"
-BOUNDS: Final = ("plr_optimum", CEILING)  # Of PLR after any attack, the exact one first.
+BOUNDS: Final = (
+    "plr_optimum",
+    CEILING,
+)  # Of PLR after any attack, the exact one first.
 MISSED_RATE: Final = "missed_conflict_rate"  # What noise costs a robot.
 MISSED_FUTURE: Final = "missed_future_rate"
 """The same of conflicts that are still to come: nobody is inside the safety radius at step 0."""
@@ -131,7 +166,12 @@ EQUAL_ALARMS: Final = "missed_at_equal_false_alarms"
 """Missed conflicts at the false-alarm rate that the predictor has at raw; not in the summary."""
 FUTURE_EQUAL_ALARMS: Final = "missed_future_at_equal_false_alarms"
 """Missed conflicts that are still to come, at that same rate; not in the summary."""
-COSTS: Final = (MISSED_RATE, MISSED_FUTURE, EQUAL_ALARMS, FUTURE_EQUAL_ALARMS)  # Of noise.
+COSTS: Final = (
+    MISSED_RATE,
+    MISSED_FUTURE,
+    EQUAL_ALARMS,
+    FUTURE_EQUAL_ALARMS,
+)  # Of noise.
 FALSE_ALARMS: Final = "false_alarm_rate"
 ERROR: Final = "distance_mae"  # How far off the separation is that a robot foresees.
 OF_ROBOT: Final = "plr_robot"  # What a robot itself knows of where somebody was.
@@ -140,7 +180,9 @@ WORST_TENTH: Final = "plr_worst_tenth"  # PLR of the most exposed tenth of the p
 EXPOSURE: Final = "plr"  # The descriptor that reconstructions are ranked by.
 SUCCESS: Final = "rank1"  # What linkers are ranked by.
 ASSIGNED: Final = "rank1_assigned"  # The same where all probes are matched at once.
-SUCCESS_OF_100: Final = "rank1_g100"  # The same in a gallery of 100: what compares over runs.
+SUCCESS_OF_100: Final = (
+    "rank1_g100"  # The same in a gallery of 100: what compares over runs.
+)
 LINKAGE_SHARE: Final = "linkage_share"
 """Rank 1 less chance as a share of what it is under raw, paired; in `levels.csv` alone."""
 ACHIEVED: Final = (SUCCESS, "auc")  # What is compared of a linker at equal cost.

@@ -1,10 +1,11 @@
 """A user's own plug-ins beside the built-in ones: the section `plugins` of `verdict.json`.
 
-An attack, a linker or a predictor is held against the strongest built-in of its kind in the same
-run: same people, same draws, so that the difference is paired by cluster. Both are means over the
-levels at which the strongest attack of a run is chosen. Where an attack has several rows, and among
-the built-in attacks, the strongest is chosen on one half of the people and scored on the other. A
-mechanism has a row of numbers for each of its levels.
+An attack, a linker or a predictor is held against the strongest built-in of its kind in
+the same run: same people, same draws, so that the difference is paired by cluster. Both
+are means over the levels at which the strongest attack of a run is chosen. Where an
+attack has several rows, and among the built-in attacks, the strongest is chosen on one
+half of the people and scored on the other. A mechanism has a row of numbers for each of
+its levels.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -48,17 +49,24 @@ class Estimates:
     leading: str  # Linkage task that linkers are compared in; empty if none leads.
 
 
-def plugin_records(own: Mapping[str, Sequence[str]], run: Estimates) -> list[dict[str, Any]]:
+def plugin_records(
+    own: Mapping[str, Sequence[str]], run: Estimates
+) -> list[dict[str, Any]]:
     """Return a record for each plug-in of a user's own, and for each level of such a mechanism.
 
-    `own` are their SPECs by axis (`mechanisms`, `predictors`, `attacks`), as the manifest has them
-    in `own_plugins`. A number is a record of `value`, `ci_low` and `ci_high`, None where it is not
-    known. `rival` is empty in a run without a built-in plug-in of that kind.
+    `own` are their SPECs by axis (`mechanisms`, `predictors`, `attacks`), as the
+    manifest has them in `own_plugins`. A number is a record of `value`, `ci_low` and
+    `ci_high`, None where it is not known. `rival` is empty in a run without a built-in
+    plug-in of that kind.
     """
     strangers = frozenset(own.get("attacks", ()))
     robots = frozenset(own.get("predictors", ()))
-    records = [_attack_record(spec, strangers=strangers, run=run) for spec in sorted(strangers)]
-    records += [_predictor_record(spec, strangers=robots, run=run) for spec in sorted(robots)]
+    records = [
+        _attack_record(spec, strangers=strangers, run=run) for spec in sorted(strangers)
+    ]
+    records += [
+        _predictor_record(spec, strangers=robots, run=run) for spec in sorted(robots)
+    ]
     compared = [record for record in records if record is not None]
     return [*compared, *_mechanism_records(own.get("mechanisms", ()), run=run)]
 
@@ -68,17 +76,22 @@ def _attack_record(
 ) -> dict[str, Any] | None:
     """Return how an attack or a linker compares; None if the run has no number of it."""
     attacks = {key.measure.source for key in run.sums if key.knowledge}
-    attacks |= {key.measure.source for key in run.own if key.metric in (EXPOSURE, SUCCESS)}
+    attacks |= {
+        key.measure.source for key in run.own if key.metric in (EXPOSURE, SUCCESS)
+    }
     tasks = {source.task for source in attacks if source.attack.consumer == spec}
     if not tasks:
         return None
     task = run.leading if run.leading in tasks else min(tasks)
     in_task = [source for source in attacks if source.task == task and source.knowledge]
-    mine = _strongest([source for source in in_task if source.attack.consumer == spec], run=run)
+    mine = _strongest(
+        [source for source in in_task if source.attack.consumer == spec], run=run
+    )
     built_in = [
         source
         for source in in_task
-        if source.attack.consumer not in {*strangers, IDENTITY} and source.knowledge in HEADLINE
+        if source.attack.consumer not in {*strangers, IDENTITY}
+        and source.knowledge in HEADLINE
     ]
     rival = _strongest(built_in, run=run)
     if mine is None:
@@ -88,7 +101,10 @@ def _attack_record(
         (own, theirs)
         for where in ranking_levels([*mine.wheres], run.known)
         if (own := mine.at(where, metric, run.own)) is not None
-        and ((theirs := rival.at(where, metric, run.own) if rival else None) or rival is None)
+        and (
+            (theirs := rival.at(where, metric, run.own) if rival else None)
+            or rival is None
+        )
     ]
     return {
         "kind": LINKER if task else ATTACK,
@@ -109,13 +125,17 @@ def _strongest(sources: Collection[Source], *, run: Estimates) -> Strongest | No
         return None
     task = next(iter(sources)).task
     metric = SUCCESS if task else EXPOSURE
-    estimates = {key: known for key, known in run.own.items() if key.measure.source in sources}
+    estimates = {
+        key: known for key, known in run.own.items() if key.measure.source in sources
+    }
     levels = by_task(estimates, metric=metric).get(task, {})
     ranking = [levels[where] for where in ranking_levels([*levels], run.known)]
     for among in (*GROUPS, (ORACLE,)):
         if source := strongest_of(ranking, among=among):
             sums = {
-                key: summed for key, summed in run.sums.items() if key.measure.source in sources
+                key: summed
+                for key, summed in run.sums.items()
+                if key.measure.source in sources
             }
             crossed = cross_fitted(sums, run.known, source, by=metric)
             return Strongest("", among, source, tuple(levels), crossed)
@@ -142,7 +162,9 @@ def _predictor_record(
         rival = min(rivals, key=rivals.__getitem__, default="")
         theirs = missed[rival] if rival else [None] * len(levels)
         alarms = {
-            name: _interval(_mean(_at_levels(estimates, Measure(robot, _ALARMS), levels)))
+            name: _interval(
+                _mean(_at_levels(estimates, Measure(robot, _ALARMS), levels))
+            )
             for name, robot in (("alarms", spec), ("rival_alarms", rival))
         }
         return {
@@ -166,20 +188,28 @@ def _at_levels(
     return [estimates.get(measure.at(*where)) for where in levels]
 
 
-def _mechanism_records(specs: Sequence[str], *, run: Estimates) -> Iterator[dict[str, Any]]:
+def _mechanism_records(
+    specs: Sequence[str], *, run: Estimates
+) -> Iterator[dict[str, Any]]:
     """Yield what a robot misses and what leaks at each level of mechanisms of a user's own."""
     horizon_s, robots = next(iter(run.later.items()), (None, run.own))
     mechanisms = {*specs}
     levels = dict.fromkeys(key.where for key in run.own if key.mechanism in mechanisms)
-    attacks = {attack.mechanism: attack for attack in run.attacks if _leads(attack, task="")}
+    attacks = {
+        attack.mechanism: attack for attack in run.attacks if _leads(attack, task="")
+    }
     linkers = {
-        linker.mechanism: linker for linker in run.attacks if _leads(linker, task=run.leading)
+        linker.mechanism: linker
+        for linker in run.attacks
+        if _leads(linker, task=run.leading)
     }
     for where in levels:
         missed = {
             key.consumer: estimate
             for key, estimate in robots.items()
-            if key.where == where and key.metric == MISSED_FUTURE and np.isfinite(estimate.value)
+            if key.where == where
+            and key.metric == MISSED_FUTURE
+            and np.isfinite(estimate.value)
         }
         robot = min(missed, key=lambda name: missed[name].value, default="")
         attack, linker = attacks.get(where[0]), linkers.get(where[0])
@@ -191,7 +221,9 @@ def _mechanism_records(specs: Sequence[str], *, run: Estimates) -> Iterator[dict
             "robot": robot,
             "missed": _interval(missed.get(robot)),
             "as_sent": _interval(run.own.get(AS_SHARED.measure(EXPOSURE).at(*where))),
-            "attacked": _interval(attack.at(where, EXPOSURE, run.own) if attack else None),
+            "attacked": _interval(
+                attack.at(where, EXPOSURE, run.own) if attack else None
+            ),
             "task": run.leading,
             "linked": _interval(
                 linker.at(where, SUCCESS, run.own) if linker and run.leading else None
@@ -203,9 +235,14 @@ def _leads(attack: Strongest, *, task: str) -> bool:
     return attack.among == HEADLINE and attack.source.task == task
 
 
-def _compared(pairs: Sequence[tuple[Estimate | None, Estimate | None]]) -> dict[str, Any]:
+def _compared(
+    pairs: Sequence[tuple[Estimate | None, Estimate | None]],
+) -> dict[str, Any]:
     """Return the means over levels of a plug-in, of its rival, and of their paired difference."""
-    mine, rival = _mean([own for own, _ in pairs]), _mean([theirs for _, theirs in pairs])
+    mine, rival = (
+        _mean([own for own, _ in pairs]),
+        _mean([theirs for _, theirs in pairs]),
+    )
     gap = None
     if mine is not None and rival is not None:
         n_drawn = min(mine.drawn.size, rival.drawn.size)
@@ -225,14 +262,18 @@ def _compared(pairs: Sequence[tuple[Estimate | None, Estimate | None]]) -> dict[
 def _mean(estimates: Sequence[Estimate | None]) -> Estimate | None:
     """Return the mean of estimates over levels, replicate by replicate; None if one is missing."""
     known = [
-        estimate for estimate in estimates if estimate is not None and np.isfinite(estimate.value)
+        estimate
+        for estimate in estimates
+        if estimate is not None and np.isfinite(estimate.value)
     ]
     if not known or len(known) < len(estimates):
         return None
     n_drawn = min(estimate.drawn.size for estimate in known)
     drawn = np.mean([estimate.drawn[:n_drawn] for estimate in known], axis=0)
     effective = min(estimate.n_effective for estimate in known)
-    return estimate_of(drawn, n=min(estimate.n for estimate in known), effective=effective)
+    return estimate_of(
+        drawn, n=min(estimate.n for estimate in known), effective=effective
+    )
 
 
 def _interval(estimate: Estimate | None) -> dict[str, float | None]:

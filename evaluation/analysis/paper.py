@@ -21,7 +21,11 @@ PREDICTOR = "least_squares"
 PUBLISHED: tuple[tuple[str, float | None, str, float], ...] = tuple(
     (mechanism, level, metric, value)
     for mechanism, level, numbers in (
-        ("raw", None, {"missed_conflict_rate": 0.105, "plr": 0.526, "ael": 2.93, "mel": 5.12}),
+        (
+            "raw",
+            None,
+            {"missed_conflict_rate": 0.105, "plr": 0.526, "ael": 2.93, "mel": 5.12},
+        ),
         ("fid", 1.0, {"missed_conflict_rate": 0.305, "plr": 0.184, "mel": 0.28}),
         ("fid", 1000.0, {"missed_conflict_rate": 0.152, "plr": 0.240, "mel": 0.35}),
         ("fixed", 0.7, {"missed_conflict_rate": 0.276}),
@@ -33,12 +37,32 @@ PUBLISHED: tuple[tuple[str, float | None, str, float], ...] = tuple(
 FITTED = (("raw", None, "plr"), ("raw", None, "mel"), ("fid", 1000.0, "plr"))
 """Those that the free constants are fitted to, under linear adding. The others were not fitted, but
 seen: error law, adding rule and other readings were chosen because they fit them."""
-CONFLICTS = 250  # Scenes behind a missed-conflict rate of the paper: every other one of its 500.
+# Scenes behind a missed-conflict rate of the paper: every other one of its 500.
+CONFLICTS = 250
 ETAS = (1.0, 1000.0)  # Ends of its sweep.
-ACTIVATED = 0.27  # Its missed-conflict rate under FID, 'approximately'; at which eta is not said.
+# Its missed-conflict rate under FID, 'approximately'; at which eta is not said.
+ACTIVATED = 0.27
 
-PAPER_COLUMNS = ["mechanism", "level", "metric", "paper", "ours", "ci_low", "ci_high", "within"]
-CLAIM_COLUMNS = ["adding", "claim", "answer", "effect", "ci_low", "ci_high", "unit", "evidence"]
+PAPER_COLUMNS = [
+    "mechanism",
+    "level",
+    "metric",
+    "paper",
+    "ours",
+    "ci_low",
+    "ci_high",
+    "within",
+]
+CLAIM_COLUMNS = [
+    "adding",
+    "claim",
+    "answer",
+    "effect",
+    "ci_low",
+    "ci_high",
+    "unit",
+    "evidence",
+]
 
 _NORMAL_975 = 1.959964
 CLOSE_TO_RAW = 0.04  # Margin: the tolerance on a missed-conflict rate, set beforehand.
@@ -81,7 +105,8 @@ def is_fitted(row: Mapping[Any, Any]) -> bool:
 def paper_table(sweeps: Sweeps, *, dataset: str) -> pd.DataFrame:
     """Return the paper's numbers beside ours, for both adding rules.
 
-    `within`, whether the paper's value lies in our interval, is empty on other data than its own.
+    `within`, whether the paper's value lies in our interval, is empty on other data
+    than its own.
     """
     rows = []
     for adding in ADDING_RULES:
@@ -91,7 +116,11 @@ def paper_table(sweeps: Sweeps, *, dataset: str) -> pd.DataFrame:
             # What is raw is under no rule.
             if ours is None or (family == RAW and adding != ADDING_RULES[0]):
                 continue
-            within = bool(ours.ci_low <= published <= ours.ci_high) if dataset == DATASET else None
+            within = (
+                bool(ours.ci_low <= published <= ours.ci_high)
+                if dataset == DATASET
+                else None
+            )
             where = name, np.nan if level is None else level, metric, published
             rows.append((*where, ours.value, ours.ci_low, ours.ci_high, within))
     return pd.DataFrame(rows, columns=PAPER_COLUMNS)
@@ -102,8 +131,8 @@ def claims(
 ) -> pd.DataFrame:
     """Return the paper's claims: `holds`, `does not hold`, `between` or `not testable`.
 
-    The rules, set beforehand, with 95 % intervals of paired differences; fewer than 20 clusters
-    decide nothing (not testable):
+    The rules, set beforehand, with 95 % intervals of paired differences; fewer than 20
+    clusters decide nothing (not testable):
 
     - *close to raw*: the rise of the missed-conflict rate over raw at 0.1 and 0.2 m of fixed error;
       holds if its interval lies below 4 points, does not if it lies above.
@@ -111,14 +140,17 @@ def claims(
       between neighbours goes the other way beyond its interval; does not if one or the ends do.
     - *FID is better at every matched rate*: FID minus fixed at the equal rises over raw that 97.5 %
       of the replicates reach; holds if every pointwise interval lies below zero, does not hold if
-      one lies above. The same is said of conflicts that are still to come, at the run's own horizon
-      and at further ones, where false alarms are held at raw's rate; the paper has neither.
+      one lies above. The same is said of conflicts that are still to come, at the run's
+      own horizon and at further ones, where false alarms are held at raw's rate; the
+      paper has neither.
     - *FID raises the rate to approximately 27 %*, at an eta that is not given: the nearest of ours;
       does not hold if from 1 to 1000 all intervals lie on one side; of the paper's recording only.
     - *history*: 366 points within 4, at 0.083 to 0.084 s; of the paper's recording only.
     """
     # What attacks get is no part of the claims, and may be known of fewer people.
-    plain = (key for key in sweeps.found if not key.knowledge and "/" not in key.consumer)
+    plain = (
+        key for key in sweeps.found if not key.knowledge and "/" not in key.consumer
+    )
     n_clusters = min((sweeps.found[key].n for key in plain), default=0)
     rows: list[tuple[object, ...]] = []
     for adding in ADDING_RULES:
@@ -128,18 +160,28 @@ def claims(
             for rate, rows in _by_rate(matched, adding=adding, fid=fid)
         )
         raised = _activated(sweeps, fid) if dataset == DATASET else ()
-        parts = _close_to_raw(sweeps, fixed), raised, _monotone_in_eta(sweeps, fid), better
+        parts = (
+            _close_to_raw(sweeps, fixed),
+            raised,
+            _monotone_in_eta(sweeps, fid),
+            better,
+        )
         rows += [(adding, *row) for row in chain.from_iterable(parts)]
     if dataset == DATASET:
         points, interval_s = history["points"], history["interval_s"]
         # Within 4 of 366, and 0.083 to 0.084 s: stated with the rules.
         is_so = abs(points - 366) <= 4 and 0.083 <= round(interval_s, 4) <= 0.084  # noqa: PLR2004 - as said above
-        claim = "history of about 366 points at 0.083 s", "holds" if is_so else "does not hold"
+        claim = (
+            "history of about 366 points at 0.083 s",
+            "holds" if is_so else "does not hold",
+        )
         evidence = f"{points:.1f} points at {interval_s:.4f} s"
         rows.append(("", *claim, points, np.nan, np.nan, "points", evidence))
     found = pd.DataFrame(rows, columns=CLAIM_COLUMNS)
     few = (found["answer"] == "not testable") & found["effect"].notna()
-    found.loc[few, "evidence"] = f"fewer than {FEWEST_EFFECTIVE} people; " + found["evidence"]
+    found.loc[few, "evidence"] = (
+        f"fewer than {FEWEST_EFFECTIVE} people; " + found["evidence"]
+    )
     return found
 
 
@@ -150,7 +192,10 @@ def _measure(metric: str) -> Measure:
 def _close_to_raw(sweeps: Sweeps, fixed: str) -> Iterator[tuple[object, ...]]:
     missed = _measure(MISSED_RATE)
     for level in (0.1, 0.2):
-        raw, ours = (sweeps.found.get(missed.at(*where)) for where in ((RAW, None), (fixed, level)))
+        raw, ours = (
+            sweeps.found.get(missed.at(*where))
+            for where in ((RAW, None), (fixed, level))
+        )
         if raw is None or ours is None:
             continue
         rise = difference(ours, raw)
@@ -177,7 +222,9 @@ def _activated(sweeps: Sweeps, fid: str) -> Iterator[tuple[object, ...]]:
     is_above = all(one.ci_low > ACTIVATED for one in found.values())
     is_apart = is_above or all(one.ci_high < ACTIVATED for one in found.values())
     nearest, one = min(found.items(), key=lambda item: abs(item[1].value - ACTIVATED))
-    shown = [f"{100.0 * found[level].value:.1f} % at eta = {level:g}" for level in found]
+    shown = [
+        f"{100.0 * found[level].value:.1f} % at eta = {level:g}" for level in found
+    ]
     yield (
         f"FID raises the missed-conflict rate to approximately {100.0 * ACTIVATED:g} %",
         _answer(holds=not is_apart, fails=is_apart, n=one.n),
@@ -200,21 +247,39 @@ def _monotone_in_eta(sweeps: Sweeps, fid: str) -> Iterator[tuple[object, ...]]:
         )
         against = sum(step.value < 0 for step in steps)
         wrong = sum(step.ci_high < 0 for step in steps)
-        is_sure, is_wrong = change.ci_low > 0 and not wrong, change.ci_high < 0 or wrong > 0
+        is_sure, is_wrong = (
+            change.ci_low > 0 and not wrong,
+            change.ci_high < 0 or wrong > 0,
+        )
         low, high = sorted((sign * change.ci_low, sign * change.ci_high))
         word = "falls" if sign < 0 else "rises"
-        evidence = f"change between the ends; of {len(steps)} steps {against} go the other way, "
+        evidence = (
+            f"change between the ends; of {len(steps)} steps {against} go the other"
+            " way, "
+        )
         yield (
             f"eta 1 to 1000: {METRICS[metric].text} {word} monotonically",
             _answer(holds=is_sure, fails=is_wrong, n=min(point.n for point in points)),
-            *(points[-1].value - points[0].value, low, high, METRICS[metric].summary_unit),
+            *(
+                points[-1].value - points[0].value,
+                low,
+                high,
+                METRICS[metric].summary_unit,
+            ),
             f"{evidence}{wrong} beyond their interval",
         )
 
 
-def _by_rate(matched: pd.DataFrame, *, adding: str, fid: str) -> Iterator[tuple[str, pd.DataFrame]]:
+def _by_rate(
+    matched: pd.DataFrame, *, adding: str, fid: str
+) -> Iterator[tuple[str, pd.DataFrame]]:
     """Yield by which rate FID is matched with fixed noise, as shared, and the rows of that."""
-    about = {"adding": adding, "mechanism": fid, "consumer": SHARED, "predictor": PREDICTOR}
+    about = {
+        "adding": adding,
+        "mechanism": fid,
+        "consumer": SHARED,
+        "predictor": PREDICTOR,
+    }
     rows = matched[(matched[[*about]] == [*about.values()]).all(axis=1)]
     yield METRICS[MISSED_RATE].text, rows[rows["criterion"] == MISSED]
     to_come = rows[rows["criterion"] == FUTURE]
@@ -234,18 +299,33 @@ def _better_at_every_rate(
         left_out = len(every) - len(reached)
         if reached.empty:
             why = f"none of {left_out} rates is reached by enough replicates"
-            yield claim, "not testable", np.nan, np.nan, np.nan, metric.summary_unit, why
+            yield (
+                claim,
+                "not testable",
+                np.nan,
+                np.nan,
+                np.nan,
+                metric.summary_unit,
+                why,
+            )
             continue
-        better, worse = int((reached["ci_high"] < 0).sum()), int((reached["ci_low"] > 0).sum())
+        better, worse = (
+            int((reached["ci_high"] < 0).sum()),
+            int((reached["ci_low"] > 0).sum()),
+        )
         # The rate shown is the one that speaks most against the claim.
-        worst = reached.iloc[int(reached["ci_low" if worse else "ci_high"].to_numpy().argmax())]
-        effect, low, high = (float(worst[one]) for one in ("difference", "ci_low", "ci_high"))
+        worst = reached.iloc[
+            int(reached["ci_low" if worse else "ci_high"].to_numpy().argmax())
+        ]
+        effect, low, high = (
+            float(worst[one]) for one in ("difference", "ci_low", "ci_high")
+        )
         answer = _answer(holds=better == len(reached), fails=worse > 0, n=n)
         evidence = (
-            "FID minus fixed where it speaks most against, at a rate of "
-            f"{worst['missed_conflict_rate']:.3f}; of {len(reached)} rates {better} better, "
-            f"{worse} worse beyond the interval; {left_out} more are not reached by enough "
-            "replicates"
+            "FID minus fixed where it speaks most against, at a rate of"
+            f" {worst['missed_conflict_rate']:.3f}; of {len(reached)} rates {better}"
+            f" better, {worse} worse beyond the interval; {left_out} more are not"
+            " reached by enough replicates"
         )
         yield claim, answer, effect, low, high, metric.summary_unit, evidence
 

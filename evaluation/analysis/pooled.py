@@ -1,8 +1,9 @@
 """One answer of several runs: the five questions, each a number with its interval, and pooled.
 
-Runs of one recording and law under several seeds attack the same people: their numbers are averaged
-first. The interval of the mean does not shrink as if the people were others, and widens by how much
-the seeds differ. Recordings are pooled only if `FEWEST` or more of them are real.
+Runs of one recording and law under several seeds attack the same people: their numbers
+are averaged first. The interval of the mean does not shrink as if the people were
+others, and widens by how much the seeds differ. Recordings are pooled only if `FEWEST`
+or more of them are real.
 """
 
 import math
@@ -47,22 +48,40 @@ COLUMNS = [
 """The last two: settings that are not the usual ones, and the people's median distance to the
 station, m, by which recordings and geometries compare."""
 _LAW: Final = "sensing.law"  # It has a column of its own.
-HORIZON_S: Final = 3.0  # At which robots are asked about conflicts that are still to come.
+HORIZON_S: Final = (
+    3.0  # At which robots are asked about conflicts that are still to come.
+)
 OWN_GALLERY: Final = "_own_gallery"
 """Ends a question about people too few for a gallery of 100: the measure of no other recording."""
 QUESTIONS: Final = {  # In the order of the first screen; all in fractions.
-    "robot_loses": "What the robot loses: missed conflicts with FID noise, eta 1, less raw",
-    "robot_loses_future": (
-        f"What the robot loses {HORIZON_S:g} s ahead: missed future conflicts, FID less raw"
+    "robot_loses": (
+        "What the robot loses: missed conflicts with FID noise, eta 1, less raw"
     ),
-    "left_after_attack": "What an attack wins back: PLR after it less PLR as shared, FID noise",
-    "people_linked": "Can people be linked: rank 1 among 100 in a re-release, less chance",
-    f"people_linked{OWN_GALLERY}": "Small recordings: rank 1 among their people, less chance",
-    "descriptors_tell": "Do the descriptors tell: how far rank 1 among 100 differs at equal PLR",
-    f"descriptors_tell{OWN_GALLERY}": "Small recordings: how far their rank 1 differs at equal PLR",
-    "fid_against_fixed": "FID against fixed noise at equal missed conflicts: PLR after attack",
+    "robot_loses_future": (
+        f"What the robot loses {HORIZON_S:g} s ahead: missed future conflicts, FID"
+        " less raw"
+    ),
+    "left_after_attack": (
+        "What an attack wins back: PLR after it less PLR as shared, FID noise"
+    ),
+    "people_linked": (
+        "Can people be linked: rank 1 among 100 in a re-release, less chance"
+    ),
+    f"people_linked{OWN_GALLERY}": (
+        "Small recordings: rank 1 among their people, less chance"
+    ),
+    "descriptors_tell": (
+        "Do the descriptors tell: how far rank 1 among 100 differs at equal PLR"
+    ),
+    f"descriptors_tell{OWN_GALLERY}": (
+        "Small recordings: how far their rank 1 differs at equal PLR"
+    ),
+    "fid_against_fixed": (
+        "FID against fixed noise at equal missed conflicts: PLR after attack"
+    ),
     "fid_against_fixed_future": (
-        f"The same at equal missed future conflicts, {HORIZON_S:g} s ahead: PLR after attack"
+        f"The same at equal missed future conflicts, {HORIZON_S:g} s ahead: PLR after"
+        " attack"
     ),
 }
 _TAIL: Final = 0.5 + CONFIDENCE / 2.0
@@ -70,7 +89,11 @@ _NORMAL: Final = float(ndtri(_TAIL))
 _STRICT: Final = 1.0  # Threshold of FID at which is asked.
 _CLAIM: Final = {"section": "claim", "criterion": "missed", "of": "after-attack"}
 _OF_VERDICT: Final[dict[str, dict[str, Any]]] = {
-    "descriptors_tell": {"section": "validity", "descriptor": EXPOSURE, "task": LINKED_IN},
+    "descriptors_tell": {
+        "section": "validity",
+        "descriptor": EXPOSURE,
+        "task": LINKED_IN,
+    },
     "fid_against_fixed": {**_CLAIM, "descriptor": EXPOSURE},
     "fid_against_fixed_future": {
         **_CLAIM,
@@ -86,8 +109,8 @@ def answers_of(
 ) -> list[dict[str, Any]]:
     """Return what a finished run says to each question under each adding rule; as `COLUMNS`.
 
-    Differences are paired: both numbers are of the same people, drawn alike. What the run does not
-    tell has no row. Raises DataError if a cell cannot be read.
+    Differences are paired: both numbers are of the same people, drawn alike. What the
+    run does not tell has no row. Raises DataError if a cell cannot be read.
     """
     known = families_in(manifest["cells"])
     read = cards(out, manifest, drawn=(SUCCESS, SUCCESS_OF_100))
@@ -103,21 +126,40 @@ def answers_of(
         told = _at(sweeps.found, strict, best) | _lost_ahead(ahead, strict)
         for question, wanted in _OF_VERDICT.items():
             for item in verdict.get("items", []):
-                # What else is held against fixed noise says which mechanism; FID's items do not.
+                # What else is held against fixed noise says which mechanism; FID's
+                # items do not.
                 is_other = item.get("mechanism", "")
-                if not is_other and {**wanted, "adding": adding}.items() <= item.items():
+                if (
+                    not is_other
+                    and {**wanted, "adding": adding}.items() <= item.items()
+                ):
                     ends = (item[name] for name in ("effect", *_ENDS[1:]))
-                    value, low, high = (math.nan if one is None else float(one) for one in ends)
+                    value, low, high = (
+                        math.nan if one is None else float(one) for one in ends
+                    )
                     own = OWN_GALLERY if item.get("metric") == SUCCESS else ""
-                    told[question + own] = Estimate(value, low, high, n=int(item["n"] or 0))
+                    told[question + own] = Estimate(
+                        value, low, high, n=int(item["n"] or 0)
+                    )
         for question in QUESTIONS:
             one = told.get(question)
             if one is not None and math.isfinite(one.value):
                 # As everywhere: of fewer there is no interval.
                 has_ends = one.n >= LEAST_CLUSTERS
-                low, high = (one.ci_low, one.ci_high) if has_ends else (math.nan, math.nan)
+                low, high = (
+                    (one.ci_low, one.ci_high) if has_ends else (math.nan, math.nan)
+                )
                 about = question, recording, adding, law, seed
-                row = *about, one.value, low, high, one.n, math.nan, settings, distance_m
+                row = (
+                    *about,
+                    one.value,
+                    low,
+                    high,
+                    one.n,
+                    math.nan,
+                    settings,
+                    distance_m,
+                )
                 rows.append(dict(zip(COLUMNS, row, strict=True)))
     return rows
 
@@ -125,16 +167,22 @@ def answers_of(
 def _at(found: Found, where: Where, best: Mapping[str, Source]) -> dict[str, Estimate]:
     """Return the answers that are read at one level."""
     pairs = {}
-    if missed := next((key.measure for key in found if key.metric == MISSED_RATE), None):
+    if missed := next(
+        (key.measure for key in found if key.metric == MISSED_RATE), None
+    ):
         pairs["robot_loses"] = missed.at(*where), missed.at(RAW, None)
     if "" in best:
-        attacked, shared = (one.measure(EXPOSURE).at(*where) for one in (best[""], AS_SHARED))
+        attacked, shared = (
+            one.measure(EXPOSURE).at(*where) for one in (best[""], AS_SHARED)
+        )
         pairs["left_after_attack"] = attacked, shared
     known = {name: pair for name, pair in pairs.items() if {*pair} <= found.keys()}
     told = {name: difference(found[a], found[b]) for name, (a, b) in known.items()}
     if LINKED_IN in best:
         linker, names = best[LINKED_IN], (SUCCESS_OF_100, SUCCESS, "chance")
-        of_100, own, chance = (found.get(linker.measure(name).at(*where)) for name in names)
+        of_100, own, chance = (
+            found.get(linker.measure(name).at(*where)) for name in names
+        )
         if of_100 and math.isfinite(of_100.value):
             told["people_linked"] = _less(of_100, 0.01)
         elif own and chance and math.isfinite(own.value):
@@ -161,8 +209,12 @@ def _lost_ahead(ahead: Found, where: Where) -> dict[str, Estimate]:
 def settings_text(stages: Mapping[str, Any]) -> str:
     """Return the settings that are not the usual ones, as they are typed; the error law aside."""
     usual = StageSettings().flat()
-    changed = {name: value for name, value in stages.items() if usual.get(name) != value}
-    return " ".join(f"{name}={value}" for name, value in changed.items() if name != _LAW)
+    changed = {
+        name: value for name, value in stages.items() if usual.get(name) != value
+    }
+    return " ".join(
+        f"{name}={value}" for name, value in changed.items() if name != _LAW
+    )
 
 
 def _less(one: Estimate, known: float) -> Estimate:
@@ -184,22 +236,31 @@ class Pooled(NamedTuple):
 def pool(values: Sequence[float], errors: Sequence[float]) -> Pooled:
     """Return the random-effects mean of some recordings with their standard errors, (K,) each.
 
-    The variance between them is after Paule and Mandel (1982), the interval after Hartung and Knapp
-    (2001), and never narrower than that of a fixed effect. Raises ValueError for fewer than three,
-    or an error that is not positive.
+    The variance between them is after Paule and Mandel (1982), the interval after
+    Hartung and Knapp (2001), and never narrower than that of a fixed effect. Raises
+    ValueError for fewer than three, or an error that is not positive.
     """
     # Heavy, and few studies pool.
-    from statsmodels.stats.meta_analysis import combine_effects  # noqa: PLC0415 - as said
+    from statsmodels.stats.meta_analysis import (  # noqa: PLC0415 - as said
+        combine_effects,
+    )
 
-    effects, variances = np.array(values, dtype=float), np.array(errors, dtype=float) ** 2
+    effects, variances = (
+        np.array(values, dtype=float),
+        np.array(errors, dtype=float) ** 2,
+    )
     k = effects.size
     if k < 3 or not (variances > 0.0).all():  # noqa: PLR2004 - a prediction has k - 2 degrees
-        raise ValueError(f"pooling takes three recordings with errors above 0, got {errors}")
+        raise ValueError(
+            f"pooling takes three recordings with errors above 0, got {errors}"
+        )
     fitted = combine_effects(effects, variances, method_re="iterated", use_t=True)
     tau2 = max(0.0, float(fitted.tau2))
     weights = 1.0 / (variances + tau2)
     value = float(effects @ weights / weights.sum())
-    error = math.sqrt(float(weights @ (effects - value) ** 2) / ((k - 1) * float(weights.sum())))
+    error = math.sqrt(
+        float(weights @ (effects - value) ** 2) / ((k - 1) * float(weights.sum()))
+    )
     fixed = 1.0 / math.sqrt(float((1.0 / variances).sum()))
     half = max(float(stdtrit(k - 1, _TAIL)) * error, _NORMAL * fixed)
     spread = math.sqrt(tau2 + max(error, fixed) ** 2)
@@ -228,11 +289,18 @@ class Answered:
             return "Neither compared nor pooled: the galleries differ in size."
         values = [row["value"] for row in of]
         has_sign = self.question != "descriptors_tell"  # A spread is 0 where PLR tells.
-        is_sure = has_sign and all(row["ci_low"] > 0 or row["ci_high"] < 0 for row in of)
+        is_sure = has_sign and all(
+            row["ci_low"] > 0 or row["ci_high"] < 0 for row in of
+        )
         if len(of) == 1:
             sure = "; significant at 5 %" if is_sure else ""
-            return f"One real recording, {of[0]['recording']}: {100 * values[0]:+.1f} points{sure}."
-        same = max(sum(value > 0 for value in values), sum(value < 0 for value in values))
+            return (
+                f"One real recording, {of[0]['recording']}: {100 * values[0]:+.1f}"
+                f" points{sure}."
+            )
+        same = max(
+            sum(value > 0 for value in values), sum(value < 0 for value in values)
+        )
         told = f"Same sign in {same} of {len(of)} real recordings"
         if not has_sign:
             told = "0 where PLR tells, and never below"
@@ -242,17 +310,24 @@ class Answered:
         told += f"; least {100 * least['value']:+.1f} points ({least['recording']})"
         told += f", largest {100 * most['value']:+.1f} ({most['recording']})"
         if self.pooled:
-            text = "; pooled {:+.1f} [{:.1f}, {:.1f}], of a further recording [{:.1f}, {:.1f}]"
+            text = (
+                "; pooled {:+.1f} [{:.1f}, {:.1f}], of a further recording [{:.1f},"
+                " {:.1f}]"
+            )
             told += text.format(*(100 * one for one in self.pooled[:5]))
         return f"{told}."
 
 
-def answered(rows: Sequence[Mapping[str, Any]], *, simulated: frozenset[str]) -> list[Answered]:
+def answered(
+    rows: Sequence[Mapping[str, Any]], *, simulated: frozenset[str]
+) -> list[Answered]:
     """Return each question, adding rule and law: seeds averaged, real recordings pooled.
 
-    The interval of a mean over seeds is `seeds.by_intervals`, with the variance between them.
+    The interval of a mean over seeds is `seeds.by_intervals`, with the variance between
+    them.
 
-    `rows` are those of `answers_of`, of all runs; `simulated` recordings are never pooled.
+    `rows` are those of `answers_of`, of all runs; `simulated` recordings are never
+    pooled.
     """
     found, order = [], [*QUESTIONS]
     by = itemgetter("question", "law", "adding")
@@ -274,7 +349,9 @@ def answered(rows: Sequence[Mapping[str, Any]], *, simulated: frozenset[str]) ->
 
 def _mean_of_seeds(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return the row of a recording: the mean over its seeds, with the interval of that."""
-    runs = [Estimate(row["value"], row["ci_low"], row["ci_high"], row["n"]) for row in rows]
+    runs = [
+        Estimate(row["value"], row["ci_low"], row["ci_high"], row["n"]) for row in rows
+    ]
     mean = by_intervals(runs)
     numbers = {name: getattr(mean, name) for name in (*_ENDS, "n")}
     return {**rows[0], "seed": "mean", **numbers}

@@ -1,7 +1,7 @@
 """The strongest attack against each mechanism, by task and group of adversaries: `strongest.csv`.
 
-Each is chosen against the mechanism alone, over all of its levels, and cross-fitted: its numbers
-are not raised by the choice.
+Each is chosen against the mechanism alone, over all of its levels, and cross-fitted:
+its numbers are not raised by the choice.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,7 +14,13 @@ import pandas as pd
 from evaluation.analysis.families import Family
 from evaluation.analysis.keys import Found, Key, Source, Where
 from evaluation.analysis.linkability import dataset_of
-from evaluation.analysis.metrics import ASSIGNED, DESCRIPTORS, EXPOSURE, SUCCESS, SUCCESS_OF_100
+from evaluation.analysis.metrics import (
+    ASSIGNED,
+    DESCRIPTORS,
+    EXPOSURE,
+    SUCCESS,
+    SUCCESS_OF_100,
+)
 from evaluation.analysis.strongest import (
     GROUPS,
     HEADLINE,
@@ -26,9 +32,20 @@ from evaluation.analysis.strongest import (
 from evaluation.runs.cell_files import Summed
 from isac_track.intervals import Estimate
 
-ONE_RELEASE: Final = "one release"  # Group of the headline's adversaries: blind and informed.
+ONE_RELEASE: Final = (
+    "one release"  # Group of the headline's adversaries: blind and informed.
+)
 COLUMNS: Final = [
-    *("dataset", "mechanism", "level", "task", "adversary", "consumer", "knowledge", "metric"),
+    *(
+        "dataset",
+        "mechanism",
+        "level",
+        "task",
+        "adversary",
+        "consumer",
+        "knowledge",
+        "metric",
+    ),
     *("value", "ci_low", "ci_high", "n", "first_choice", "second_choice"),
 ]
 _OF_LINKERS: Final = (SUCCESS, SUCCESS_OF_100)
@@ -50,7 +67,11 @@ class Strongest:
         if key in self.crossed.estimates:
             return self.crossed.estimates[key]
         rules = [key, key._replace(metric=ASSIGNED)] if metric == SUCCESS else [key]
-        known = [found[rule] for rule in rules if rule in found and np.isfinite(found[rule].value)]
+        known = [
+            found[rule]
+            for rule in rules
+            if rule in found and np.isfinite(found[rule].value)
+        ]
         return max(known, key=lambda estimate: estimate.value, default=None)
 
 
@@ -59,8 +80,8 @@ def strongest_on_each(
 ) -> tuple[Strongest, ...]:
     """Return the strongest attacks against every mechanism of a run.
 
-    `found` is every estimate of the run, `sums` those of attacks by cluster, `known` the
-    mechanisms.
+    `found` is every estimate of the run, `sums` those of attacks by cluster, `known`
+    the mechanisms.
     """
     own: dict[tuple[str, str], dict[Key, Summed]] = {}
     for key, summed in sums.items():
@@ -71,12 +92,18 @@ def strongest_on_each(
             for among in GROUPS:
                 for mechanism, source in against_each(levels, among=among).items():
                     wheres = tuple(where for where in levels if where[0] == mechanism)
-                    crossed = cross_fitted(own.get((mechanism, task), {}), known, source, by=by)
-                    strongest.append(Strongest(mechanism, among, source, wheres, crossed))
+                    crossed = cross_fitted(
+                        own.get((mechanism, task), {}), known, source, by=by
+                    )
+                    strongest.append(
+                        Strongest(mechanism, among, source, wheres, crossed)
+                    )
     return tuple(strongest)
 
 
-def strongest_table(strongest: Sequence[Strongest], found: Found, *, dataset: str) -> pd.DataFrame:
+def strongest_table(
+    strongest: Sequence[Strongest], found: Found, *, dataset: str
+) -> pd.DataFrame:
     """Return a row for each number of the strongest attacks: `COLUMNS`."""
     rows = [row for attack in strongest for row in _rows(attack, found, dataset)]
     return pd.DataFrame(rows, columns=COLUMNS)
@@ -96,7 +123,9 @@ def _rows(attack: Strongest, found: Found, dataset: str) -> Iterable[dict[str, A
                 "mechanism": where[0],
                 "level": np.nan if where[1] is None else where[1],
                 "task": task,
-                "adversary": ONE_RELEASE if attack.among == HEADLINE else attack.among[0],
+                "adversary": (
+                    ONE_RELEASE if attack.among == HEADLINE else attack.among[0]
+                ),
                 "consumer": source.consumer,
                 "knowledge": source.knowledge,
                 "metric": metric,

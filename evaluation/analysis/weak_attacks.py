@@ -1,10 +1,11 @@
 """The weak-attack detector: attacks whose numbers say less than they seem to.
 
-A weak attack makes a mechanism look private: `_ABOUT` tells the three signs of one. Simpler is what
-comes earlier in `SIMPLER`; an attack that is not in that list is held against all of it, and
-`averaging` over re-releases, which does not smooth, against the control alone. Noise is the RMSE as
-shared. What no attack could help is left out, and fewer than 20 clusters decide nothing. The
-control is never flagged; it reproduces what is shared, which is not held against attacks itself.
+A weak attack makes a mechanism look private: `_ABOUT` tells the three signs of one.
+Simpler is what comes earlier in `SIMPLER`; an attack that is not in that list is held
+against all of it, and `averaging` over re-releases, which does not smooth, against the
+control alone. Noise is the RMSE as shared. What no attack could help is left out, and
+fewer than 20 clusters decide nothing. The control is never flagged; it reproduces what
+is shared, which is not held against attacks itself.
 """
 
 import json
@@ -28,7 +29,16 @@ Levels = Mapping[Where, Mapping[Source, Estimate]]
 SIMPLER = (IDENTITY, "moving_average", "savgol", "kalman_rts")  # From the simplest on.
 BEATEN, DOES_NOT_FALL, FAR = "beaten", "does_not_fall", "far_from_optimum"
 COLUMNS = [
-    *("kind", "mechanism", "level", "attack", "knowledge", "by", "by_knowledge", "metric"),
+    *(
+        "kind",
+        "mechanism",
+        "level",
+        "attack",
+        "knowledge",
+        "by",
+        "by_knowledge",
+        "metric",
+    ),
     *("difference", "ci_low", "ci_high", "compared", "sentence"),
 ]
 
@@ -37,14 +47,21 @@ _LEAST_RISE = 1.1
 _ROUNDING = 1e-9
 _RANK = {adversary: rank for rank, adversary in enumerate(ADVERSARIES)}
 _ABOUT = {
-    BEATEN: "PLR of `by`, the same attack with less knowledge or a simpler one with no more, is "
-    "higher than that of `attack`. `difference`: PLR of `by` minus PLR of `attack`. `compared`: "
-    "levels at which the two were compared.",
-    DOES_NOT_FALL: "PLR after the attack does not fall from the least noisy level (raw included) "
-    "to the noisiest, the one named. `difference`: PLR at the noisiest minus PLR at the least "
-    "noisy. `compared`: mechanisms for which this was asked.",
-    FAR: "In a world of the fitted motion the closest attack is more than five points below the "
-    "optimum. `difference`: what it lacks. `compared`: levels at which the optimum is known.",
+    BEATEN: (
+        "PLR of `by`, the same attack with less knowledge or a simpler one with no"
+        " more, is higher than that of `attack`. `difference`: PLR of `by` minus PLR of"
+        " `attack`. `compared`: levels at which the two were compared."
+    ),
+    DOES_NOT_FALL: (
+        "PLR after the attack does not fall from the least noisy level (raw included)"
+        " to the noisiest, the one named. `difference`: PLR at the noisiest minus PLR"
+        " at the least noisy. `compared`: mechanisms for which this was asked."
+    ),
+    FAR: (
+        "In a world of the fitted motion the closest attack is more than five points"
+        " below the optimum. `difference`: what it lacks. `compared`: levels at which"
+        " the optimum is known."
+    ),
 }
 _FAR: Final = 0.05
 
@@ -66,8 +83,9 @@ def flags(
 ) -> tuple[pd.DataFrame, dict[str, dict[str, int]]]:
     """Return the flags of a run, a row each (`COLUMNS`), and how much was looked at.
 
-    The latter is `comparisons`, intervals by kind, and `left_out`, comparisons by why they were.
-    `slow` are the attacks that saw one release of each source track only: no other saw the same.
+    The latter is `comparisons`, intervals by kind, and `left_out`, comparisons by why
+    they were. `slow` are the attacks that saw one release of each source track only: no
+    other saw the same.
     """
     levels: dict[Where, dict[Source, Estimate]] = {}
     for key, one in found.items():
@@ -76,7 +94,9 @@ def flags(
     left_out: Counter[str] = Counter()
     pairs = [*_beaten_pairs(levels, found, slow, left_out)]
     pairs += _falling_pairs(levels, found, left_out)
-    enough = [pair for pair in pairs if min(pair.minus.n, pair.plus.n) >= FEWEST_EFFECTIVE]
+    enough = [
+        pair for pair in pairs if min(pair.minus.n, pair.plus.n) >= FEWEST_EFFECTIVE
+    ]
     if len(enough) < len(pairs):
         left_out["fewer than 20 clusters"] = len(pairs) - len(enough)
     compared = Counter((pair.kind, pair.attack, pair.by) for pair in enough)
@@ -86,11 +106,21 @@ def flags(
         if not (gap.ci_low > _ROUNDING if kind == BEATEN else gap.ci_high > -_ROUNDING):
             continue
         interval = gap.value, gap.ci_low, gap.ci_high
-        about = kind, where[0], np.nan if where[1] is None else where[1], *attack, *by, EXPOSURE
+        about = (
+            kind,
+            where[0],
+            np.nan if where[1] is None else where[1],
+            *attack,
+            *by,
+            EXPOSURE,
+        )
         sentence = f"{attack.label} {said}, {_points(*interval, sign='+')} points"
         rows.append((*about, *interval, compared[kind, attack, by], sentence))
     looked = Counter(pair.kind for pair in enough)
-    about_it = {"comparisons": {kind: looked[kind] for kind in _ABOUT}, "left_out": dict(left_out)}
+    about_it = {
+        "comparisons": {kind: looked[kind] for kind in _ABOUT},
+        "left_out": dict(left_out),
+    }
     return pd.DataFrame(rows, columns=COLUMNS), about_it
 
 
@@ -101,17 +131,26 @@ def far_from_optimum(known: Sequence[Gap]) -> pd.DataFrame:
     rows = []
     for one in far:
         interval = one.gap.value, one.gap.ci_low, one.gap.ci_high
-        said = f"is the closest to the optimum at {where_text(*one.where)} in the model world"
+        said = (
+            f"is the closest to the optimum at {where_text(*one.where)} in the model"
+            " world"
+        )
         sentence = f"{one.attack.label} {said}, and {_points(*interval)} points below"
         about = FAR, one.where[0], np.nan if one.where[1] is None else one.where[1]
         metric = SUCCESS if one.attack.task else EXPOSURE
-        rows.append((*about, *one.attack, BOUND, "", metric, *interval, len(exact), sentence))
+        rows.append(
+            (*about, *one.attack, BOUND, "", metric, *interval, len(exact), sentence)
+        )
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
 def slow_attacks(manifest: Mapping[str, Any]) -> set[str]:
     """Return the attacks of a run that saw one release of each source track only."""
-    return {entry["consumer"] for entry in manifest.get("cells", ()) if entry.get("slow", False)}
+    return {
+        entry["consumer"]
+        for entry in manifest.get("cells", ())
+        if entry.get("slow", False)
+    }
 
 
 def to_json(rows: pd.DataFrame, looked: Mapping[str, Any]) -> bytes:
@@ -121,9 +160,11 @@ def to_json(rows: pd.DataFrame, looked: Mapping[str, Any]) -> bytes:
         "about": "Attacks that may be too weak for their numbers to mean privacy.",
         "kinds": _ABOUT,
         "simpler": {"order": SIMPLER, "others": "held against all of these", **_ALONE},
-        "intervals": "95 %, of the paired difference over bootstrap draws of whole clusters; not "
-        "adjusted for the number of comparisons: of two equally good attacks one is flagged at "
-        "about one level in 40",
+        "intervals": (
+            "95 %, of the paired difference over bootstrap draws of whole clusters; not"
+            " adjusted for the number of comparisons: of two equally good attacks one"
+            " is flagged at about one level in 40"
+        ),
         **looked,
         "columns": COLUMNS,
         "flags": known.where(known.notna(), None).to_dict("records"),
@@ -134,20 +175,33 @@ def to_json(rows: pd.DataFrame, looked: Mapping[str, Any]) -> bytes:
 def lines(rows: pd.DataFrame) -> list[str]:
     """Return the flags in short: a line for each kind, attack, adversary and what beat it."""
     found = []
-    for (kind, *_), part in rows.groupby(["kind", "attack", "knowledge", "by"], sort=False):
+    for (kind, *_), part in rows.groupby(
+        ["kind", "attack", "knowledge", "by"], sort=False
+    ):
         worst = part.sort_values("difference").iloc[-1]
         interval = worst["difference"], worst["ci_low"], worst["ci_high"]
         where = f"{len(part)} of {worst['compared']}"
         if kind == BEATEN:
             n_levels = len(part[["mechanism", "level"]].drop_duplicates())
-            said = f"is beaten by {worst['by']} ({', '.join(part['by_knowledge'].unique())}) at "
-            said += f"{n_levels} of {part['compared'].max()} levels, by up to {_points(*interval)}"
+            said = (
+                f"is beaten by {worst['by']}"
+                f" ({', '.join(part['by_knowledge'].unique())}) at "
+            )
+            said += (
+                f"{n_levels} of {part['compared'].max()} levels, by up to"
+                f" {_points(*interval)}"
+            )
         elif kind == FAR:
-            said = f"is closest to the optimum at {where} levels of model worlds, and below it by "
+            said = (
+                f"is closest to the optimum at {where} levels of model worlds, and"
+                " below it by "
+            )
             said += f"up to {_points(*interval)}"
         else:
             said = f"does not fall with the noise in {where} mechanisms "
-            said += f"({', '.join(part['mechanism'])}), by {_points(*interval, sign='+')}"
+            said += (
+                f"({', '.join(part['mechanism'])}), by {_points(*interval, sign='+')}"
+            )
         who = f"{worst['attack']} ({worst['knowledge']})"
         found.append(f"flag: {who} {said} points: flags.json")
     return found
@@ -171,9 +225,13 @@ def _beaten_pairs(
                 yield _Pair(BEATEN, where, attack, by, minus, plus, said)
 
 
-def _falling_pairs(levels: Levels, found: Found, left_out: Counter[str]) -> Iterator[_Pair]:
+def _falling_pairs(
+    levels: Levels, found: Found, left_out: Counter[str]
+) -> Iterator[_Pair]:
     rmse, exposed = AS_SHARED.measure("rmse"), AS_SHARED.measure(EXPOSURE)
-    for mechanism in dict.fromkeys(name for name, _ in levels if name not in (RAW, CLEAN)):
+    for mechanism in dict.fromkeys(
+        name for name, _ in levels if name not in (RAW, CLEAN)
+    ):
         # By the noise that there is, whichever way the level counts.
         noise = {
             where: found[rmse.at(*where)].value
@@ -185,17 +243,28 @@ def _falling_pairs(levels: Levels, found: Found, left_out: Counter[str]) -> Iter
             continue
         least, most = in_order[0], in_order[-1]
         both = (attack for attack in levels[most] if attack in levels[least])
-        attacks = [attack for attack in both if attack.consumer.partition(":")[0] != IDENTITY]
+        attacks = [
+            attack for attack in both if attack.consumer.partition(":")[0] != IDENTITY
+        ]
         quiet, noisy = (found.get(exposed.at(*where)) for where in (least, most))
         if noise[most] < _LEAST_RISE * noise[least]:
             left_out["the noise hardly rises"] += len(attacks)
-        elif quiet is not None and noisy is not None and difference(noisy, quiet).ci_high >= 0:
+        elif (
+            quiet is not None
+            and noisy is not None
+            and difference(noisy, quiet).ci_high >= 0
+        ):
             left_out["PLR as shared does not fall either"] += len(attacks)
         else:
             for attack in attacks:
                 minus, plus = levels[least][attack], levels[most][attack]
-                said = f"does not fall with the noise: PLR {100 * minus.value:.1f} % at "
-                said += f"{where_text(*least)}, {100 * plus.value:.1f} % at {where_text(*most)}"
+                said = (
+                    f"does not fall with the noise: PLR {100 * minus.value:.1f} % at "
+                )
+                said += (
+                    f"{where_text(*least)}, {100 * plus.value:.1f} % at"
+                    f" {where_text(*most)}"
+                )
                 yield _Pair(DOES_NOT_FALL, most, attack, Source(""), minus, plus, said)
 
 
@@ -206,7 +275,9 @@ def _should_win(attack: Source, by: Source) -> bool:
         return False
     if attack.consumer == by.consumer:
         return _RANK[by.knowledge] < _RANK[attack.knowledge]
-    order = SIMPLER[: SIMPLER.index(base)] if base in SIMPLER else _ALONE.get(base, SIMPLER)
+    order = (
+        SIMPLER[: SIMPLER.index(base)] if base in SIMPLER else _ALONE.get(base, SIMPLER)
+    )
     return by_base in order and _RANK[by.knowledge] <= _RANK[attack.knowledge]
 
 

@@ -1,8 +1,9 @@
 """The most exposed tenth of the people: a metric's mean over them, without the bias of a choice.
 
-The largest of noisy values are too large. So the tenth is chosen on every other release of each
-person, and its mean is taken on the releases between them; then the reverse, and both are averaged
-(cross-fitting; Chernozhukov et al., Econometrics Journal 21, 2018).
+The largest of noisy values are too large. So the tenth is chosen on every other release
+of each person, and its mean is taken on the releases between them; then the reverse,
+and both are averaged (cross-fitting; Chernozhukov et al., Econometrics Journal 21,
+2018).
 """
 
 from dataclasses import dataclass
@@ -14,7 +15,9 @@ from isac_track.intervals import FEWEST_EFFECTIVE, Estimate, jackknife_interval
 from isac_track.types import Floats, Ints
 
 SHARE: Final = 0.1  # Of the people, who count.
-LEAST_RELEASES: Final = 8  # Of a person: of fewer, half of them say little of whom to choose.
+LEAST_RELEASES: Final = (
+    8  # Of a person: of fewer, half of them say little of whom to choose.
+)
 LEAST_PEOPLE: Final = FEWEST_EFFECTIVE  # Of fewer, a tenth is not even two.
 
 
@@ -27,12 +30,15 @@ class PersonMeans:
     even: Floats  # (P,)
 
 
-def person_means(*, values: Floats, scene: Ints, cluster: Ints, n_clusters: int) -> PersonMeans:
+def person_means(
+    *, values: Floats, scene: Ints, cluster: Ints, n_clusters: int
+) -> PersonMeans:
     """Return the means over either half of the releases of each person who has enough.
 
-    A release of a person (a cluster: a source track, or a group that walks together) is a scene in
-    which it is shown; releases are numbered in the order of the scenes. `values`, (R,), are of the
-    tracks shown, `scene` and `cluster`, (R,), say where and of whom.
+    A release of a person (a cluster: a source track, or a group that walks together) is
+    a scene in which it is shown; releases are numbered in the order of the scenes.
+    `values`, (R,), are of the tracks shown, `scene` and `cluster`, (R,), say where and
+    of whom.
     """
     n_scenes = int(scene.max(initial=0)) + 1
     releases, release = np.unique(cluster * n_scenes + scene, return_inverse=True)
@@ -43,17 +49,19 @@ def person_means(*, values: Floats, scene: Ints, cluster: Ints, n_clusters: int)
     means = []
     for half in (~is_even, is_even):
         sums = np.bincount(cluster[half], weights=values[half], minlength=n_clusters)
-        means.append(sums[enough] / np.bincount(cluster[half], minlength=n_clusters)[enough])
+        means.append(
+            sums[enough] / np.bincount(cluster[half], minlength=n_clusters)[enough]
+        )
     return PersonMeans(enough, *means)
 
 
 def worst_tenth(means: PersonMeans, *, weights: Floats) -> Estimate:
     """Return the mean of a share, 0..1, over the most exposed tenth of the people.
 
-    Its interval is the delete-one-person jackknife's, which repeats the choice, with as many
-    degrees of freedom as people carry its variance, less one: most people are not in the tenth. Of
-    fewer than `LEAST_PEOPLE` the value is refused (NaN). `weights`, (B, C), are how often each
-    cluster is drawn in a replicate.
+    Its interval is the delete-one-person jackknife's, which repeats the choice, with as
+    many degrees of freedom as people carry its variance, less one: most people are not
+    in the tenth. Of fewer than `LEAST_PEOPLE` the value is refused (NaN). `weights`,
+    (B, C), are how often each cluster is drawn in a replicate.
     """
     n = means.person.size
     if n < LEAST_PEOPLE:
@@ -78,8 +86,9 @@ def cross_fitted_tail(means: PersonMeans, weights: Floats) -> Floats:
 def tail_mean(values: Floats, *, chosen_by: Floats, weights: Floats) -> Floats:
     """Return the mean of `values`, (P,), over the people with the largest `chosen_by`, (P,).
 
-    They are so many that their weights make `SHARE` of all: the last of them counts in part, and
-    equals share what is left of the places. `weights`, (R, P), give a result each, (R,).
+    They are so many that their weights make `SHARE` of all: the last of them counts in
+    part, and equals share what is left of the places. `weights`, (R, P), give a result
+    each, (R,).
     """
     places = SHARE * weights.sum(axis=1, keepdims=True)
     order = np.argsort(-chosen_by, kind="stable")
@@ -109,8 +118,9 @@ def _n_needed(chosen_by: Floats, order: Ints, weights: Floats, places: Floats) -
 def _carriers(jackknifed: Floats) -> float:
     """Return how many people carry the variance of a jackknife: (sum d^2)^2 / sum d^4.
 
-    They are at least one more than those in the tenth: with so many the interval covers (tested),
-    and few that seem to carry all of it do not make it as wide as all that can be.
+    They are at least one more than those in the tenth: with so many the interval covers
+    (tested), and few that seem to carry all of it do not make it as wide as all that
+    can be.
     """
     squares = (jackknifed[1:] - jackknifed[0]) ** 2
     fourth = float(squares @ squares)

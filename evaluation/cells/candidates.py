@@ -1,8 +1,9 @@
 """The best candidates of each probe: where a gallery is large, a linker scores these alone.
 
-A cheap linker, which knows nothing of the mechanism, puts the gallery of each probe in an order.
-The linker itself is asked about the first few; all others come below them, in that order. Some
-probes are searched in full as well: what is lost is measured, not believed.
+A cheap linker, which knows nothing of the mechanism, puts the gallery of each probe in
+an order. The linker itself is asked about the first few; all others come below them, in
+that order. Some probes are searched in full as well: what is lost is measured, not
+believed.
 """
 
 from collections.abc import Callable
@@ -18,10 +19,12 @@ from attacks.tasks.task_list import Task
 from isac_track.linkability import rank1
 from isac_track.types import Floats, Ints, Release
 
-CHECKED = 100  # Probes with a mate that are searched in full as well, over all searches of a cell.
+# Probes with a mate that are searched in full as well, over all searches of a cell.
+CHECKED = 100
 AT_ONCE = 64
 """Probes of a call of a linker of ours, which takes 1 to 2 ms however few they are. Probes that are
-alike have much the same candidates: together they are compared with six times as many as alone."""
+alike have much the same candidates: together they are compared with six times as many
+as alone."""
 _ITERATIONS = 10
 
 
@@ -55,11 +58,12 @@ def among_candidates(
 ) -> Approximated:
     """Return what a linker makes of a search if it is asked about some candidates of each probe.
 
-    `score` is the linker, fitted, of two releases of P and G walks; the places of the mates, (P,),
-    are for what is lost alone. `first`, (P, G), are the scores of the first stage; equal ones are
-    put in a random order. Of each probe `n_candidates` are scored, at most G; `n_checked` probes
-    with a mate are searched in full, if there are as many. `n_at_once`, `AT_ONCE` or 1, are the
-    probes of a call: all of it are compared with the candidates of any.
+    `score` is the linker, fitted, of two releases of P and G walks; the places of the
+    mates, (P,), are for what is lost alone. `first`, (P, G), are the scores of the
+    first stage; equal ones are put in a random order. Of each probe `n_candidates` are
+    scored, at most G; `n_checked` probes with a mate are searched in full, if there are
+    as many. `n_at_once`, `AT_ONCE` or 1, are the probes of a call: all of it are
+    compared with the candidates of any.
     """
     n_probes, n_gallery = first.shape
     n_candidates = min(n_candidates, n_gallery)

@@ -1,9 +1,9 @@
 """What is read off the scores of a linkage attack, and the tables that a cell keeps of it.
 
-The scorecard takes a bootstrap and a permutation test; it belongs to the cell, so that a report is
-drawn without computing either again. Replicates of rank metrics follow from the probes; those of
-score metrics visit every pair, and are kept, but not of controls: each is held against its own
-permutation test, and nobody pairs two.
+The scorecard takes a bootstrap and a permutation test; it belongs to the cell, so that
+a report is drawn without computing either again. Replicates of rank metrics follow from
+the probes; those of score metrics visit every pair, and are kept, but not of controls:
+each is held against its own permutation test, and nobody pairs two.
 """
 
 import json
@@ -29,18 +29,35 @@ from isac_track.types import Floats, Ints
 
 WITHOUT_GROUPS, WITHOUT_FROZEN = "without_groups", "without_frozen"
 """Without people who walk in a group, and move alike; without nearly frozen annotations."""
-SHUFFLES, AUDIT_SHUFFLES = 999, 1999  # The audit's can reject at a hundredth over six tests.
+SHUFFLES, AUDIT_SHUFFLES = (
+    999,
+    1999,
+)  # The audit's can reject at a hundredth over six tests.
 ESTIMATES: Final = "estimates"
 REPLICATES: Final = "replicates"
 ABOUT: Final = "about"
-DERIVED: Final = ("chance", "residual_risk", "d_sys_corrected")  # Replicates follow from others'.
+DERIVED: Final = (
+    "chance",
+    "residual_risk",
+    "d_sys_corrected",
+)  # Replicates follow from others'.
 COMPANIONS: Final = ("companions", "companions_above", "companions_tied")
 """Columns of `ProbeRanks.companions`: who walks along is no candidate of `rank1_g100`."""
 ASSIGNED: Final = ("nobody", "other", "mate", "mate if any", "unknown")
 """What is assigned to a probe: `ProbeRanks.assigned`; unknown where scores have no scale."""
-NAMED_MATES: Final = frozenset({"mate", "mate if any"})  # Of `ASSIGNED`: they count as found.
+NAMED_MATES: Final = frozenset(
+    {"mate", "mate if any"}
+)  # Of `ASSIGNED`: they count as found.
 _NUMBERS = (
-    *("p_value", "p_value_low", "p_rank1", "n_probes", "n_mated", "gallery_sizes", "n_clusters"),
+    *(
+        "p_value",
+        "p_value_low",
+        "p_rank1",
+        "n_probes",
+        "n_mated",
+        "gallery_sizes",
+        "n_clusters",
+    ),
     *("realised_fpr_1pct", "realised_fpr_01pct", "d_sys_bins", "is_inverted"),
     "minimum_detectable_rank1",
 )
@@ -55,7 +72,9 @@ class Linked:
     searches: tuple[linkability.Search, ...]
     calibration: Mapping[int, linkability.Calibration]  # By fold.
     scored: linkability.Scorecard
-    cohorts: Mapping[str, Mapping[str, float]]  # Rank 1 by who is left out; none for a control.
+    cohorts: Mapping[
+        str, Mapping[str, float]
+    ]  # Rank 1 by who is left out; none for a control.
     is_assigned: bool  # Whether scores have a known scale, or need none.
     losses: Floats | None = None
     """(n,) hits that scoring some candidates alone costs each probe that is searched in full."""
@@ -73,12 +92,12 @@ def read_off(
 ) -> Linked:
     """Return the scorecard of an attack or a control, and of an attack without confounders.
 
-    `scores` are those of every search, (P, G) each, by its number, `calibration` those by fold that
-    there was somebody for. `matched` are by search the probabilities of the pairs of an open
-    gallery (`matched_pairs`): without them there is no assignment in one. What the scorecard
-    draws is `drawn_from` a control's own stream, or from that of the attack of this name, alike at
-    all levels. With
-    `known.candidates` all is read off the ranks, and `losses` says what the attack lost.
+    `scores` are those of every search, (P, G) each, by its number, `calibration` those
+    by fold that there was somebody for. `matched` are by search the probabilities of
+    the pairs of an open gallery (`matched_pairs`): without them there is no assignment
+    in one. What the scorecard draws is `drawn_from` a control's own stream, or from
+    that of the attack of this name, alike at all levels. With `known.candidates` all is
+    read off the ranks, and `losses` says what the attack lost.
     """
     sessions, weights = known.sessions, known.weights
     searches = tuple(
@@ -98,8 +117,14 @@ def read_off(
     is_calibrated = {search.scale for search in searches} <= set(calibration)
     shuffles = AUDIT_SHUFFLES if is_audit else SHUFFLES
     if known.candidates:
-        rng = drawn_from if isinstance(drawn_from, Generator) else _stream(known.seed, *drawn_from)
-        scored = linkability.rank_scorecard(searches, weights=weights, rng=rng, n_shuffles=shuffles)
+        rng = (
+            drawn_from
+            if isinstance(drawn_from, Generator)
+            else _stream(known.seed, *drawn_from)
+        )
+        scored = linkability.rank_scorecard(
+            searches, weights=weights, rng=rng, n_shuffles=shuffles
+        )
     else:
         people = tuple(people_of(search) for search in searches)
         if isinstance(drawn_from, Generator):
@@ -120,7 +145,9 @@ def read_off(
             unknown = np.full_like(estimates[name].replicates, np.nan)
             estimates[name] = Estimate(np.nan, n=estimates[name].n, replicates=unknown)
     if sessions.task.comes_back:  # one outcome a person, and few
-        hits = int(estimates["rank1"].value * scored.n_mated + 1e-9)  # ties leave fractions
+        hits = int(
+            estimates["rank1"].value * scored.n_mated + 1e-9
+        )  # ties leave fractions
         low, high = exact_binomial(hits=hits, n=scored.n_mated)
         estimates["rank1"] = replace(estimates["rank1"], ci_low=low, ci_high=high)
     return Linked(
@@ -150,21 +177,29 @@ def _cohorts(
     parts, of_set, chance, place, trials = _without(known)
     hits = []
     for search, (mated, mate, gallery, probe, of) in zip(searches, parts, strict=True):
-        own, count = search.scores[mated, mate][:, None], np.empty((2, mated.size, 2), np.float32)
+        own, count = (
+            search.scores[mated, mate][:, None],
+            np.empty((2, mated.size, 2), np.float32),
+        )
         for first in range(0, mated.size, _AT_ONCE):
             rows = slice(first, first + _AT_ONCE)
             scores, mine = search.scores[mated[rows]], own[rows]
-            # How many of each set stand above the mate and as high: exact in single precision.
+            # How many of each set stand above the mate and as high: exact in single
+            # precision.
             for which, one in enumerate((scores > mine, scores == mine)):
                 count[which, rows] = one.astype(np.float32) @ gallery
         above, tied = count[:, probe, of]
         hits.append(expected_hit(above, tied.astype(np.float64)))
     hit = np.concatenate(hits)
-    sums = cluster_sums(values=hit, cluster=place, n_clusters=trials.size).reshape(trials.shape)
+    sums = cluster_sums(values=hit, cluster=place, n_clusters=trials.size).reshape(
+        trials.shape
+    )
     of = {"numerator": sums, "denominator": trials, "weights": known.weights}
     found = ratio_estimates(**of, is_share=[True] * len(trials))
     cohorts = {}
-    for number, (name, one) in enumerate(zip((WITHOUT_GROUPS, WITHOUT_FROZEN), found, strict=True)):
+    for number, (name, one) in enumerate(
+        zip((WITHOUT_GROUPS, WITHOUT_FROZEN), found, strict=True)
+    ):
         mine = of_set == number
         of_mine, is_any = chance[mine], bool(mine.any())
         cohorts[name] = {
@@ -173,21 +208,30 @@ def _cohorts(
             "ci_high": one.ci_high,
             "n_clusters": one.n,
             "chance": float(of_mine.mean()) if is_any else np.nan,
-            "p_rank1": linkability.rank1_p(hits=hit[mine], chance=of_mine) if is_any else np.nan,
+            "p_rank1": (
+                linkability.rank1_p(hits=hit[mine], chance=of_mine)
+                if is_any
+                else np.nan
+            ),
             "n_mated": int(mine.sum()),
         }
     return cohorts
 
 
 @lru_cache(maxsize=4)
-def _without(known: SensedSessions) -> tuple[list[tuple[Any, ...]], Ints, Floats, Ints, Floats]:
+def _without(
+    known: SensedSessions,
+) -> tuple[list[tuple[Any, ...]], Ints, Floats, Ints, Floats]:
     """Return who searches for whom without some people, the same at every attack.
 
-    Of each search mated probes, their mates, candidates, (G, sets), and which probe counts in which
-    set; of all these trials the set, the chance, the place among sets by clusters, and their number
-    at each place.
+    Of each search mated probes, their mates, candidates, (G, sets), and which probe
+    counts in which set; of all these trials the set, the chance, the place among sets
+    by clusters, and their number at each place.
     """
-    among, sessions = np.stack([known.sessions.alone, known.sessions.moving]), known.sessions
+    among, sessions = (
+        np.stack([known.sessions.alone, known.sessions.moving]),
+        known.sessions,
+    )
     parts, chances, clusters = [], [], []
     for _, pairing in sorted(known.searches.items()):
         mated = np.flatnonzero(pairing.mate >= 0)
@@ -200,11 +244,17 @@ def _without(known: SensedSessions) -> tuple[list[tuple[Any, ...]], Ints, Floats
     of_set = np.concatenate([of for *_, of in parts])
     shape = len(among), known.weights.shape[1]
     place = of_set * shape[1] + np.concatenate(clusters)
-    trials = np.bincount(place, minlength=shape[0] * shape[1]).astype(np.float64).reshape(shape)
+    trials = (
+        np.bincount(place, minlength=shape[0] * shape[1])
+        .astype(np.float64)
+        .reshape(shape)
+    )
     return parts, of_set, np.concatenate(chances), place, trials
 
 
-def calibrated(found: Sequence[tuple[Floats, Pairing]]) -> linkability.Calibration | None:
+def calibrated(
+    found: Sequence[tuple[Floats, Pairing]],
+) -> linkability.Calibration | None:
     """Return the calibration on who is neither attacked nor learnt from; None without pairs."""
     mated, non_mated = [np.zeros(0)], [np.zeros(0)]
     for scores, pairing in found:
@@ -220,8 +270,9 @@ def calibrated(found: Sequence[tuple[Floats, Pairing]]) -> linkability.Calibrati
 def score_scale(found: Sequence[tuple[Floats, Pairing]]) -> float | None:
     """Return by what scores of an open gallery are to be multiplied to be log ratios.
 
-    Fitted on the same people as `calibrated`, within the gallery of each: what parts a mate from
-    the candidates nearby counts, not from those at the other end of the scene. None without mates.
+    Fitted on the same people as `calibrated`, within the gallery of each: what parts a
+    mate from the candidates nearby counts, not from those at the other end of the
+    scene. None without mates.
     """
     if not any((pairing.mate >= 0).any() for _, pairing in found):
         return None
@@ -232,20 +283,23 @@ def score_scale(found: Sequence[tuple[Floats, Pairing]]) -> float | None:
 def matched_pairs(scores: Floats, *, scale: float, mate_rate: float) -> Floats:
     """Return how probable each pair of an open search is if all are matched at once, (P, G).
 
-    As many probes are expected to have a mate as of other people, `mate_rate` of them. Whoever
-    seeks the most correct links names the most probable candidate of every probe.
+    As many probes are expected to have a mate as of other people, `mate_rate` of them.
+    Whoever seeks the most correct links names the most probable candidate of every
+    probe.
     """
     return linkability.open_matches(scale * scores, n_links=mate_rate * len(scores))
 
 
-def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) -> Tables:
+def linkage_tables(
+    linked: Linked, known: SensedSessions, *, keep_scores: bool
+) -> Tables:
     """Return the tables of a linkage attack or control at one level.
 
     - `rows`, one a probe: `search` (a half, or the instant of a handover), `source`, `group`;
       `above` and `tied`, how many candidates score above its mate and how many as high, the mate
-      included (-1 and 0 without a mate); `chance` of rank 1, `assigned` (`ASSIGNED`); with the
-      raw scores also `mate` (place in the gallery, or -1) and `scores` against the whole gallery;
-      `COMPANIONS`;
+      included (-1 and 0 without a mate); `chance` of rank 1, `assigned` (`ASSIGNED`);
+      with the raw scores also `mate` (place in the gallery, or -1) and `scores` against
+      the whole gallery; `COMPANIONS`;
     - `estimates`, one a metric: `metric`, `value`, `ci_low`, `ci_high`, `n`;
     - `replicates`, one a bootstrap draw: a column for each score metric, in single precision;
     - `about`: one row with all other numbers as JSON.
@@ -271,15 +325,24 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
     }
     if linked.losses is not None:
         about["numbers"]["n_checked"] = linked.losses.size
-        about["numbers"]["rank1_loss"] = float(linked.losses.mean()) if linked.losses.size else None
+        about["numbers"]["rank1_loss"] = (
+            float(linked.losses.mean()) if linked.losses.size else None
+        )
     if keep_scores:
-        flat = np.concatenate([one.scores.ravel() for one in linked.searches]).astype(np.float32)
+        flat = np.concatenate([one.scores.ravel() for one in linked.searches]).astype(
+            np.float32
+        )
         sizes = [row.size for one in linked.searches for row in one.scores]
         starts = np.cumsum([0, *sizes], dtype=np.int32)
-        rows["mate"] = np.concatenate([one.mate for one in linked.searches]).astype(np.int32)
+        rows["mate"] = np.concatenate([one.mate for one in linked.searches]).astype(
+            np.int32
+        )
         rows["scores"] = pa.ListArray.from_arrays(column(starts), column(flat))
         about["gallery"] = [
-            [sessions.source[person] for person in sessions.gallery.person[pairing.gallery]]
+            [
+                sessions.source[person]
+                for person in sessions.gallery.person[pairing.gallery]
+            ]
             for _, pairing in sorted(known.searches.items())
         ]
     found = scored.estimates
@@ -294,8 +357,12 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
     }
     if linked.cohorts:  # of controls nobody pairs two
         follow = {*DERIVED, *RANK_METRICS}
-        kept = {name: one.replicates for name, one in found.items() if name not in follow}
-        tables[REPLICATES] = table({name: one.astype(np.float32) for name, one in kept.items()})
+        kept = {
+            name: one.replicates for name, one in found.items() if name not in follow
+        }
+        tables[REPLICATES] = table(
+            {name: one.astype(np.float32) for name, one in kept.items()}
+        )
     return tables
 
 

@@ -1,7 +1,7 @@
 """What all mechanism levels of a linkage task have in common, before anything is shared.
 
-Both sessions are sensed like everything else. Unless the task shows the scene, every walk is turned
-and shifted by itself and put on a clock of its own.
+Both sessions are sensed like everything else. Unless the task shows the scene, every
+walk is turned and shifted by itself and put on a clock of its own.
 """
 
 import hashlib
@@ -17,7 +17,13 @@ from isac_track.config import PrivacySettings, StageSettings
 from isac_track.intervals import cluster_weights
 from isac_track.model_world import Motion, simulated
 from isac_track.rng import stream
-from isac_track.sensing import draw_walk_channel, recorded_walk, sense, walk_numbers, walked_within
+from isac_track.sensing import (
+    draw_walk_channel,
+    recorded_walk,
+    sense,
+    walk_numbers,
+    walked_within,
+)
 from isac_track.types import Bools, Floats, Ints, Sensed, derived, read_only
 
 N_REPLICATES = 1000
@@ -39,7 +45,9 @@ class Half:
 
     searches: tuple[tuple[int, Pairing], ...]  # Number of the search, and its windows.
     learns: Pairing
-    calibrates: tuple[Pairing, ...]  # Searches on whose scores those of this fold are calibrated.
+    calibrates: tuple[
+        Pairing, ...
+    ]  # Searches on whose scores those of this fold are calibrated.
     mate_rate: float  # Share of the probes of those that have a mate, kept off 0 and 1.
 
 
@@ -49,7 +57,9 @@ class SensedSessions:
 
     sessions: Sessions
     sensed: tuple[Sensed, ...]  # Probe and gallery.
-    frames: tuple[Frame, ...]  # Of the walks of either; none where the task shows the scene.
+    frames: tuple[
+        Frame, ...
+    ]  # Of the walks of either; none where the task shows the scene.
     halves: tuple[Half, ...]
     searches: Mapping[int, Pairing]  # Every search, by number, whole.
     drawn_as: Ints  # (C,) which cluster of the run's scenes each cluster is, or -1.
@@ -76,10 +86,12 @@ def sensed_sessions(
 ) -> SensedSessions:
     """Sense both sessions of a task and prepare its folds.
 
-    `groups` are the clusters of the run's scenes: who is in both is drawn alike in both. With a
-    `motion` people walk as that says, and all else is as it was recorded.
+    `groups` are the clusters of the run's scenes: who is in both is drawn alike in
+    both. With a `motion` people walk as that says, and all else is as it was recorded.
     """
-    key = hashlib.sha256(pickle.dumps((sessions, groups, motion, stages, seed))).digest()
+    key = hashlib.sha256(
+        pickle.dumps((sessions, groups, motion, stages, seed))
+    ).digest()
     if key in _last:
         return _last[key]
     names, cluster = np.unique(sessions.group, return_inverse=True)
@@ -88,9 +100,17 @@ def sensed_sessions(
     task = sessions.task
     largest = int(np.bincount(sessions.gallery.search).max())
     candidates = 0 if task.comes_back else stages.linkage.candidates
-    folds = range(len(sessions.learns)) if task.comes_back else np.unique(sessions.fold).tolist()
+    folds = (
+        range(len(sessions.learns))
+        if task.comes_back
+        else np.unique(sessions.fold).tolist()
+    )
     halves = tuple(_half(sessions, fold) for fold in folds)
-    frames = () if task.shows_scene else tuple(_frames(sessions, one, seed=seed) for one in SIDES)
+    frames = (
+        ()
+        if task.shows_scene
+        else tuple(_frames(sessions, one, seed=seed) for one in SIDES)
+    )
     found = SensedSessions(
         sessions=sessions,
         sensed=tuple(_sensed(sessions, one, stages=stages, seed=seed) for one in SIDES),
@@ -99,7 +119,9 @@ def sensed_sessions(
         searches=_whole(one for half in halves for one in half.searches),
         drawn_as=drawn_as,
         n_groups=len(groups),
-        weights=linkage_weights(drawn_as, n_groups=len(groups), task=task.name, seed=seed),
+        weights=linkage_weights(
+            drawn_as, n_groups=len(groups), task=task.name, seed=seed
+        ),
         cluster=cluster.astype(np.int64),
         privacy=stages.privacy,
         seed=seed,
@@ -113,17 +135,23 @@ def sensed_sessions(
 def _modelled(found: SensedSessions, motion: Motion) -> SensedSessions:
     """Return sessions whose people walk as a motion says, one walk a person on both sides."""
     sides = (found.sessions.probe, found.sessions.gallery)
-    owner = np.concatenate([np.repeat(one.person, np.diff(one.offsets)) for one in sides])
+    owner = np.concatenate(
+        [np.repeat(one.person, np.diff(one.offsets)) for one in sides]
+    )
     t = np.concatenate([one.t for one in sides])
     walks = np.empty((t.size, 2))
     for person, source in enumerate(found.sessions.source):
         rng = stream(found.seed, "model walks", "linkage", source)
         instants, which = np.unique(t[owner == person], return_inverse=True)
         offsets, start = np.array([0, instants.size]), np.zeros((1, 2))
-        walk = simulated(t=instants, offsets=offsets, start=start, motion=motion, rng=rng)
+        walk = simulated(
+            t=instants, offsets=offsets, start=start, motion=motion, rng=rng
+        )
         walks[owner == person] = walk[which]
     places = np.split(walks, [sides[0].t.size])
-    probe, gallery = (replace(one, xy=xy) for one, xy in zip(sides, places, strict=True))
+    probe, gallery = (
+        replace(one, xy=xy) for one, xy in zip(sides, places, strict=True)
+    )
     sensed = tuple(
         derived(one, xy=xy + one.sigma_raw[:, None] * one.unit_error)
         for one, xy in zip(found.sensed, places, strict=True)
@@ -139,7 +167,9 @@ def _whole(parts: Iterable[tuple[int, Pairing]]) -> dict[int, Pairing]:
         one = found.setdefault(number, part)
         if one is not part:
             probe = np.concatenate([one.probe, part.probe])
-            found[number] = Pairing(probe, part.gallery, np.concatenate([one.mate, part.mate]))
+            found[number] = Pairing(
+                probe, part.gallery, np.concatenate([one.mate, part.mate])
+            )
     return found
 
 
@@ -154,7 +184,10 @@ def _half(sessions: Sessions, fold: int) -> Half:
 
     def part(searches: Ints, probes: Bools, candidates: Bools) -> Pairing:
         probe = np.isin(sessions.probe.search, searches) & probes[sessions.probe.person]
-        gallery = np.isin(sessions.gallery.search, searches) & candidates[sessions.gallery.person]
+        gallery = (
+            np.isin(sessions.gallery.search, searches)
+            & candidates[sessions.gallery.person]
+        )
         place = np.where(gallery, np.cumsum(gallery) - 1, -1)
         mate = sessions.mate[probe]
         return Pairing(
@@ -166,7 +199,9 @@ def _half(sessions: Sessions, fold: int) -> Half:
     known = [part(one, calibrates, calibrates) for one in others[:, None]]
     mated = np.concatenate([np.zeros(0, dtype=bool), *(one.mate >= 0 for one in known)])
     return Half(
-        searches=tuple((int(one[0]), part(one, attacked, everybody)) for one in mine[:, None]),
+        searches=tuple(
+            (int(one[0]), part(one, attacked, everybody)) for one in mine[:, None]
+        ),
         learns=part(others, learns, learns),
         calibrates=tuple(one for one in known if (one.mate >= 0).any()),
         mate_rate=(int(mated.sum()) + 0.5) / (mated.size + 1.0),
@@ -176,15 +211,18 @@ def _half(sessions: Sessions, fold: int) -> Half:
 def linkage_weights(drawn_as: Ints, *, n_groups: int, task: str, seed: int) -> Floats:
     """Return bootstrap weights of the clusters of a linkage task, (B, C).
 
-    Clusters that the run's scenes have as well are drawn as they are there; the others are drawn
-    among themselves. `drawn_as`, (C,), is the place of each among the `n_groups` clusters of the
-    run's scenes, or -1.
+    Clusters that the run's scenes have as well are drawn as they are there; the others
+    are drawn among themselves. `drawn_as`, (C,), is the place of each among the
+    `n_groups` clusters of the run's scenes, or -1.
     """
-    # Cluster by cluster: so a product with sums in each cluster need not be laid out anew.
+    # Cluster by cluster: so a product with sums in each cluster need not be laid out
+    # anew.
     weights = np.empty((N_REPLICATES, drawn_as.size), order="F")
     again, further = np.flatnonzero(drawn_as >= 0), np.flatnonzero(drawn_as < 0)
     if again.size:
-        drawn = cluster_weights(n_clusters=n_groups, n_replicates=N_REPLICATES, seed=seed)
+        drawn = cluster_weights(
+            n_clusters=n_groups, n_replicates=N_REPLICATES, seed=seed
+        )
         weights[:, again] = drawn[:, drawn_as[again]]
     if further.size:
         rng = stream(seed, "bootstrap", "linkage", task)
@@ -193,24 +231,30 @@ def linkage_weights(drawn_as: Ints, *, n_groups: int, task: str, seed: int) -> F
     return read_only(weights)
 
 
-def _sensed(sessions: Sessions, side: str, *, stages: StageSettings, seed: int) -> Sensed:
+def _sensed(
+    sessions: Sessions, side: str, *, stages: StageSettings, seed: int
+) -> Sensed:
     """Return what the network senses of one side; every window draws from its own streams.
 
-    What lasts of the channel is of the walk and its time: one before and after a gap, another one
-    when the steps are logged again or people are back.
+    What lasts of the channel is of the walk and its time: one before and after a gap,
+    another one when the steps are logged again or people are back.
     """
     windows, task = getattr(sessions, side), sessions.task
     keys, sensed_walks = list[tuple[str | int, ...]](), list[tuple[str | int, ...]]()
     for person, search in zip(windows.person, windows.search, strict=True):
         source = sessions.source[person]
         own = ("linkage", task.family, side, source)
-        # The number of a closed search is a half, which may change with who else is there.
+        # The number of a closed search is a half, which may change with who else is
+        # there.
         keys.append((*own, sessions.searches[search]) if task.is_open else own)
         sensed_walks.append(recorded_walk(source) if task.is_one_time else own)
     walked_m = windows.walked_m
     if walked_m is None:
         walked_m = walked_within(windows.xy, windows.offsets)
-    names = [("person", one, *(() if task.is_one_walk else (side,))) for one in sessions.source]
+    names = [
+        ("person", one, *(() if task.is_one_walk else (side,)))
+        for one in sessions.source
+    ]
     walks = np.concatenate([walk_numbers(*one, n_walks=1, seed=seed) for one in names])
     return sense(
         t=windows.t,
@@ -233,12 +277,16 @@ def _frames(sessions: Sessions, side: str, *, seed: int) -> Frame:
     """Return the frames of one side: those of a walk are its own, whoever else is there."""
     windows = getattr(sessions, side)
     names = ("frames", "linkage", sessions.task.family, side)
-    draws = [stream(seed, *names, sessions.source[person]).random(4) for person in windows.person]
+    draws = [
+        stream(seed, *names, sessions.source[person]).random(4)
+        for person in windows.person
+    ]
     drawn = np.reshape(draws, (-1, 4))
     angle = 2.0 * np.pi * drawn[:, 0]
     return Frame(
         turn=np.cos(angle) + 1j * np.sin(angle),
         shift_m=FAR_M * (2.0 * drawn[:, 1:3] - 1.0).view(np.complex128)[:, 0],
-        # From the start of each window: a recording may last longer than the draw reaches.
+        # From the start of each window: a recording may last longer than the draw
+        # reaches.
         clock_s=LONG_S * drawn[:, 3] - windows.t[windows.offsets[:-1]],
     )

@@ -1,8 +1,8 @@
 """The stages of linkage: how well each adversary links at one mechanism level of a task.
 
-An attack that learns does so on people of the other half, and prepares anew for every mechanism
-level. Beside the attacks a cell has a row for every window, of what it gives away by itself: what a
-person's linkability is compared with.
+An attack that learns does so on people of the other half, and prepares anew for every
+mechanism level. Beside the attacks a cell has a row for every window, of what it gives
+away by itself: what a person's linkability is compared with.
 """
 
 from __future__ import annotations
@@ -20,7 +20,13 @@ from attacks.remembered import part, reconstructed_from
 from attacks.tasks.controls import CONTROLS, closeness
 from evaluation.cells import sharing
 from evaluation.cells.candidates import AT_ONCE, CHECKED, among_candidates, first_stage
-from evaluation.cells.link_scores import Linked, calibrated, matched_pairs, read_off, score_scale
+from evaluation.cells.link_scores import (
+    Linked,
+    calibrated,
+    matched_pairs,
+    read_off,
+    score_scale,
+)
 from evaluation.cells.link_setup import SIDES, Pairing, SensedSessions
 from evaluation.cells.sharing import declared, reconstructed, showing
 from evaluation.cells.tables import (
@@ -38,7 +44,12 @@ from isac_track import privacy
 from isac_track.errors import DataError, PluginError
 from isac_track.kalman import Batch
 from isac_track.model_world import START_STD_M, Motion, errors_of, log_ratios
-from isac_track.protocols import AttackContext, LinkageAttack, LinkageTrainingSet, TrainingSet
+from isac_track.protocols import (
+    AttackContext,
+    LinkageAttack,
+    LinkageTrainingSet,
+    TrainingSet,
+)
 from isac_track.rng import stream
 from isac_track.types import Floats, Knowledge, Release, derived
 
@@ -64,14 +75,19 @@ class _Sides:
     """Both releases as some linkers get them, and the windows of each pairing so far."""
 
     both: tuple[Release, ...]
-    std: tuple[Floats | None, ...] = ()  # (M,) m of either, that the reconstruction in front claims
+    std: tuple[
+        Floats | None, ...
+    ] = ()  # (M,) m of either, that the reconstruction in front claims
     found: dict[int, tuple[Release, Release]] = field(default_factory=dict)
 
     def of(self, pairing: Pairing) -> tuple[Release, Release]:
         """Return the windows of a pairing, the same ones every time."""
         if id(pairing) not in self.found:
             probe, gallery = self.both
-            self.found[id(pairing)] = part(probe, pairing.probe), part(gallery, pairing.gallery)
+            self.found[id(pairing)] = (
+                part(probe, pairing.probe),
+                part(gallery, pairing.gallery),
+            )
         return self.found[id(pairing)]
 
 
@@ -81,8 +97,11 @@ class LinkedLevel:
 
     mechanism: Plugin
     whole: SensedSessions
-    known: SensedSessions  # Without the samples that were left out; `whole` if there are none.
-    shared: tuple[Release, ...]  # Of the probe and of the gallery side, in the true frame.
+    # Without the samples that were left out; `whole` if there are none.
+    known: SensedSessions
+    shared: tuple[
+        Release, ...
+    ]  # Of the probe and of the gallery side, in the true frame.
     blind: _Sides  # The same in the frames of the adversary,
     seen: _Sides  # and with the declared standard deviations.
     sides: dict[tuple[object, ...], _Sides] = field(default_factory=dict)
@@ -113,7 +132,9 @@ def linked_level(mechanism: Plugin, whole: SensedSessions) -> LinkedLevel:
     family = whole.sessions.task.family
     known, shared, seen = whole, [], list[Release]()
     for number, (side, network) in enumerate(zip(SIDES, whole.sensed, strict=True)):
-        release = sharing.share(mechanism, network, "linkage", family, side, seed=whole.seed)
+        release = sharing.share(
+            mechanism, network, "linkage", family, side, seed=whole.seed
+        )
         left = sharing.samples_shared(release, network)
         if left is not None:
             windows = sharing.restricted(getattr(whole.sessions, side), left)
@@ -123,12 +144,16 @@ def linked_level(mechanism: Plugin, whole: SensedSessions) -> LinkedLevel:
             release = whole.frames[number].of(release.offsets).release(release)
         seen.append(release)
     blind = _Sides(tuple(one.without_sigma() for one in seen))
-    return LinkedLevel(mechanism, whole, known, tuple(shared), blind, _Sides(tuple(seen)))
+    return LinkedLevel(
+        mechanism, whole, known, tuple(shared), blind, _Sides(tuple(seen))
+    )
 
 
 def sees_times_alone(consumer: Consumer, level: LinkedLevel) -> bool:
     """Whether a consumer is a control that is alike at every level that leaves nothing out."""
-    is_control = consumer.kind == "control" and CONTROLS[consumer.control].sees_times_only
+    is_control = (
+        consumer.kind == "control" and CONTROLS[consumer.control].sees_times_only
+    )
     return is_control and level.known is level.whole
 
 
@@ -168,15 +193,18 @@ def link(consumer: Consumer, level: LinkedLevel) -> Linked:
                     scores[number], scale=scale, mate_rate=half.mate_rate
                 )
     name = consumer.spec, consumer.knowledge
-    return read_off(scores, known=known, calibration=calibration, matched=matched, drawn_from=name)
+    return read_off(
+        scores, known=known, calibration=calibration, matched=matched, drawn_from=name
+    )
 
 
 def bound(level: LinkedLevel, motion: Motion | None) -> Linked:
     """Return what the likelihood ratio of pairs links where people walk as a motion says.
 
-    It is told the motion, the variance of every sample and how lags are distributed: nobody who
-    looks at one probe at a time links more of them, in expectation, where errors are Gaussian.
-    PluginError for a mechanism whose errors are not white and of known laws.
+    It is told the motion, the variance of every sample and how lags are distributed:
+    nobody who looks at one probe at a time links more of them, in expectation, where
+    errors are Gaussian. PluginError for a mechanism whose errors are not white and of
+    known laws.
     """
     assert motion is not None
     known, batches, (lags_s, weight) = level.known, [], _lags(level.known.sessions)
@@ -192,7 +220,9 @@ def bound(level: LinkedLevel, motion: Motion | None) -> Linked:
         walks = []
         for side, (release, variance) in zip(SIDES, batches, strict=True):
             samples = sharing.samples_of(release.offsets, getattr(pairing, side))
-            t, xy, var = (one[samples.rows] for one in (release.t, release.xy, variance))
+            t, xy, var = (
+                one[samples.rows] for one in (release.t, release.xy, variance)
+            )
             walks.append(Batch(t, xy, var, samples.offsets, prior))
         scores[number] = log_ratios(*walks, motion=motion, lags_s=lags_s, weight=weight)
     return read_off(scores, known=known, drawn_from=(BOUND,))
@@ -205,7 +235,10 @@ def _lags(sessions: Sessions) -> tuple[Floats, Floats]:
     lag_s = starts[1][sessions.mate[mated]] - starts[0][mated]
     most = int(np.ceil(np.abs(lag_s).max(initial=0.0) / _LAG_STEP_S)) + _LAG_WIDTH
     lags_s = np.arange(-most, most + 1, dtype=np.float64) * _LAG_STEP_S
-    away_s, width_s = lags_s[:, None] - np.concatenate([lag_s, -lag_s]), _LAG_WIDTH * _LAG_STEP_S
+    away_s, width_s = (
+        lags_s[:, None] - np.concatenate([lag_s, -lag_s]),
+        _LAG_WIDTH * _LAG_STEP_S,
+    )
     weight = np.maximum(1.0 - np.abs(away_s) / width_s, 0.0).sum(axis=1) + _LEAST_WEIGHT
     return lags_s, weight / weight.sum()
 
@@ -221,7 +254,9 @@ def _approximated(consumer: Consumer, level: LinkedLevel) -> Linked:
                 score,
                 *sides.of(pairing),
                 mate=pairing.mate,
-                first=_untaught(first_stage(known.sessions.task), level, sides, pairing),
+                first=_untaught(
+                    first_stage(known.sessions.task), level, sides, pairing
+                ),
                 n_candidates=known.candidates,
                 n_checked=-(-CHECKED // len(known.searches)),
                 n_at_once=AT_ONCE if consumer.is_built_in else 1,
@@ -232,7 +267,9 @@ def _approximated(consumer: Consumer, level: LinkedLevel) -> Linked:
     return read_off(scores, known=known, drawn_from=name, losses=losses)
 
 
-def _untaught(attack: LinkageAttack, level: LinkedLevel, sides: _Sides, pairing: Pairing) -> Floats:
+def _untaught(
+    attack: LinkageAttack, level: LinkedLevel, sides: _Sides, pairing: Pairing
+) -> Floats:
     """Return the scores of a linker of ours that is granted what the task grants to everyone."""
     granted = attack.requires & level.known.sessions.task.everyone
     return attack.fit(level.context(granted, "linkage", "untaught"))(*sides.of(pairing))
@@ -255,7 +292,11 @@ def _controlled(consumer: Consumer, level: LinkedLevel) -> Linked:
         elif score is not None:
             scores[number] = score(*level.seen.of(pairing), rng)
         else:
-            attack = Shape() if not (task.shows_scene or known.candidates) else first_stage(task)
+            attack = (
+                Shape()
+                if not (task.shows_scene or known.candidates)
+                else first_stage(task)
+            )
             real = _untaught(attack, level, level.blind, pairing)
             scores[number] = real[:, rng.permutation(real.shape[1])].astype(np.float64)
     return read_off(scores, known=known, drawn_from=rng, is_audit=control.is_audit)
@@ -274,7 +315,8 @@ def _sides(consumer: Consumer, level: LinkedLevel, fold: int) -> _Sides:
     key = (Knowledge.SIGMA in shows, behind.spec, granted, None if is_alike else fold)
     if key not in level.sides:
         made = _smoothed(consumer, behind, level, fold, shows)
-        # Both folds may have chosen alike: what linkers make of a release is then made once.
+        # Both folds may have chosen alike: what linkers make of a release is then made
+        # once.
         alike = (one for one in level.sides.values() if _are_same(one.both, made.both))
         level.sides[key] = next(alike, made)
     return level.sides[key]
@@ -287,7 +329,11 @@ def _are_same(some: Iterable[Release], others: Iterable[Release]) -> bool:
 
 
 def _smoothed(
-    consumer: Consumer, behind: Plugin, level: LinkedLevel, fold: int, shows: frozenset[Knowledge]
+    consumer: Consumer,
+    behind: Plugin,
+    level: LinkedLevel,
+    fold: int,
+    shows: frozenset[Knowledge],
 ) -> _Sides:
     """Return both releases with the positions that a reconstruction attack makes of them."""
     who, known = f"attack {behind.spec} (behind {consumer.label})", level.known
@@ -295,7 +341,9 @@ def _smoothed(
     sides = level.showing(granted)
     train, rows = None, known.halves[fold].learns.probe
     if rows.size:
-        truth = _true_walks(level, 0)[sharing.samples_of(known.sessions.probe.offsets, rows).rows]
+        truth = _true_walks(level, 0)[
+            sharing.samples_of(known.sessions.probe.offsets, rows).rows
+        ]
         probe, _ = sides.of(known.halves[fold].learns)
         train = TrainingSet(sharing.handed(probe, behind), truth)
     names = ("attacks", behind.spec, "linkage", level.mechanism.spec, fold)
@@ -343,7 +391,12 @@ def _fitted(
 
 
 def scores_of(
-    attack: Callable[..., object], probe: Release, gallery: Release, *, plugin: Plugin, who: str
+    attack: Callable[..., object],
+    probe: Release,
+    gallery: Release,
+    *,
+    plugin: Plugin,
+    who: str,
 ) -> Floats:
     """Return what a fitted linker makes of two releases: (p, g), rounded to float32.
 
@@ -352,7 +405,9 @@ def scores_of(
     shown = [sharing.handed(one, plugin) for one in (probe, gallery)]
     found = sharing.guarded(who, lambda: attack(*shown))
     if np.ma.isMaskedArray(found):
-        raise PluginError(f"{who} must return a score for every pair, got a masked array")
+        raise PluginError(
+            f"{who} must return a score for every pair, got a masked array"
+        )
     scores, expected = np.asarray(found), (len(probe), len(gallery))
     if scores.shape != expected or scores.dtype.kind not in "fiu":
         got = f"{scores.shape} of {scores.dtype}"
@@ -367,18 +422,22 @@ def scores_of(
 def window_tables(consumer: Consumer, level: LinkedLevel) -> Tables:
     """Return the table of a cell of windows: a row for each of both sides, `WINDOW_COLUMNS`.
 
-    `side` (probe or gallery), `search` (a half, or the instant of a handover), `source`, `group`;
-    of what was shared `n_samples`, `sigma_m` (mean declared standard deviation) and `DESCRIPTORS`;
-    of the true walk, alike at all levels, `duration_s` and `speed_mps` (NaN for a window of one
-    sample); after the reconstruction that the consumer stands behind,
-    whatever else is in the run, `ON_TRIAL`: the descriptors, `privacy.alignment_error`, and the
-    mean standard deviation that it claims.
+    `side` (probe or gallery), `search` (a half, or the instant of a handover),
+    `source`, `group`; of what was shared `n_samples`, `sigma_m` (mean declared standard
+    deviation) and `DESCRIPTORS`; of the true walk, alike at all levels, `duration_s`
+    and `speed_mps` (NaN for a window of one sample); after the reconstruction that the
+    consumer stands behind, whatever else is in the run, `ON_TRIAL`: the descriptors,
+    `privacy.alignment_error`, and the mean standard deviation that it claims.
     """
     known, sessions = level.known, level.whole.sessions
     smooth = _sides(consumer, level, 0)
     sides = []
     for number, side in enumerate(SIDES):
-        release, attacked, std = level.shared[number], smooth.both[number].xy, smooth.std[number]
+        release, attacked, std = (
+            level.shared[number],
+            smooth.both[number].xy,
+            smooth.std[number],
+        )
         whole: Windows = getattr(sessions, side)
         assert release.sigma is not None  # `share` refuses what declares none
         truth, walked = getattr(known.sessions, side).xy, _true_walks(level, number)
@@ -396,7 +455,9 @@ def window_tables(consumer: Consumer, level: LinkedLevel) -> Tables:
             *(exposed[name] for name in DESCRIPTORS),
             *(left[name] for name in DESCRIPTORS),
             privacy.alignment_error(xy=attacked, truth=walked, offsets=release.offsets),
-            track_means(np.full(release.t.size, np.nan) if std is None else std, release.offsets),
+            track_means(
+                np.full(release.t.size, np.nan) if std is None else std, release.offsets
+            ),
         )
         sides.append(table(dict(zip(WINDOW_COLUMNS, columns, strict=True))))
     return {ROWS: pa.concat_tables(sides).combine_chunks()}

@@ -31,7 +31,14 @@ _SMOOTHER: Final = (
 )
 _SCORECARD: Final = tuple(
     f"isac_track.linkability._loops:{name}"
-    for name in ("read_scores", "assign", "rank_rows", "mean_shares", "shuffle", "add_shuffles")
+    for name in (
+        "read_scores",
+        "assign",
+        "rank_rows",
+        "mean_shares",
+        "shuffle",
+        "add_shuffles",
+    )
 )
 _BEHIND_SLOW_ERROR: Final = {
     "mechanism": ("isac_track.kalman._error_loops:recursion",),
@@ -55,10 +62,19 @@ _OF_PLUGIN: Final = {
     "gaussian_process": _SMOOTHER,
     "posterior": _SMOOTHER,
     "kinematic": ("attacks.linkage._lag_loop:continued", *_FILTER),
-    "shape": ("attacks.linkage._lag_loop:least_costs", "attacks.linkage._lag_loop:cell_means"),
-    "profile": ("attacks.linkage._lag_loop:least_costs", "attacks.linkage._lag_loop:cell_means"),
+    "shape": (
+        "attacks.linkage._lag_loop:least_costs",
+        "attacks.linkage._lag_loop:cell_means",
+    ),
+    "profile": (
+        "attacks.linkage._lag_loop:least_costs",
+        "attacks.linkage._lag_loop:cell_means",
+    ),
     "dtw": ("attacks.linkage._lag_loop:warp", "attacks.linkage._lag_loop:cell_means"),
-    "histogram": ("attacks.linkage._lag_loop:shared_cells", "attacks.linkage._lag_loop:cell_means"),
+    "histogram": (
+        "attacks.linkage._lag_loop:shared_cells",
+        "attacks.linkage._lag_loop:cell_means",
+    ),
     "likelihood_ratio": (
         "attacks.linkage._ratio_loop:ratios",
         "attacks.linkage._ratio_loop:take_sides",
@@ -107,14 +123,17 @@ def _loops_of_cell(mechanism: Plugin, consumer: Consumer) -> Iterator[str]:
 def prepare_loop(name: str) -> Iterator[str]:
     """Load a loop or compile it, in a process that may be a worker.
 
-    Yields `COMPILING` before a loop that numba's cache lacks, and at the end `COMPILED` if that
-    filled the cache, `LOADED` if not. What goes wrong is left to the first call, which a cell
-    makes: that cell fails by name.
+    Yields `COMPILING` before a loop that numba's cache lacks, and at the end `COMPILED`
+    if that filled the cache, `LOADED` if not. What goes wrong is left to the first
+    call, which a cell makes: that cell fails by name.
     """
     note()
     fills_cache = False
     with contextlib.suppress(Exception):
-        from isac_track.compiling import is_cached, prepared  # noqa: PLC0415 - imports numba
+        from isac_track.compiling import (  # noqa: PLC0415 - imports numba
+            is_cached,
+            prepared,
+        )
 
         if not is_cached(name):
             yield COMPILING

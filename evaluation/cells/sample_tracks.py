@@ -1,6 +1,7 @@
 """A gallery of tracks: where four people walked, what was shared of it, and what was rebuilt.
 
-Cells hold no positions: the run computes these few once, and a redraw finds them in its folder.
+Cells hold no positions: the run computes these few once, and a redraw finds them in its
+folder.
 """
 
 from __future__ import annotations
@@ -44,26 +45,39 @@ def chosen(mechanisms: Sequence[Plugin]) -> list[Plugin]:
 
     raw = [one for one in mechanisms if one.name == "raw"][:1]
     usual = [*raw, *nearest("fid", 0.0), *nearest("fixed", _FIXED_M)]
-    return usual if len(usual) == _MOST_MECHANISMS else list(mechanisms[:_MOST_MECHANISMS])
+    return (
+        usual if len(usual) == _MOST_MECHANISMS else list(mechanisms[:_MOST_MECHANISMS])
+    )
 
 
 def gallery_rows(
-    mechanism: Plugin, *, tracks: Cut, attacks: Sequence[Plugin], stages: StageSettings, seed: int
+    mechanism: Plugin,
+    *,
+    tracks: Cut,
+    attacks: Sequence[Plugin],
+    stages: StageSettings,
+    seed: int,
 ) -> pa.Table:
     """Return the tracks of the run's first scene, as they were, shared and rebuilt.
 
-    The people are those of the first scene, not chosen by how they look. The adversary is blind and
-    uses `radial_rts`, or what the run has instead among `attacks`, its reconstructions. The columns
-    are `COLUMNS`, t in s and positions in m; there is one row for each shared sample. Raises
-    PluginError if a plug-in raises.
+    The people are those of the first scene, not chosen by how they look. The adversary
+    is blind and uses `radial_rts`, or what the run has instead among `attacks`, its
+    reconstructions. The columns are `COLUMNS`, t in s and positions in m; there is one
+    row for each shared sample. Raises PluginError if a plug-in raises.
     """
-    order = track_order(n_tracks=len(tracks), n_scenes=1, agents=stages.scenes.agents, seed=seed)
+    order = track_order(
+        n_tracks=len(tracks), n_scenes=1, agents=stages.scenes.agents, seed=seed
+    )
     scenes = make_scenes(tracks, order=order, first=0, settings=stages, seed=seed)
     sensed = sense_scenes(scenes, settings=stages.sensing, seed=seed)
-    able = [one for one in attacks if one.name != IDENTITY and not one.instance.requires]
+    able = [
+        one for one in attacks if one.name != IDENTITY and not one.instance.requires
+    ]
     able = [one for one in able if not getattr(one.instance, "slow", False)]
     best = min(able, key=lambda one: one.name != "radial_rts", default=None)
-    name, attack = ("radial_rts", RadialRTS()) if best is None else (best.spec, best.instance)
+    name, attack = (
+        ("radial_rts", RadialRTS()) if best is None else (best.spec, best.instance)
+    )
     epsilon_m = stages.privacy.epsilon_m
     release = share(mechanism, sensed, "gallery", seed=seed)
     context = AttackContext(rng=stream(seed, "attack", "gallery"), epsilon_m=epsilon_m)
@@ -80,8 +94,14 @@ def gallery_rows(
         "epsilon_m": np.full(owner.size, epsilon_m),
         "t": release.t - release.t[release.offsets[owner]],
     }
-    for what, xy in (("true", truth), ("shared", release.xy), ("rec", np.asarray(rebuilt.xy))):
-        columns |= {f"{axis}_{what}": np.round(xy[:, i], _DIGITS) for i, axis in enumerate("xy")}
+    for what, xy in (
+        ("true", truth),
+        ("shared", release.xy),
+        ("rec", np.asarray(rebuilt.xy)),
+    ):
+        columns |= {
+            f"{axis}_{what}": np.round(xy[:, i], _DIGITS) for i, axis in enumerate("xy")
+        }
         leaked = leakage_indicator(shared_xy=xy, true_xy=truth, epsilon_m=epsilon_m)
         columns[f"leaked_{what}"] = leaked
     return table(columns).select(COLUMNS)

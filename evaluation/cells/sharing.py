@@ -1,7 +1,8 @@
 """One release of a mechanism, checked: what it holds, and what of it whoever reads it is given.
 
-An adversary gets it as it shows, in a frame and on a clock of its own. What a stranger wrote is
-called by `guarded`: their mistakes are named, and by `copied` their hands are kept off our arrays.
+An adversary gets it as it shows, in a frame and on a clock of its own. What a stranger
+wrote is called by `guarded`: their mistakes are named, and by `copied` their hands are
+kept off our arrays.
 """
 
 from __future__ import annotations
@@ -37,11 +38,28 @@ if TYPE_CHECKING:
     from isac_track.plugins import Plugin
 
 _Batch = TypeVar("_Batch", Release, Scenes, Sensed, Windows)
-OURS = ("isac_track.", "attacks.", "predictors.")  # Where plug-ins come from that are no stranger's
-SHOWS = frozenset({Knowledge.SIGMA, Knowledge.SCENE})  # Knowledge that shows in the release itself.
+OURS = (
+    "isac_track.",
+    "attacks.",
+    "predictors.",
+)  # Where plug-ins come from that are no stranger's
+SHOWS = frozenset(
+    {Knowledge.SIGMA, Knowledge.SCENE}
+)  # Knowledge that shows in the release itself.
 FAR_M = 1000.0
-LONG_S = 86_400.0  # How far off, and how long ago, an adversary's frame and clock may begin.
-_PER_SAMPLE = ("t", "xy", "sigma", "unit_error", "sigma_raw", "information", "fid", "walked_m")
+LONG_S = (
+    86_400.0  # How far off, and how long ago, an adversary's frame and clock may begin.
+)
+_PER_SAMPLE = (
+    "t",
+    "xy",
+    "sigma",
+    "unit_error",
+    "sigma_raw",
+    "information",
+    "fid",
+    "walked_m",
+)
 
 
 class Samples(NamedTuple):
@@ -54,7 +72,8 @@ class Samples(NamedTuple):
 def guarded(who: str, call: Callable[[], Any]) -> Any:  # noqa: ANN401 - whatever a plug-in returns
     """Return what a plug-in's function returns.
 
-    Raises PluginError for whatever it raises, with who it was and where, but for the user's Ctrl-C.
+    Raises PluginError for whatever it raises, with who it was and where, but for the
+    user's Ctrl-C.
     """
     try:
         with np.errstate():  # as it is after the call, whatever was set within
@@ -74,19 +93,24 @@ def handed(batch: _Batch, to: Plugin) -> _Batch:
 def copied(batch: _Batch) -> _Batch:
     """Return a batch in arrays of its own: a stranger may unlock them and write."""
     values = ((one.name, getattr(batch, one.name)) for one in fields(batch))
-    own = {name: value.copy() for name, value in values if isinstance(value, np.ndarray)}
+    own = {
+        name: value.copy() for name, value in values if isinstance(value, np.ndarray)
+    }
     return derived(batch, **own)
 
 
 def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Release:
     """Return what a mechanism shares of what was sensed.
 
-    `key` names the stream. Every mechanism gets the same one: common random numbers. Raises
-    PluginError if the mechanism raises or breaks its contract; the message names it.
+    `key` names the stream. Every mechanism gets the same one: common random numbers.
+    Raises PluginError if the mechanism raises or breaks its contract; the message names
+    it.
     """
     who, limit = f"mechanism {mechanism.spec!r}", f"{SHARED_LIMIT_M:g} m"
     rng = stream(seed, "sharing", *key)
-    release = guarded(who, lambda: mechanism.instance.share(handed(sensed, mechanism), rng))
+    release = guarded(
+        who, lambda: mechanism.instance.share(handed(sensed, mechanism), rng)
+    )
     if not isinstance(release, Release):
         raise PluginError(f"{who} must return a Release, got {type(release).__name__}")
     try:
@@ -94,11 +118,19 @@ def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Rele
     except ValueError as error:
         raise PluginError(f"{who} changed the tracks or their times: {error}") from None
     if not within(release.xy, -SHARED_LIMIT_M, SHARED_LIMIT_M):
-        raise PluginError(f"{who} shared a position that is not within {limit} of the origin")
+        raise PluginError(
+            f"{who} shared a position that is not within {limit} of the origin"
+        )
     if release.sigma is None:
-        raise PluginError(f"{who} declared no sigma: a standard deviation for every sample, in m")
+        raise PluginError(
+            f"{who} declared no sigma: a standard deviation for every sample, in m"
+        )
     if not within(release.sigma, 0.0, SHARED_LIMIT_M):
-        wrong = f"above {limit}, the limit" if (release.sigma >= 0).all() else "below 0 or NaN"
+        wrong = (
+            f"above {limit}, the limit"
+            if (release.sigma >= 0).all()
+            else "below 0 or NaN"
+        )
         raise PluginError(f"{who} declared a sigma {wrong}")
     # Fresh for every release: the common stream gives every mechanism the same ones.
     drawn = stream(seed, "pseudonyms", mechanism.spec, *key).bytes(8 * len(release))
@@ -123,8 +155,9 @@ def samples_shared(release: Release, sensed: Sensed) -> Samples | None:
     strange = np.flatnonzero(sensed.t[place] != release.t)
     if strange.size:
         raise ValueError(
-            f"in track {owner[strange[0]]} nothing was sensed at {release.t[strange[0]]:.12g} s; "
-            "samples may be left out, not moved or added"
+            f"in track {owner[strange[0]]} nothing was sensed at"
+            f" {release.t[strange[0]]:.12g} s; samples may be left out, not moved or"
+            " added"
         )
     return Samples(place, release.offsets)
 
@@ -209,5 +242,7 @@ def reconstructed(
     found = guarded(who, lambda: attack(release))
     if not isinstance(found, Reconstruction) or found.xy.shape != expected:
         got = getattr(getattr(found, "xy", None), "shape", type(found).__name__)
-        raise PluginError(f"{who} must return a Reconstruction with xy {expected}, got {got}")
+        raise PluginError(
+            f"{who} must return a Reconstruction with xy {expected}, got {got}"
+        )
     return found

@@ -14,7 +14,11 @@ from isac_track.types import Floats, Ints, Release, Scenes, Tracks, squared_leng
 Rows: TypeAlias = dict[str, np.ndarray[Any, np.dtype[Any]]]
 Tables: TypeAlias = "dict[str, pa.Table]"
 ROWS: Final = "rows"
-DESCRIPTORS: Final = ("plr", "ael_s", "mel_s")  # Columns of those of a track, or of a window.
+DESCRIPTORS: Final = (
+    "plr",
+    "ael_s",
+    "mel_s",
+)  # Columns of those of a track, or of a window.
 ON_TRIAL: Final = (
     *("plr_attacked", "ael_attacked", "mel_attacked"),
     *("alignment_error", "posterior_std"),
@@ -36,20 +40,27 @@ def rows_table(rows: Rows, *, tracks: Tracks) -> pa.Table:
 
 def table(columns: Mapping[str, Any]) -> pa.Table:
     """Return a table of columns, each as `column` takes it."""
-    return pa.Table.from_arrays([column(one) for one in columns.values()], names=[*columns])
+    return pa.Table.from_arrays(
+        [column(one) for one in columns.values()], names=[*columns]
+    )
 
 
-def column(values: Any) -> pa.Array:  # noqa: ANN401 - an array of either library, or text
+def column(
+    values: Any,  # noqa: ANN401 - an array of either library, or text
+) -> pa.Array:
     """Return an array of numbers or of truth values, or a sequence of text, as a column.
 
-    pyarrow's own ways import pandas, to ask whether it is one of its: 40 MB of every worker.
+    pyarrow's own ways import pandas, to ask whether it is one of its: 40 MB of every
+    worker.
     """
     if isinstance(values, pa.Array):
         return values
     buffers: tuple[Any, ...]
     if isinstance(values, np.ndarray):
         is_bits = values.dtype == np.bool_
-        buffers = (np.packbits(values, bitorder="little") if is_bits else values.copy(),)
+        buffers = (
+            np.packbits(values, bitorder="little") if is_bits else values.copy(),
+        )
         kind = pa.from_numpy_dtype(values.dtype)
     else:
         encoded = [one.encode() for one in values]
@@ -60,7 +71,9 @@ def column(values: Any) -> pa.Array:  # noqa: ANN401 - an array of either librar
 
 def names_column(rows: Ints, names: Sequence[str]) -> pa.Array:
     """Return a column of names, (N,), given by their places in `names`."""
-    return _names_column(np.ascontiguousarray(rows, dtype=np.int64).tobytes(), tuple(names))
+    return _names_column(
+        np.ascontiguousarray(rows, dtype=np.int64).tobytes(), tuple(names)
+    )
 
 
 @lru_cache(maxsize=16)  # once for all cells of a task
@@ -94,7 +107,9 @@ def net_speeds(batch: Tracks | Scenes) -> Floats:
 def descriptors(release: Release, *, truth: Floats, settings: PrivacySettings) -> Rows:
     """Return the columns of `described_rows` of every track; `truth` is (M, 2) m."""
     xy, t, offsets = release.xy, release.t, release.offsets
-    found = privacy.described(xy=xy, truth=truth, t=t, offsets=offsets, settings=settings)
+    found = privacy.described(
+        xy=xy, truth=truth, t=t, offsets=offsets, settings=settings
+    )
     return described_rows(found)
 
 

@@ -29,9 +29,13 @@ if TYPE_CHECKING:
     from isac_track.config import StageSettings
     from isac_track.plugins import Plugin
 
-N_PEOPLE = 12  # At least so many: a plug-in may need some to hide among, or to learn from.
+N_PEOPLE = (
+    12  # At least so many: a plug-in may need some to hide among, or to learn from.
+)
 _SEED = 0
-_MECHANISM = "fixed:0.5"  # Whose release predictors and attacks are called with: it has a sigma.
+_MECHANISM = (  # Whose release predictors and attacks are called with: it has a sigma.
+    "fixed:0.5"
+)
 _GRID_S = 0.1
 
 
@@ -63,7 +67,9 @@ def defined_at(instance: Any) -> str:  # noqa: ANN401 - a stranger's
 
 def code_of(instance: Any) -> CodeType | None:  # noqa: ANN401 - a stranger's
     """Return the code of what a plug-in is called by, if it is Python's."""
-    calls = (getattr(type(instance), name, None) for name in ("share", "predict", "fit"))
+    calls = (
+        getattr(type(instance), name, None) for name in ("share", "predict", "fit")
+    )
     codes = (getattr(call, "__code__", None) for call in calls)
     return next((code for code in codes if isinstance(code, CodeType)), None)
 
@@ -71,17 +77,25 @@ def code_of(instance: Any) -> CodeType | None:  # noqa: ANN401 - a stranger's
 def _call(trial: Trial, stages: StageSettings) -> None:
     tracks = cut(_people(stages), settings=stages, seed=_SEED)
     agents, n_scenes = stages.scenes.agents, -(-N_PEOPLE // stages.scenes.agents)
-    order = track_order(n_tracks=len(tracks), n_scenes=n_scenes, agents=agents, seed=_SEED)
+    order = track_order(
+        n_tracks=len(tracks), n_scenes=n_scenes, agents=agents, seed=_SEED
+    )
     mechanism, consumer = plugins.parse("mechanisms", _MECHANISM)[0], trial.consumer
     if consumer is None or consumer.kind != "linkage":
         level = (trial.plugin, ()) if consumer is None else (mechanism, (consumer,))
-        list(cells(Block(0, 0, order, (level,)), tracks=tracks, stages=stages, seed=_SEED))
+        list(
+            cells(
+                Block(0, 0, order, (level,)), tracks=tracks, stages=stages, seed=_SEED
+            )
+        )
         return
     scenes = make_scenes(tracks, order=order, first=0, settings=stages, seed=_SEED)
     sensed = sense_scenes(scenes, settings=stages.sensing, seed=_SEED)
     # Everybody comes again, and who learns has learnt on the same people.
     plugin, granted = trial.plugin, consumer.granted & sharing.declared(trial.plugin)
-    releases = (sharing.share(mechanism, sensed, "trial", n, seed=_SEED) for n in range(2))
+    releases = (
+        sharing.share(mechanism, sensed, "trial", n, seed=_SEED) for n in range(2)
+    )
     probe, gallery = (sharing.showing(one, granted) for one in releases)
     copies = sharing.copied(probe), sharing.copied(gallery)
     context = AttackContext(
@@ -100,7 +114,9 @@ def _people(stages: StageSettings) -> Tracks:
     """Return people who walk in bows, long enough for their history and their future."""
     scenes, conflict, resample = stages.scenes, stages.conflict, stages.resample
     ahead_s = (conflict.horizon_steps + 2) / resample.rate_min_hz
-    duration_s = 1.1 * max(resample.min_duration_s, ahead_s / (1.0 - scenes.history_ratio))
+    duration_s = 1.1 * max(
+        resample.min_duration_s, ahead_s / (1.0 - scenes.history_ratio)
+    )
     t = np.linspace(0.0, duration_s, 2 + int(duration_s / _GRID_S))
     n = max(N_PEOPLE, scenes.agents)
     rng = stream(_SEED, "trial", "people")
@@ -109,4 +125,6 @@ def _people(stages: StageSettings) -> Tracks:
     radius_m = (speed_mps / turn_radps)[:, None]
     xy = np.stack([radius_m * np.cos(phase), radius_m * np.sin(phase)], axis=2)
     names = tuple(f"person-{number}" for number in range(n))
-    return Tracks(np.tile(t, n), xy.reshape(-1, 2), np.arange(n + 1) * t.size, names, names)
+    return Tracks(
+        np.tile(t, n), xy.reshape(-1, 2), np.arange(n + 1) * t.size, names, names
+    )

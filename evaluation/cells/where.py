@@ -14,7 +14,9 @@ class Failed:
 
     at: tuple[str, ...]  # As noted with `note`; empty if that is not known.
     why: str
-    died: bool = False  # The worker did, and what it was at with it: another try may go well.
+    died: bool = (
+        False  # The worker did, and what it was at with it: another try may go well.
+    )
     is_late: bool = False  # It was ended for the time that it took.
 
 

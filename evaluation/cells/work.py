@@ -1,7 +1,8 @@
 """Pieces of work for one process: levels of a block of scenes, or of a linkage task.
 
-What all levels have in common is made once: walks, unit errors, frames, folds, and what sees no
-more of a level than its times. A level is shared once; all of its consumers read the same release.
+What all levels have in common is made once: walks, unit errors, frames, folds, and what
+sees no more of a level than its times. A level is shared once; all of its consumers
+read the same release.
 """
 
 from __future__ import annotations
@@ -17,7 +18,12 @@ from evaluation.cells.link_scores import linkage_tables
 from evaluation.cells.link_setup import sensed_sessions
 from evaluation.cells.tables import ROWS, Tables, rows_table
 from evaluation.cells.where import Failed, here, note
-from evaluation.experiment.constants import MODEL, OTHER_LAW, OTHER_LAW_WORLD, horizon_of
+from evaluation.experiment.constants import (
+    MODEL,
+    OTHER_LAW,
+    OTHER_LAW_WORLD,
+    horizon_of,
+)
 from evaluation.experiment.fingerprint import OURS
 from isac_track.errors import IsacTrackError, PluginError, told
 from isac_track.scenes import Cut, make_scenes
@@ -62,9 +68,9 @@ def attempt(
 ) -> Iterator[Item | Failed]:
     """Yield `cells` until something fails, and then that (for workers, too).
 
-    A fault of our own fails by name as a plug-in's does: what an odd plug-in brings to light in one
-    cell takes no others along. Raises IsacTrackError for what fails all cells alike: data or
-    settings that do not fit.
+    A fault of our own fails by name as a plug-in's does: what an odd plug-in brings to
+    light in one cell takes no others along. Raises IsacTrackError for what fails all
+    cells alike: data or settings that do not fit.
     """
     try:
         yield from cells(work, tracks=tracks, stages=stages, seed=seed)
@@ -86,9 +92,10 @@ def cells(
 ) -> Iterator[Item]:
     """Yield every cell of a piece of work: its block, mechanism, consumer, and tables.
 
-    Rows of `shared` and of a reconstruction are per track (scene, agent), those of a predictor per
-    scene, those of a linkage task per window or probe. Raises PluginError if a plug-in raises or
-    breaks its contract, which names it, and DataError if an attack has nobody to learn from.
+    Rows of `shared` and of a reconstruction are per track (scene, agent), those of a
+    predictor per scene, those of a linkage task per window or probe. Raises PluginError
+    if a plug-in raises or breaks its contract, which names it, and DataError if an
+    attack has nobody to learn from.
     """
     if OTHER_LAW_WORLD in work.world:
         stages = stages.changed({"sensing.law": OTHER_LAW})
@@ -98,7 +105,9 @@ def cells(
         yield from _of_scenes(work, tracks=tracks, stages=stages, seed=seed)
 
 
-def _linked(work: LinkWork, *, tracks: Cut, stages: StageSettings, seed: int) -> Iterator[Item]:
+def _linked(
+    work: LinkWork, *, tracks: Cut, stages: StageSettings, seed: int
+) -> Iterator[Item]:
     motion = reconstruction.motion_of(tracks) if MODEL in work.world else None
     whole = sensed_sessions(
         work.sessions, groups=work.groups, motion=motion, stages=stages, seed=seed
@@ -113,7 +122,9 @@ def _linked(work: LinkWork, *, tracks: Cut, stages: StageSettings, seed: int) ->
                 before = linkage.who_sees_alike(consumer)
                 for held in (level.sides, level.blind.found, level.seen.found):
                     held.clear()  # and what was made of it goes with it
-                if whole.candidates:  # of thousands of people all that was made of it is gone, too
+                if (
+                    whole.candidates
+                ):  # of thousands of people all that was made of it is gone, too
                     level = linkage.linked_level(mechanism, whole)
             is_same = linkage.sees_times_alone(consumer, level)
             tables = alike.get(consumer.label) if is_same else None
@@ -121,15 +132,22 @@ def _linked(work: LinkWork, *, tracks: Cut, stages: StageSettings, seed: int) ->
                 tables = linkage.window_tables(consumer, level)
             elif tables is None:
                 is_bound = consumer.kind == "linkage" and not consumer.plugins
-                found = linkage.bound(level, motion) if is_bound else linkage.link(consumer, level)
+                found = (
+                    linkage.bound(level, motion)
+                    if is_bound
+                    else linkage.link(consumer, level)
+                )
                 tables = linkage_tables(found, whole, keep_scores=work.keep_scores)
-                del found  # Of thousands of people its scores must not stay beside the next ones.
+                # Of thousands of people its scores must not stay beside the next ones.
+                del found
             if is_same:
                 alike[consumer.label] = tables
             yield 0, mechanism, consumer, tables
 
 
-def _of_scenes(block: Block, *, tracks: Cut, stages: StageSettings, seed: int) -> Iterator[Item]:
+def _of_scenes(
+    block: Block, *, tracks: Cut, stages: StageSettings, seed: int
+) -> Iterator[Item]:
     horizon_s, order, first = horizon_of(block.world), block.order, block.first_scene
     if horizon_s is not None:
         tracks = tracks.further[horizon_s]
@@ -154,15 +172,24 @@ def _of_scenes(block: Block, *, tracks: Cut, stages: StageSettings, seed: int) -
                     left,
                     mechanism=mechanism,
                     stages=stages,
-                    is_logged=horizon_s is None,  # what a robot knows of the past is one for all
+                    is_logged=horizon_s
+                    is None,  # what a robot knows of the past is one for all
                 )
             else:
                 attacked = attacked or reconstruction.attacked_block(
-                    scenes=scenes, sensed=sensed, repeats=Knowledge.REPEATS in granted, **of
+                    scenes=scenes,
+                    sensed=sensed,
+                    repeats=Knowledge.REPEATS in granted,
+                    **of,
                 )
                 attacks = [one for one in consumers if one.kind == "attack"]
                 level = level or reconstruction.attacked_level(
                     mechanism, release, attacked, attacks
                 )
                 rows = reconstruction.attack_rows(consumer, level)
-            yield block.number, mechanism, consumer, {ROWS: rows_table(rows, tracks=tracks)}
+            yield (
+                block.number,
+                mechanism,
+                consumer,
+                {ROWS: rows_table(rows, tracks=tracks)},
+            )

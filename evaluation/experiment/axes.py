@@ -19,7 +19,13 @@ from evaluation.experiment.constants import (
     WORLDS,
     horizon_world,
 )
-from evaluation.experiment.presets import BREAKER, PRESETS, SHARED, UTILITY_PREDICTORS, Preset
+from evaluation.experiment.presets import (
+    BREAKER,
+    PRESETS,
+    SHARED,
+    UTILITY_PREDICTORS,
+    Preset,
+)
 from evaluation.experiment.settings import AXES, Settings
 from isac_track import plugins
 from isac_track.errors import SettingsError, quoted
@@ -29,7 +35,9 @@ from isac_track.protocols import USUAL, grants, kind_of
 from isac_track.types import Knowledge
 
 MOST_DEFAULT_JOBS: Final = 8  # Unless more are asked for: each takes a few hundred MB.
-WORTH_WORKERS: Final = 5000  # Scenes times levels: fewer take less time than workers to start.
+WORTH_WORKERS: Final = (
+    5000  # Scenes times levels: fewer take less time than workers to start.
+)
 WORTH_WORKERS_LINKED: Final = 400  # Linkage cells: the same.
 
 
@@ -37,11 +45,17 @@ WORTH_WORKERS_LINKED: Final = 400  # Linkage cells: the same.
 class Consumer:
     """Who reads a release: a predictor, an adversary, or nobody (the descriptors as shared)."""
 
-    kind: Literal["shared", "predictor", "attack", "bound", "linkage", "control", "windows"]
+    kind: Literal[
+        "shared", "predictor", "attack", "bound", "linkage", "control", "windows"
+    ]
     plugin: Plugin | None = None
-    knowledge: str = ""  # Adversary that the row is named after: blind, informed or oracle.
+    knowledge: str = (
+        ""  # Adversary that the row is named after: blind, informed or oracle.
+    )
     granted: frozenset[Knowledge] = frozenset()
-    task: str = ""  # Of a linkage attack, a control, or the descriptors of what is linked.
+    task: str = (
+        ""  # Of a linkage attack, a control, or the descriptors of what is linked.
+    )
     behind: Plugin | None = None  # Reconstruction that a linkage attack runs behind.
     control: str = ""
     world: str = ""  # Of `WORLDS`; empty: that of the run.
@@ -55,7 +69,11 @@ class Consumer:
     def spec(self) -> str:
         """As in the column `consumer`."""
         own = "@".join(one.spec for one in self.plugins)
-        of_kind = {"control": f"control-{self.control}", "windows": WINDOWS, "bound": BOUND}
+        of_kind = {
+            "control": f"control-{self.control}",
+            "windows": WINDOWS,
+            "bound": BOUND,
+        }
         name = of_kind.get(self.kind, own or (BOUND if self.kind == "linkage" else ""))
         return f"{self.task}/{name}" if self.task else name or SHARED
 
@@ -72,7 +90,9 @@ class Consumer:
     @property
     def is_slow(self) -> bool:
         """Whether it runs on the first release of each source track only."""
-        return self.plugin is not None and bool(getattr(self.plugin.instance, "slow", False))
+        return self.plugin is not None and bool(
+            getattr(self.plugin.instance, "slow", False)
+        )
 
     @property
     def is_built_in(self) -> bool:
@@ -98,10 +118,18 @@ class Axes:
     mechanisms: tuple[Plugin, ...]
     predictors: tuple[Plugin, ...]
     attacks: tuple[Plugin, ...]  # Reconstruction attacks.
-    links: tuple[tuple[Task, Consumer], ...] = ()  # Who links where; who it is, `readers` says.
-    ceiling: Plugin | None = None  # Without any error: every linkage attack must succeed.
-    skipped: Mapping[str, str] = field(default_factory=dict)  # Tasks of too few people, and why.
-    utility: frozenset[str] = frozenset()  # SPECs of predictors that are read in all scenes.
+    links: tuple[
+        tuple[Task, Consumer], ...
+    ] = ()  # Who links where; who it is, `readers` says.
+    ceiling: Plugin | None = (
+        None  # Without any error: every linkage attack must succeed.
+    )
+    skipped: Mapping[str, str] = field(
+        default_factory=dict
+    )  # Tasks of too few people, and why.
+    utility: frozenset[str] = (
+        frozenset()
+    )  # SPECs of predictors that are read in all scenes.
     worlds: Mapping[str, tuple[Plugin, ...]] = field(default_factory=dict)
     """Mechanisms of the scenes that are attacked in another of `WORLDS`, too."""
     slow_in_worlds: bool = False
@@ -122,11 +150,14 @@ class Axes:
     ) -> list[tuple[str, frozenset[Knowledge]]]:
         """Return the adversaries that an attack runs for, with what each is granted.
 
-        The oracle is a reference. A run may leave it out where a lesser adversary can attack.
+        The oracle is a reference. A run may leave it out where a lesser adversary can
+        attack.
         """
         is_left_out = self.skips_oracle and len(granted) > 1
         return [
-            (name, known) for name, known in granted.items() if name != ORACLE or not is_left_out
+            (name, known)
+            for name, known in granted.items()
+            if name != ORACLE or not is_left_out
         ]
 
     @property
@@ -185,7 +216,11 @@ class Axes:
     def linked_mechanisms(self) -> tuple[Plugin, ...]:
         """Return the mechanisms of the linkage tasks: all, and the ceiling."""
         known = {plugin.spec for plugin in self.mechanisms}
-        extra = () if self.ceiling is None or self.ceiling.spec in known else (self.ceiling,)
+        extra = (
+            ()
+            if self.ceiling is None or self.ceiling.spec in known
+            else (self.ceiling,)
+        )
         return (*extra, *self.mechanisms)
 
     @property
@@ -213,27 +248,37 @@ class Axes:
         )
 
 
-def _granted(link: Consumer, task: Task, asked: tuple[str, ...]) -> dict[str, frozenset[Knowledge]]:
+def _granted(
+    link: Consumer, task: Task, asked: tuple[str, ...]
+) -> dict[str, frozenset[Knowledge]]:
     return grants(link, everyone=task.everyone, nobody=task.nobody, asked=asked)
 
 
 @cache
 def windows_of(task: str) -> Consumer:
     """Return who reads what the windows of a task give away by themselves, smoothed or not."""
-    # The smoother is one of ours that knows nothing: the same whatever else is in the run.
-    return Consumer("windows", task=task, behind=plugins.parse("attacks", "radial_rts")[0])
+    # The smoother is one of ours that knows nothing: the same whatever else is in the
+    # run.
+    return Consumer(
+        "windows", task=task, behind=plugins.parse("attacks", "radial_rts")[0]
+    )
 
 
 def axes(settings: Settings) -> Axes:
     """Return the plug-ins of a run, each once.
 
-    Raises SettingsError if a SPEC is wrong, no mechanism is left, or a task and the attacks do not
-    fit, and PluginError if a named plug-in cannot be loaded.
+    Raises SettingsError if a SPEC is wrong, no mechanism is left, or a task and the
+    attacks do not fit, and PluginError if a named plug-in cannot be loaded.
     """
     preset = PRESETS[settings.preset]
     chosen = {axis: settings.choice(axis) for axis in AXES}
-    names = {axis: choice.values(getattr(preset, axis)) for axis, choice in chosen.items()}
-    own_mechanisms, own_attacks = chosen["mechanisms"].replaces, chosen["attacks"].replaces
+    names = {
+        axis: choice.values(getattr(preset, axis)) for axis, choice in chosen.items()
+    }
+    own_mechanisms, own_attacks = (
+        chosen["mechanisms"].replaces,
+        chosen["attacks"].replaces,
+    )
     if not own_mechanisms:
         names["mechanisms"] += preset.protections
     # An attack that is named runs against every mechanism.
@@ -254,7 +299,9 @@ def axes(settings: Settings) -> Axes:
     tasks = tuple(task_named(name) for name in dict.fromkeys(names["tasks"]))
     pairs = _linked(settings, links=links, tasks=tasks)
     if not mechanisms:
-        raise SettingsError("nothing to run: the mechanism axis is empty; name one, such as raw")
+        raise SettingsError(
+            "nothing to run: the mechanism axis is empty; name one, such as raw"
+        )
     _check_laws(mechanisms, law=settings.stages.sensing.law)
     ceiling = plugins.parse("mechanisms", "clean")[0] if pairs else None
     asked_robots = plugins.parse_all("predictors", chosen["predictors"].named)
@@ -262,7 +309,10 @@ def axes(settings: Settings) -> Axes:
     utility |= {plugin.spec for plugin in asked_robots}
     # Who names mechanisms, or a law, has asked for these alone.
     law = settings.stages.sensing.law
-    other = {OTHER_LAW_WORLD: preset.other_law, **dict.fromkeys(WORLDS[1:], preset.model)}
+    other = {
+        OTHER_LAW_WORLD: preset.other_law,
+        **dict.fromkeys(WORLDS[1:], preset.model),
+    }
     worlds = {
         world: tuple(one for one in mechanisms if one.spec in specs)
         for world, specs in other.items()
@@ -278,7 +328,9 @@ def axes(settings: Settings) -> Axes:
         horizons_s=settings.stages.conflict.horizons_s if utility else (),
         worlds=worlds,
         slow_in_worlds=settings.preset == "audit",
-        against_slow=frozenset(one.spec for one in plugins.parse_all("attacks", against_slow)),
+        against_slow=frozenset(
+            one.spec for one in plugins.parse_all("attacks", against_slow)
+        ),
         # One walk, and Gaussian errors: else the best that can be done is not known.
         linked_in={
             world: tuple(one for one in some if one.spec in preset.model_linked)
@@ -289,8 +341,8 @@ def axes(settings: Settings) -> Axes:
     rows = (found.consumers, *map(found.readers, found.tasks))
     for name in sorted({*asked} - {one.knowledge for some in rows for one in some}):
         raise SettingsError(
-            f"adversary {name}: no attack of the run uses its knowledge; name one that does, "
-            f"such as --attack {BREAKER}"
+            f"adversary {name}: no attack of the run uses its knowledge; name one that"
+            f" does, such as --attack {BREAKER}"
         )
     return found
 
@@ -307,8 +359,8 @@ def _check_laws(mechanisms: Iterable[Plugin], *, law: str) -> None:
         own = getattr(plugin.instance, "law", None)
         if plugin.adding == "linear" and isinstance(own, str) and own != law:
             raise SettingsError(
-                f"{quoted(plugin.spec)}: linear adding scales the raw error, whose law is {law}; "
-                f"write adding=independent, or --set sensing.law={own}"
+                f"{quoted(plugin.spec)}: linear adding scales the raw error, whose law"
+                f" is {law}; write adding=independent, or --set sensing.law={own}"
             )
 
 
@@ -339,7 +391,11 @@ def jobs_of(crossed: Axes, settings: Settings) -> int:
 
 def usual_jobs() -> int:
     """Return how many workers a run with enough work starts: a core each, up to a limit."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    cores = (
+        len(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else os.cpu_count()
+    )
     return min(cores or 1, MOST_DEFAULT_JOBS)
 
 
@@ -349,19 +405,25 @@ def _attacks(specs: Iterable[Any]) -> tuple[tuple[Plugin, ...], tuple[Consumer, 
     links: dict[str, Consumer] = {}
     for spec in specs:
         # Who links behind a reconstruction is two plug-ins, and named by SPECs.
-        name, at, behind_spec = spec.partition("@") if isinstance(spec, str) else (spec, "", "")
+        name, at, behind_spec = (
+            spec.partition("@") if isinstance(spec, str) else (spec, "", "")
+        )
         if at and not (name.strip() and behind_spec.strip()):
-            raise SettingsError(f"{spec!r}: expected LINKER@RECONSTRUCTION, as shape@radial_rts")
+            raise SettingsError(
+                f"{spec!r}: expected LINKER@RECONSTRUCTION, as shape@radial_rts"
+            )
         for plugin in plugins.plugins_of("attacks", name):
             links_people = kind_of(plugin.instance) == "linkage"
             if not at and not links_people:
                 attacks[plugin.spec] = plugin
                 continue
             for behind in plugins.parse("attacks", behind_spec) if at else (None,):
-                if behind and (not links_people or kind_of(behind.instance) == "linkage"):
+                if behind and (
+                    not links_people or kind_of(behind.instance) == "linkage"
+                ):
                     raise SettingsError(
-                        f"{spec!r}: write a linkage attack left of @ and a reconstruction attack "
-                        "right of it, as in shape@radial_rts"
+                        f"{spec!r}: write a linkage attack left of @ and a"
+                        " reconstruction attack right of it, as in shape@radial_rts"
                     )
                 link = Consumer("linkage", plugin, behind=behind)
                 links[link.spec] = link
@@ -373,8 +435,9 @@ def _linked(
 ) -> tuple[tuple[Task, Consumer], ...]:
     """Return who links in which task, or where an attack can run at all if none suits it.
 
-    Who needs the true frame links where it shows, the others where it does not, and who needs
-    ``one_stretch`` of a walk, or a gap to bridge (``across_gap``), where there is one.
+    Who needs the true frame links where it shows, the others where it does not, and who
+    needs ``one_stretch`` of a walk, or a gap to bridge (``across_gap``), where there is
+    one.
     """
     chosen: dict[str, list[Task]] = {}
     _, named_links = _attacks(settings.choice("attacks").named)
@@ -382,7 +445,11 @@ def _linked(
     for link in links:
         can = [task for task in tasks if _granted(link, task, settings.adversaries)]
         linker = link.plugins[0].instance
-        suited = [task for task in can if task.shows_scene == (Knowledge.SCENE in linker.requires)]
+        suited = [
+            task
+            for task in can
+            if task.shows_scene == (Knowledge.SCENE in linker.requires)
+        ]
         if getattr(linker, "one_stretch", False):
             suited = [task for task in suited if task.is_one_stretch]
         if getattr(linker, "across_gap", False):
@@ -392,12 +459,16 @@ def _linked(
             needs = ", ".join(sorted(one.name for one in link.requires)) or "a task"
             where = ", ".join(task.name for task in tasks) or "none"
             raise SettingsError(
-                f"attack {link.spec!r} has no task to run in (tasks: {where}); it requires {needs}"
+                f"attack {link.spec!r} has no task to run in (tasks: {where}); it"
+                f" requires {needs}"
             )
     must_link = settings.choice("tasks").named
     for task in tasks:
         if task.name in must_link and not any(task in some for some in chosen.values()):
             raise SettingsError(
-                f"task {task.name} has no attack that can run in it; name one with --attack"
+                f"task {task.name} has no attack that can run in it; name one with"
+                " --attack"
             )
-    return tuple((task, link) for task in tasks for link in links if task in chosen[link.spec])
+    return tuple(
+        (task, link) for task in tasks for link in links if task in chosen[link.spec]
+    )

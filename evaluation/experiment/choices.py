@@ -24,9 +24,9 @@ class Choice:
 def choice_of(given: Iterable[Any] | None, *, axis: str) -> Choice:
     """Return the choice that a list on an axis stands for; None leaves the preset's values.
 
-    A text `+NAME` adds NAME. An object has no text to begin with a +: after `"+"` as the first
-    entry all others are added. SettingsError if values that add stand beside values that replace,
-    or if a + has nothing to add.
+    A text `+NAME` adds NAME. An object has no text to begin with a +: after `"+"` as
+    the first entry all others are added. SettingsError if values that add stand beside
+    values that replace, or if a + has nothing to add.
 
     >>> choice_of(["+my_attack"], axis="attacks")
     Choice(named=('my_attack',), replaces=False)
@@ -43,11 +43,13 @@ def choice_of(given: Iterable[Any] | None, *, axis: str) -> Choice:
         if plain:
             added = next(value for value in values if _adds(value))
             raise SettingsError(
-                f"{axis}: {quoted(added)} adds to the preset's and {quoted(plain[0])} replaces "
-                "them; write + before each, or before none"
+                f"{axis}: {quoted(added)} adds to the preset's and {quoted(plain[0])}"
+                " replaces them; write + before each, or before none"
             )
         named = tuple(_without_plus(value) for value in values)
-    nothing = [value for value in named if isinstance(value, str) and value in ("", "none")]
+    nothing = [
+        value for value in named if isinstance(value, str) and value in ("", "none")
+    ]
     if nothing or not named:
         raise SettingsError(f"{axis}: a + is followed by what it adds, as +NAME")
     return Choice(named)

@@ -19,10 +19,23 @@ if TYPE_CHECKING:
     from evaluation.experiment.axes import Axes, Consumer
     from isac_track.plugins import Plugin
 
-SHARING, RECONSTRUCTION = "sharing", "reconstruction"  # Stages of scenes; others: linkage tasks.
-OURS: Final = ("isac_track", "predictors", "attacks", "evaluation")  # The packages of the project.
+SHARING, RECONSTRUCTION = (
+    "sharing",
+    "reconstruction",
+)  # Stages of scenes; others: linkage tasks.
+OURS: Final = (
+    "isac_track",
+    "predictors",
+    "attacks",
+    "evaluation",
+)  # The packages of the project.
 _COMMON: Final = (
-    *("isac_track.datasets", "isac_track.place", "isac_track.scenes", "isac_track.sensing"),
+    *(
+        "isac_track.datasets",
+        "isac_track.place",
+        "isac_track.scenes",
+        "isac_track.sensing",
+    ),
     *("evaluation.cells.sharing", "evaluation.cells.tables"),
 )
 """Where the releases of every unit of work come from, and what its file holds."""
@@ -43,8 +56,16 @@ def code_hash() -> str:
     """Return a digest of all installed source that cells may come from, which tells runs apart."""
     whole = hashlib.sha256()
     root = Path(isac_track.__file__).parent.parent
-    folders = ("isac_track", "predictors", "attacks", "evaluation/experiment", "evaluation/cells")
-    for path in sorted(path for name in folders for path in (root / name).rglob("*.py")):
+    folders = (
+        "isac_track",
+        "predictors",
+        "attacks",
+        "evaluation/experiment",
+        "evaluation/cells",
+    )
+    for path in sorted(
+        path for name in folders for path in (root / name).rglob("*.py")
+    ):
         name = path.relative_to(root).as_posix()
         if not _COMPUTES_NOTHING.fullmatch(name.removesuffix(".py").replace("/", ".")):
             whole.update(name.encode() + b"\0" + path.read_bytes())
@@ -67,8 +88,8 @@ def has_strangers(crossed: Axes) -> bool:
 def strangers_in(crossed: Axes) -> dict[str, list[str]]:
     """Return what is not built in by axis, as the columns of the results call it; only if any.
 
-    Of mechanisms these are names without the level; a linker behind a reconstruction counts as
-    soon as one of both is not built in.
+    Of mechanisms these are names without the level; a linker behind a reconstruction
+    counts as soon as one of both is not built in.
     """
     links = dict.fromkeys(link for _, link in crossed.links)
     strange = {
@@ -93,7 +114,10 @@ def consumer_key(consumer: Consumer, *, code: Iterable[str], keep_scores: bool) 
     has_scores = keep_scores and consumer.kind in {"linkage", "control"}
     content = [
         consumer.spec,
-        [[one.spec, one.origin, *filter(None, [one.digest])] for one in consumer.plugins],
+        [
+            [one.spec, one.origin, *filter(None, [one.digest])]
+            for one in consumer.plugins
+        ],
         consumer.knowledge,
         sorted(one.name for one in consumer.granted),
         *code,
@@ -111,10 +135,11 @@ def digest(content: object) -> str:
 def source_digest(module: str) -> str:
     """Return the sha256 of a module and of all that it imports from beside itself.
 
-    That is its own top-level package and, unless it was installed, whatever stands in the same
-    folder as that; the project's own packages are one. Imports are read, not run, the lazy ones
-    too; those for types alone do not count, and those that are composed at run time are not seen.
-    A module without a file, such as `__main__`, has the digest of nothing.
+    That is its own top-level package and, unless it was installed, whatever stands in
+    the same folder as that; the project's own packages are one. Imports are read, not
+    run, the lazy ones too; those for types alone do not count, and those that are
+    composed at run time are not seen. A module without a file, such as `__main__`, has
+    the digest of nothing.
     """
     root, tops = _where(module)
     known: dict[str, bytes] = {}
@@ -125,7 +150,10 @@ def source_digest(module: str) -> str:
         if found is not None:
             known[name], is_package = found
             around = name.rpartition(".")[0]  # packages around it run first
-            names += [*_imported(known[name], package=name if is_package else around), around]
+            names += [
+                *_imported(known[name], package=name if is_package else around),
+                around,
+            ]
     whole = hashlib.sha256()
     for name, source in sorted(known.items()):
         whole.update(name.encode() + b"\0" + hashlib.sha256(source).digest())
@@ -149,10 +177,14 @@ def _where(module: str) -> tuple[Path | None, tuple[str, ...]]:
     root = path.parents[module.count(".") + (path.name == "__init__.py")]
     if top in OURS:
         return root, OURS
-    return root, (top,) if root in {Path(one) for one in sysconfig.get_paths().values()} else ()
+    return root, (
+        (top,) if root in {Path(one) for one in sysconfig.get_paths().values()} else ()
+    )
 
 
-def _read(name: str, *, root: Path | None, tops: tuple[str, ...]) -> tuple[bytes, bool] | None:
+def _read(
+    name: str, *, root: Path | None, tops: tuple[str, ...]
+) -> tuple[bytes, bool] | None:
     is_strange = tops and name.partition(".")[0] not in tops
     if root is None or not name or is_strange or _COMPUTES_NOTHING.fullmatch(name):
         return None
@@ -177,12 +209,19 @@ def _imported(source: bytes, *, package: str) -> tuple[str, ...]:
             names += (one.name for one in node.names)
         elif isinstance(node, ast.ImportFrom):
             above = package.split(".")[: len(package.split(".")) - node.level + 1]
-            base = ".".join([*(above if node.level else []), *filter(None, [node.module])])
-            names += (base, *(f"{base}.{one.name}" if base else one.name for one in node.names))
+            base = ".".join(
+                [*(above if node.level else []), *filter(None, [node.module])]
+            )
+            names += (
+                base,
+                *(f"{base}.{one.name}" if base else one.name for one in node.names),
+            )
         elif isinstance(node, ast.Constant):
             if isinstance(node.value, str) and _MODULE.fullmatch(node.value):
                 names.append(node.value.partition(":")[0])  # for import_module
-        elif isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
+        elif isinstance(node, ast.If) and ast.unparse(node.test).endswith(
+            "TYPE_CHECKING"
+        ):
             nodes += node.orelse
         else:
             nodes += ast.iter_child_nodes(node)

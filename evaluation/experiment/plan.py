@@ -24,7 +24,12 @@ from isac_track.plugins import Plugin
 from isac_track.scenes import Cut, cut, with_horizons
 from isac_track.types import Tracks
 
-_ASKED = ("columns", "on_duplicate", "crs", "drop_frozen")  # Of the identity where they are given.
+_ASKED = (
+    "columns",
+    "on_duplicate",
+    "crs",
+    "drop_frozen",
+)  # Of the identity where they are given.
 _HOW_TO_READ = ("format", "fps", "unit", "sessions", "persistent_ids", *_ASKED)
 
 
@@ -47,7 +52,9 @@ class Unit:
     @property
     def file(self) -> str:
         """Name of the file that all of its consumers are written to at once."""
-        slug = re.sub(r"[^A-Za-z0-9.=]+", "-", f"{self.mechanism.spec}_{self.stage}")[:80]
+        slug = re.sub(r"[^A-Za-z0-9.=]+", "-", f"{self.mechanism.spec}_{self.stage}")[
+            :80
+        ]
         digest = fingerprint.digest([self.key, *self.consumers])
         return f"{slug}_{self.block:05d}_{digest}.parquet"
 
@@ -79,7 +86,9 @@ class Plan:
     def pairs(self) -> tuple[tuple[Plugin, Consumer], ...]:
         """Every mechanism with each of its consumers."""
         first = (unit for unit in self.units if unit.block == 0)
-        return tuple((unit.mechanism, one) for unit in first for one in unit.consumers.values())
+        return tuple(
+            (unit.mechanism, one) for unit in first for one in unit.consumers.values()
+        )
 
 
 def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
@@ -117,7 +126,9 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     is_apart = settings.cell_timeout_s is not None or settings.scheduler is not None
     if is_apart or jobs > 1 or fingerprint.has_strangers(crossed):
         _check_sendable(units)
-    most = min(PRESETS[settings.preset].model_people, settings.stages.linkage.most_people)
+    most = min(
+        PRESETS[settings.preset].model_people, settings.stages.linkage.most_people
+    )
     few = settings.stages.changed({"linkage.most_people": most})
     out = Path("runs") / f"{dataset.name}-{settings.preset}-{settings.seed}"
     return Plan(
@@ -146,7 +157,9 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
 def _identity(settings: Settings, dataset: Dataset) -> dict[str, Any]:
     """Return what all cells of a run depend on; a folder takes cells of one identity alone."""
     # One task always uses the bundled crowd.
-    bundled = b"".join(crowd.bundled_path(session).read_bytes() for session in crowd.FILES)
+    bundled = b"".join(
+        crowd.bundled_path(session).read_bytes() for session in crowd.FILES
+    )
     identity: dict[str, Any] = {
         "dataset": dataset.name,
         "sha256": dataset.sha256,
@@ -174,12 +187,16 @@ def _identity(settings: Settings, dataset: Dataset) -> dict[str, Any]:
 def trial(ready: Plan, *, specs: Iterable[str]) -> Plan:
     """Return a plan that tries the preset's breakers on some levels of a run, in its folder.
 
-    Its cells are those of the same run with `--adversary` and `--attack ou_rts`: keyed alike. No
-    units without levels, or where attacks were named.
+    Its cells are those of the same run with `--adversary` and `--attack ou_rts`: keyed
+    alike. No units without levels, or where attacks were named.
     """
     settings, wanted = ready.settings, set(specs)
-    breakers = () if settings.choice("attacks").replaces else PRESETS[settings.preset].breakers
-    some = tuple(level for level in ready.axes.mechanisms if level.spec in wanted and breakers)
+    breakers = (
+        () if settings.choice("attacks").replaces else PRESETS[settings.preset].breakers
+    )
+    some = tuple(
+        level for level in ready.axes.mechanisms if level.spec in wanted and breakers
+    )
     attacks = (plugins.parse("attacks", BREAKER)[0],)
     crossed = Axes(some, (), attacks, adversaries=breakers, trial=True)
     units, code_of = _units(crossed, settings, identity=ready.identity)
@@ -190,14 +207,17 @@ def asked_of_file(settings: Settings) -> dict[str, Any]:
     """Return what a user says of a file that is not as usual."""
     usual = Settings()
     asked = {name: getattr(settings, name) for name in _ASKED}
-    return {name: value for name, value in asked.items() if value != getattr(usual, name)}
+    return {
+        name: value for name, value in asked.items() if value != getattr(usual, name)
+    }
 
 
 def _check_patrols(settings: Settings) -> None:
     """Raise SettingsError for settings of patrols: a run does not read them."""
     if settings.stages.patrol != PatrolSettings():
         raise SettingsError(
-            "patrol.* settings change nothing in a run: examples/need_to_know.py reads them"
+            "patrol.* settings change nothing in a run: examples/need_to_know.py reads"
+            " them"
         )
 
 
@@ -220,8 +240,14 @@ def _units(
     for mechanisms, consumers, blocks in (
         (crossed.mechanisms, crossed.consumers, attacked),
         (crossed.mechanisms, utility, every[len(attacked) :]),
-        *((crossed.linked_mechanisms, crossed.readers(task), (0,)) for task in crossed.tasks),
-        *((some, crossed.consumers_in(world), attacked) for world, some in crossed.worlds.items()),
+        *(
+            (crossed.linked_mechanisms, crossed.readers(task), (0,))
+            for task in crossed.tasks
+        ),
+        *(
+            (some, crossed.consumers_in(world), attacked)
+            for world, some in crossed.worlds.items()
+        ),
         *(
             (crossed.mechanisms, crossed.robots_at(horizon_s), every)
             for horizon_s in crossed.horizons_s
@@ -236,7 +262,9 @@ def _units(
         by_stage: dict[str, dict[str, Consumer]] = {}
         for consumer in consumers:
             own = code("", *consumer.plugins).values()
-            key = fingerprint.consumer_key(consumer, code=own, keep_scores=settings.keep_scores)
+            key = fingerprint.consumer_key(
+                consumer, code=own, keep_scores=settings.keep_scores
+            )
             is_rebuilt = consumer.kind in {"attack", "bound"}
             of_block = fingerprint.RECONSTRUCTION if is_rebuilt else fingerprint.SHARING
             by_stage.setdefault(consumer.task or of_block, {})[key] = consumer
@@ -244,10 +272,16 @@ def _units(
             about = [BLOCK_SCENES, mechanism.spec, mechanism.origin]
             about += filter(None, [mechanism.digest])
             for stage, of_stage in by_stage.items():
-                met = {key: one for key, one in of_stage.items() if crossed.meets(one, mechanism)}
+                met = {
+                    key: one
+                    for key, one in of_stage.items()
+                    if crossed.meets(one, mechanism)
+                }
                 made_by = code(stage, mechanism)
                 for block in blocks if met else ():
-                    key = fingerprint.digest([identity, stage, block, *about, *made_by.values()])
+                    key = fingerprint.digest(
+                        [identity, stage, block, *about, *made_by.values()]
+                    )
                     units.append(Unit(stage, block, mechanism, key, made_by, met))
     return tuple(units), known
 
@@ -256,7 +290,11 @@ def _check_sendable(units: Iterable[Unit]) -> None:
     """Raise PluginError for a plug-in that no other process can be given."""
     from cloudpickle import dumps  # noqa: PLC0415 - only with workers
 
-    whose = ((unit.mechanism, *of.plugins) for unit in units for of in unit.consumers.values())
+    whose = (
+        (unit.mechanism, *of.plugins)
+        for unit in units
+        for of in unit.consumers.values()
+    )
     for plugin in {one.spec: one for some in whose for one in some}.values():
         try:
             dumps(plugin)

@@ -5,7 +5,15 @@ from dataclasses import dataclass, replace
 from attacks.tasks.task_list import TASKS
 from evaluation.experiment.constants import IDENTITY, SHARED
 
-__all__ = ["BREAKER", "DISSOCIATION", "IDENTITY", "PRESETS", "PROTECTIONS", "SHARED", "Preset"]
+__all__ = [
+    "BREAKER",
+    "DISSOCIATION",
+    "IDENTITY",
+    "PRESETS",
+    "PROTECTIONS",
+    "SHARED",
+    "Preset",
+]
 __all__ += ["BASELINE", "DEFAULT", "UTILITY_PREDICTORS"]
 
 
@@ -14,45 +22,68 @@ class Preset:
     """Axes that a name stands for."""
 
     scenes: int  # Attacked ones.
-    utility_scenes: int  # All: after the attacked ones those where the robot alone is looked at.
+    utility_scenes: (
+        int  # All: after the attacked ones those where the robot alone is looked at.
+    )
     mechanisms: tuple[str, ...]
     predictors: tuple[str, ...]
     attacks: tuple[str, ...]
     tasks: tuple[str, ...]
     summary: str
-    protections: tuple[str, ...] = ()  # Further mechanisms, beside the panel of the verdict.
+    protections: tuple[
+        str, ...
+    ] = ()  # Further mechanisms, beside the panel of the verdict.
     against_slow: tuple[str, ...] = ()
     """Further attacks, only where the error changes slowly: elsewhere they are others' equals."""
     # Mechanisms that are computed elsewhere, too:
-    other_law: tuple[str, ...] = ()  # shared, foreseen and reconstructed under `OTHER_LAW`;
-    model: tuple[str, ...] = ()  # reconstructed on walks of the fitted motion, under both laws;
-    model_linked: tuple[str, ...] = ()  # of these, linked there, where errors are Gaussian.
+    other_law: tuple[
+        str, ...
+    ] = ()  # shared, foreseen and reconstructed under `OTHER_LAW`;
+    model: tuple[
+        str, ...
+    ] = ()  # reconstructed on walks of the fitted motion, under both laws;
+    model_linked: tuple[
+        str, ...
+    ] = ()  # of these, linked there, where errors are Gaussian.
     # Adversaries who know more, tried on the levels that would be proposed:
     breakers: tuple[str, ...] = ()
     adversaries: tuple[str, ...] = ()  # The same, tried on every level from the start.
     skips_oracle: bool = False
     """Whether the oracle, a reference, attacks only where no lesser adversary can."""
-    model_people: int = 100  # Of a task at most, there: the optimum takes all pairs and lags.
+    model_people: int = (
+        100  # Of a task at most, there: the optimum takes all pairs and lags.
+    )
 
 
 SMOKE_LEVELS = ("raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1")
 """Those that the paper gives numbers for."""
-_BOTH_RULES = (*SMOKE_LEVELS, *(f"{one},adding=independent" for one in SMOKE_LEVELS[1:]))
+_BOTH_RULES = (
+    *SMOKE_LEVELS,
+    *(f"{one},adding=independent" for one in SMOKE_LEVELS[1:]),
+)
 _AXES = ("fid:1..1000/10", "fid:1e4", "fid:1e5", "fid:1e6", "fixed:0.1..1/10")
 _SWEEP = ("raw", *_AXES, *(f"{axis},adding=independent" for axis in _AXES))
-# What moves the descriptors and what can be linked apart from each other. The levels were chosen by
-# PLR, AEL and MEL as shared alone, before anything was linked: those of correlated and offset lie
-# within the range from raw to fixed:1 (offset:0.4 does not). Thinned, a sample stands for longer.
+# What moves the descriptors and what can be linked apart from each other. The levels
+# were chosen by PLR, AEL and MEL as shared alone, before anything was linked: those of
+# correlated and offset lie within the range from raw to fixed:1 (offset:0.4 does not).
+# Thinned, a sample stands for longer.
 DISSOCIATION = (
     *("correlated:0.75", "correlated:0.75,adding=independent", "offset:0.3"),
     *("thin:4", "thin:4,d_sigma=0.75", "thin:4,d_sigma=0.75,adding=independent"),
 )
 """Controls of the question whether a descriptor tells how linkable people are."""
-PROTECTIONS = ("ou:0.2", "ou:0.4", "laplace:1", "fixed:1,adding=independent,law=isotropic")
+PROTECTIONS = (
+    "ou:0.2",
+    "ou:0.4",
+    "laplace:1",
+    "fixed:1,adding=independent,law=isotropic",
+)
 """What may survive a filter, and the white noise that it is held against."""
 _LEVELS = {
-    ("fixed", ",adding=independent,law=isotropic"): "0.1 0.3 0.45 0.6 0.75 0.9 0.97 1.05 1.12 1.2 "
-    "1.4 1.6",
+    (
+        "fixed",
+        ",adding=independent,law=isotropic",
+    ): "0.1 0.3 0.45 0.6 0.75 0.9 0.97 1.05 1.12 1.2 1.4 1.6",
     ("ou", ""): "0.08 0.14 0.18 0.22 0.26 0.28 0.3 0.32 0.34 0.36 0.38 0.42 0.46",
     ("ou", ",tau_s=1"): "0.1 0.2 0.28 0.36 0.42 0.48 0.54 0.6",
     ("ou", ",tau_s=2"): "0.1 0.18 0.24 0.3 0.35 0.4 0.45 0.5",
@@ -69,7 +100,11 @@ _LEVELS = {
 """Between which a Kalman robot's missed conflicts rise by up to 12 points on Students03."""
 _FRONTIER = (
     "raw",
-    *(f"{name}:{at}{more}" for (name, more), levels in _LEVELS.items() for at in levels.split()),
+    *(
+        f"{name}:{at}{more}"
+        for (name, more), levels in _LEVELS.items()
+        for at in levels.split()
+    ),
 )
 _AUDITED = (*_BOTH_RULES, "ou:0.4", "laplace:1")
 BREAKER = "ou_rts"
@@ -88,11 +123,24 @@ _SMOKE = Preset(
     predictors=("least_squares", "kalman_cv", "kalman_ca", "kalman_imm", BASELINE),
     attacks=(
         # All built-in ones but the slow: imm_rts and gaussian_process run when named.
-        *("identity", "moving_average", "savgol", "kalman_rts", "radial_rts", "averaging"),
-        # Every linker as it is, and behind the stronger smoother where that gains more than it
-        # costs. All else runs when named: shape@kalman_rts, dtw@radial_rts.
+        *(
+            "identity",
+            "moving_average",
+            "savgol",
+            "kalman_rts",
+            "radial_rts",
+            "averaging",
+        ),
+        # Every linker as it is, and behind the stronger smoother where that gains more
+        # than it costs. All else runs when named: shape@kalman_rts, dtw@radial_rts.
         *("shape", "shape@radial_rts", "profile", "profile@radial_rts", "dtw"),
-        *("likelihood_ratio", "behaviour", "histogram", "kinematic", "kinematic@radial_rts"),
+        *(
+            "likelihood_ratio",
+            "behaviour",
+            "histogram",
+            "kinematic",
+            "kinematic@radial_rts",
+        ),
         *("mean_distance", "likelihood_ratio:one_to_one=true"),
     ),
     tasks=(*TASKS,),
@@ -109,15 +157,18 @@ _PAPER = replace(
     model=(*SMOKE_LEVELS, "ou:0.4"),
     model_linked=("fid:1",),
     breakers=BREAKERS,
-    summary="2,000 scenes (500 attacked), raw, 13 eta, 10 fixed errors, both rules, 6 controls, "
-    "4 levels of slow, Laplace and white noise",
+    summary=(
+        "2,000 scenes (500 attacked), raw, 13 eta, 10 fixed errors, both rules, 6"
+        " controls, 4 levels of slow, Laplace and white noise"
+    ),
 )
 _PROTECTING = ("ou:0.4", "ou:0.8")
 """Slow noise: the level nearest to a recommendation in `paper`, and a level that qualifies."""
 _QUICK = Preset(
     scenes=250,
     utility_scenes=2000,
-    # Fixed noise on either side of eta 1, so that both can be read at equal missed conflicts.
+    # Fixed noise on either side of eta 1, so that both can be read at equal missed
+    # conflicts.
     mechanisms=(
         *("raw", "fid:1", "fixed:0.7", "fixed:1"),
         *(f"{name},adding=independent" for name in ("fid:1", "fixed:0.7", "fixed:1")),
@@ -156,7 +207,10 @@ PRESETS = {
         ),
         tasks=("rerelease",),
         breakers=BREAKERS,
-        summary="5,000 scenes (500 attacked), 98 levels of all families, plain and aware robots",
+        summary=(
+            "5,000 scenes (500 attacked), 98 levels of all families, plain and aware"
+            " robots"
+        ),
     ),
     "audit": Preset(
         scenes=750,
@@ -164,7 +218,14 @@ PRESETS = {
         mechanisms=_AUDITED,
         predictors=("kalman_cv", BASELINE),
         attacks=(
-            *("identity", "kalman_rts", "radial_rts", "ou_rts", "imm_rts", "gaussian_process"),
+            *(
+                "identity",
+                "kalman_rts",
+                "radial_rts",
+                "ou_rts",
+                "imm_rts",
+                "gaussian_process",
+            ),
             "posterior:draws=100,burn_in=60",
             *("shape", "shape@radial_rts", "dtw", "likelihood_ratio"),
         ),
@@ -172,7 +233,9 @@ PRESETS = {
         model=_AUDITED,
         model_linked=_BOTH_RULES,
         model_people=300,
-        summary="750 scenes, 11 levels, slow attacks too: how far they are from the optimum in "
-        "worlds of walks that follow the model",
+        summary=(
+            "750 scenes, 11 levels, slow attacks too: how far they are from the optimum"
+            " in worlds of walks that follow the model"
+        ),
     ),
 }

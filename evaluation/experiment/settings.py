@@ -20,20 +20,24 @@ from isac_track.protocols import ADVERSARIES
 AXES: Final = ("mechanisms", "predictors", "attacks", "tasks")
 _KINDS: dict[str, tuple[Any, type, str]] = {
     **dict.fromkeys(
-        ("scenes", "utility_scenes", "seed", "jobs"), (Integral, int, "a whole number, as {}=40")
+        ("scenes", "utility_scenes", "seed", "jobs"),
+        (Integral, int, "a whole number, as {}=40"),
     ),
     **dict.fromkeys(
-        ("fps", "cell_timeout_s", "precision", "drop_frozen"), (Real, float, "a number, as {}=2.5")
+        ("fps", "cell_timeout_s", "precision", "drop_frozen"),
+        (Real, float, "a number, as {}=2.5"),
     ),
     **dict.fromkeys(("preset", "format", "executor", "scheduler"), (str, str, "text")),
     **dict.fromkeys(("unit", "columns", "on_duplicate", "crs"), (str, str, "text")),
     "out": ((str, Path), Path, "the path of a folder"),
 }
 """What an option must be, what it becomes, and how that is said."""
-_SCENES_WRONG = "a run needs at least 2 scenes (one of each label) and at most {1:,}, got {0}"
+_SCENES_WRONG = (
+    "a run needs at least 2 scenes (one of each label) and at most {1:,}, got {0}"
+)
 _PRECISION_WRONG = (
-    "--precision is the half-width of a missed-conflict rate's interval, between 0 and 0.5 "
-    "(0.01: +- 1 %), got {0:g}"
+    "--precision is the half-width of a missed-conflict rate's interval, between 0 and"
+    " 0.5 (0.01: +- 1 %), got {0:g}"
 )
 _ADDRESS = re.compile(r"(inproc://.+)|(([\w-]+://)?[^/\s]+:(?P<port>[0-9]{1,5})/?)")
 _PORTS = range(1, 1 << 16)
@@ -53,40 +57,62 @@ _LIMITS: dict[str, tuple[float, float, str]] = {
 class Settings:
     """A whole run. None means: as the preset, the lookup or the default folder says.
 
-    Lists, a `Path` as `dataset` and `stages={"privacy.epsilon_m": 0.5}` are taken as well.
-    SettingsError for what the command line refuses, too.
+    Lists, a `Path` as `dataset` and `stages={"privacy.epsilon_m": 0.5}` are taken as
+    well. SettingsError for what the command line refuses, too.
     """
 
     preset: str = DEFAULT
-    dataset: Any = None  # Name of a known data set, a path, or a data frame (pandas, polars).
+    dataset: Any = (
+        None  # Name of a known data set, a path, or a data frame (pandas, polars).
+    )
     format: str | None = None
     fps: float | None = None
     unit: str | None = None  # Of lengths in a file of one's own: m, cm or mm.
     sessions: tuple[str, ...] = ()  # Paths of files that are sessions of one recording.
     persistent_ids: bool = False  # Whether ids are the same people in all sessions.
-    columns: str | None = None  # Of a table of one's own: t=time[ms],id=ped_id,x=pos_x,y=pos_y.
-    on_duplicate: str = "error"  # Or first, or mean: of an id at two places at one time.
-    crs: str | None = None  # Or degrees: longitude and latitude, projected to local metres.
-    drop_frozen: float | None = None  # Stretches of so many s at exactly one place are dropped.
+    columns: str | None = (
+        None  # Of a table of one's own: t=time[ms],id=ped_id,x=pos_x,y=pos_y.
+    )
+    on_duplicate: str = (
+        "error"  # Or first, or mean: of an id at two places at one time.
+    )
+    crs: str | None = (
+        None  # Or degrees: longitude and latitude, projected to local metres.
+    )
+    drop_frozen: float | None = (
+        None  # Stretches of so many s at exactly one place are dropped.
+    )
     scenes: int | None = None  # Attacked ones, and all.
-    utility_scenes: int | None = None  # All, where the attacked ones stay the preset's first.
-    precision: float | None = None  # Half-width of missed-conflict rates: finds `utility_scenes`.
-    pilot_half_width: float | None = None  # The widest in the 250 scenes that found them.
+    utility_scenes: int | None = (
+        None  # All, where the attacked ones stay the preset's first.
+    )
+    precision: float | None = (
+        None  # Half-width of missed-conflict rates: finds `utility_scenes`.
+    )
+    pilot_half_width: float | None = (
+        None  # The widest in the 250 scenes that found them.
+    )
     seed: int = 0
-    # These replace the preset's, or add to them: `+NAME`, or all that follows a "+" of its own.
-    # Empty: no predictor, no attack, nothing is linked.
+    # These replace the preset's, or add to them: `+NAME`, or all that follows a "+" of
+    # its own. Empty: no predictor, no attack, nothing is linked.
     mechanisms: tuple[str, ...] | None = None  # SPECs, or objects of plug-ins.
     predictors: tuple[str, ...] | None = None
     attacks: tuple[str, ...] | None = None  # SPECs, LINKER@RECONSTRUCTION among them.
     tasks: tuple[str, ...] | None = None
     adversaries: tuple[str, ...] = ()  # Beside blind, informed and oracle.
     stages: StageSettings = field(default_factory=StageSettings)
-    jobs: int | None = None  # Worker processes; None: the cores, where the work is worth it.
-    cell_timeout_s: float | None = None  # A cell that takes longer is killed and left out.
+    jobs: int | None = (
+        None  # Worker processes; None: the cores, where the work is worth it.
+    )
+    cell_timeout_s: float | None = (
+        None  # A cell that takes longer is killed and left out.
+    )
     executor: str = "local"  # Or dask: the workers of a Dask cluster.
     scheduler: str | None = None  # Address of the cluster's scheduler.
     keep_scores: bool = False  # Of everybody who links, raw: some hundred MB.
-    keep_ids: bool = False  # The recording's own ids in the run's files, not pseudonyms.
+    keep_ids: bool = (
+        False  # The recording's own ids in the run's files, not pseudonyms.
+    )
     out: Path | str | None = None
     fresh: bool = False
 
@@ -101,7 +127,9 @@ class Settings:
             if value is not None and not above < value <= most:
                 raise SettingsError(wrong.format(value, most))
         if self.precision is not None and self.scenes is not None:
-            raise SettingsError("--precision finds the number of scenes: leave out --scenes")
+            raise SettingsError(
+                "--precision finds the number of scenes: leave out --scenes"
+            )
         self._check_executor()
 
     def _check_executor(self) -> None:
@@ -118,26 +146,36 @@ class Settings:
             )
         if is_dask and not _has_port(str(self.scheduler)):
             raise SettingsError(
-                f"a scheduler's address ends with its port, as tcp://host:8786; "
+                "a scheduler's address ends with its port, as tcp://host:8786; "
                 f"got {quoted(self.scheduler)}"
             )
         if is_dask and self.jobs is not None:
-            raise SettingsError("--jobs is for --executor local: a cluster has its own workers")
+            raise SettingsError(
+                "--jobs is for --executor local: a cluster has its own workers"
+            )
         if is_dask and self.cell_timeout_s is not None:
-            raise SettingsError("--cell-timeout is for --executor local: a cluster has its own")
+            raise SettingsError(
+                "--cell-timeout is for --executor local: a cluster has its own"
+            )
 
     def _check_types(self) -> None:
         """Refuse what only Python lets one write, and take lists and mappings for what they are."""
-        given: dict[str, Any] = {one.name: getattr(self, one.name) for one in fields(self)}
+        given: dict[str, Any] = {
+            one.name: getattr(self, one.name) for one in fields(self)
+        }
         if isinstance(given["stages"], Mapping):
             given["stages"] = StageSettings().changed(given["stages"])
         if isinstance(given["columns"], Mapping):
-            given["columns"] = ",".join(f"{key}={name}" for key, name in given["columns"].items())
+            given["columns"] = ",".join(
+                f"{key}={name}" for key, name in given["columns"].items()
+            )
         given["sessions"] = tuple(map(str, given["sessions"]))
         for axis in (*AXES, "adversaries"):
             some = given[axis]
             if isinstance(some, str) or not isinstance(some, Iterable | None):
-                raise SettingsError(f"{axis} takes a list: write {axis}=[{quoted(some)}]")
+                raise SettingsError(
+                    f"{axis} takes a list: write {axis}=[{quoted(some)}]"
+                )
             given[axis] = None if some is None else tuple(some)
             if "none" in (given[axis] or ()):
                 raise SettingsError(f"'none' is of the command line: write {axis}=[]")
@@ -145,7 +183,9 @@ class Settings:
             value = given[name]
             if value is not None:
                 if not isinstance(value, kind) or isinstance(value, bool):
-                    raise SettingsError(f"{name} must be {what.format(name)}; got {quoted(value)}")
+                    raise SettingsError(
+                        f"{name} must be {what.format(name)}; got {quoted(value)}"
+                    )
                 given[name] = becomes(value)
         given["dataset"] = _dataset(given["dataset"])
         for name, value in given.items():
@@ -159,7 +199,8 @@ class Settings:
     def choice(self, axis: str) -> Choice:
         """Return the choice on an axis: mechanisms, predictors, attacks or tasks.
 
-        SettingsError if values that add to the preset's are mixed with values that replace them.
+        SettingsError if values that add to the preset's are mixed with values that
+        replace them.
         """
         return choice_of(getattr(self, axis), axis=axis)
 
@@ -174,7 +215,9 @@ class Settings:
         """All scenes of the run: what noise costs the robot is read in every one."""
         if self.utility_scenes is not None:
             return self.utility_scenes
-        return PRESETS[self.preset].utility_scenes if self.scenes is None else self.scenes
+        return (
+            PRESETS[self.preset].utility_scenes if self.scenes is None else self.scenes
+        )
 
 
 def _dataset(given: Any) -> Any:  # noqa: ANN401 - frames of any library
@@ -189,19 +232,23 @@ def _dataset(given: Any) -> Any:  # noqa: ANN401 - frames of any library
 def _check_known(what: str, names: Iterable[str], known: Collection[str]) -> None:
     for name in names:
         if name not in known:
-            hint = did_you_mean(name, known, quote="'") or f"; known: {', '.join(known)}"
+            hint = (
+                did_you_mean(name, known, quote="'") or f"; known: {', '.join(known)}"
+            )
             raise SettingsError(f"unknown {what} {name!r}{hint}")
 
 
 def check_drawing() -> None:
     """Raise SettingsError if matplotlib would refuse to be imported: before a run, not after it."""
-    if "MPLBACKEND" in os.environ:  # else there is nothing to ask, and the import takes its time
+    if (
+        "MPLBACKEND" in os.environ
+    ):  # else there is nothing to ask, and the import takes its time
         try:
             import_module("matplotlib")
         except ValueError:
             raise SettingsError(
-                f"matplotlib knows no backend {os.environ['MPLBACKEND']!r}; unset MPLBACKEND: "
-                "figures need none"
+                f"matplotlib knows no backend {os.environ['MPLBACKEND']!r}; unset"
+                " MPLBACKEND: figures need none"
             ) from None
 
 
@@ -219,4 +266,6 @@ def check_threads() -> None:
     except ValueError:  # numba would warn, with a traceback
         fits = False
     if not fits:
-        raise SettingsError(f"NUMBA_NUM_THREADS must be at least 1, got {text[:40]!r}; unset it")
+        raise SettingsError(
+            f"NUMBA_NUM_THREADS must be at least 1, got {text[:40]!r}; unset it"
+        )

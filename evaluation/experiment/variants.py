@@ -28,7 +28,8 @@ RIDGE: Final[Mapping[str, Mapping[str, float]]] = {
     )
 }
 """Stage `sensing`: what is fixed elsewhere, and the constants that then fit the paper's numbers, as
-`evaluation.calibrate --ridge` prints them (Students03, 5,000 scenes; docs/reproduction.md)."""
+`evaluation.calibrate --ridge` prints them (Students03, 5,000 scenes;
+docs/reproduction.md)."""
 _SHORT: Final = {"law": "sensing.law", "epsilon": "privacy.epsilon_m"}
 _USUAL: Final = (
     *("law=isotropic", "law=fixed_direction"),
@@ -38,7 +39,9 @@ _USUAL: Final = (
     *("recording=students03", "recording=zara01", "recording=plaza"),
     *("predictor=kalman_cv", "predictor=least_squares"),
 )
-_FORMS: Final = "STAGE.KEY=VALUE, law=LAW, epsilon=METRES, predictor=SPEC, recording=NAME"
+_FORMS: Final = (
+    "STAGE.KEY=VALUE, law=LAW, epsilon=METRES, predictor=SPEC, recording=NAME"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +71,12 @@ class Variant:
             self.name != BASE
             and self.stages == {name: flat[name] for name in self.stages}
             and self.predictor in ("", *predictors[:1])
-            and self.recording in ("", manifest["dataset"]["name"], manifest["dataset"]["path"])
+            and self.recording
+            in (
+                "",
+                manifest["dataset"]["name"],
+                manifest["dataset"]["path"],
+            )
         )
 
 
@@ -78,19 +86,24 @@ def variants(manifest: Mapping[str, Any] | None = None) -> list[Variant]:
     if manifest is None:
         return found
     found = [one for one in found if not one.changes_nothing(manifest)]
-    # One other predictor will do: a run whose first is the paper's own is tried with the tracker.
+    # One other predictor will do: a run whose first is the paper's own is tried with
+    # the tracker.
     predictors = [one.predictor for one in found if one.predictor]
     kept = predictors[:1] if manifest["settings"]["predictors"] else []
     return [one for one in found if one.predictor in ("", *kept)]
 
 
 def chosen(
-    names: Sequence[str] | None, *, also: Sequence[str], manifest: Mapping[str, Any] | None
+    names: Sequence[str] | None,
+    *,
+    also: Sequence[str],
+    manifest: Mapping[str, Any] | None,
 ) -> list[Variant]:
     """Return the variants to run, each once, the base first.
 
-    By default they are those of `variants`; `also` names further ones by STAGE.KEY=VALUE. Raises
-    IsacTrackError for an unknown one, or one that is what the run did.
+    By default they are those of `variants`; `also` names further ones by
+    STAGE.KEY=VALUE. Raises IsacTrackError for an unknown one, or one that is what the
+    run did.
     """
     added = [parse(text) for text in also]
     for text, one in zip(also, added, strict=True):
@@ -100,14 +113,17 @@ def chosen(
     found = {one.name: one for one in (*named, *added)}
     for one in found.values():
         if manifest is not None and one.changes_nothing(manifest):
-            raise SettingsError(f"variant {one.name} changes nothing: the run had this setting")
+            raise SettingsError(
+                f"variant {one.name} changes nothing: the run had this setting"
+            )
     return list(found.values())
 
 
 def parse(name: str) -> Variant:
     """Return the variant of a name.
 
-    Raises IsacTrackError if there is none, its setting is unknown or its value is out of range.
+    Raises IsacTrackError if there is none, its setting is unknown or its value is out
+    of range.
     """
     name = name.strip()
     key, equals, value = (part.strip() for part in name.partition("="))
@@ -115,7 +131,9 @@ def parse(name: str) -> Variant:
     if name == BASE:
         return Variant(BASE)
     if name.startswith("ridge ") and point in RIDGE:
-        return Variant(name, {f"sensing.{one}": number for one, number in RIDGE[point].items()})
+        return Variant(
+            name, {f"sensing.{one}": number for one, number in RIDGE[point].items()}
+        )
     if value and (key in _SHORT or ("." in key and " " not in key)):
         setting = _SHORT.get(key, key)
         changed = StageSettings().changed({setting: value}).flat()
@@ -131,7 +149,10 @@ def parse(name: str) -> Variant:
         return Variant(f"{key}={value}", recording=value)
     if equals and not value:
         raise SettingsError(f"variant {name!r} has no value")
-    hint = did_you_mean(name, (BASE, *_USUAL), quote="'") or f"; --list names them; also {_FORMS}"
+    hint = (
+        did_you_mean(name, (BASE, *_USUAL), quote="'")
+        or f"; --list names them; also {_FORMS}"
+    )
     raise SettingsError(f"unknown variant {name!r}{hint}")
 
 
@@ -147,46 +168,63 @@ def settings_of(
 ) -> tuple[Settings, tuple[str, ...]]:
     """Return the settings of a variant's run in a folder `out`, and why tasks are left out of it.
 
-    `attacks` are the SPECs of those to run, each with its tasks; a reconstruction has the task "".
-    `trust` names classes of one's own that may be imported although a file names them.
-    Raises IsacTrackError if its recording is not at hand, or a setting is unknown.
+    `attacks` are the SPECs of those to run, each with its tasks; a reconstruction has
+    the task "". `trust` names classes of one's own that may be imported although a file
+    names them. Raises IsacTrackError if its recording is not at hand, or a setting is
+    unknown.
     """
-    from attacks.tasks.build import sessions_of  # noqa: PLC0415 - a list of variants needs none
+    from attacks.tasks.build import (  # noqa: PLC0415 - a list of variants needs none
+        sessions_of,
+    )
     from attacks.tasks.task_list import TASKS  # noqa: PLC0415 - for --help
 
     ran = manifest["settings"]
     stages = StageSettings().changed(ran["stages"]).changed(variant.stages)
-    recording, identity, own = manifest["dataset"], manifest["identity"], dict[str, Any]()
+    recording, identity, own = (
+        manifest["dataset"],
+        manifest["identity"],
+        dict[str, Any](),
+    )
     source = variant.recording or recording["name"]
     if not variant.recording and recording["name"] not in KNOWN:
         own = {name: identity.get(name) for name in ("format", "fps", "unit")}
         own["sessions"] = tuple(recording.get("sessions", ()))
         own["persistent_ids"] = bool(identity.get("persistent_ids"))
         source = None if own["sessions"] else recording["path"]
-    # Nobody waits for a network here: a data set that is missing fails with how to get it.
+    # Nobody waits for a network here: a data set that is missing fails with how to get
+    # it.
     data = datasets.load(source, download=False, **own)
     if not variant.recording and data.sha256 != recording["sha256"]:
-        raise DataError(f"{data.path} is no longer the recording that was run; run it again")
+        raise DataError(
+            f"{data.path} is no longer the recording that was run; run it again"
+        )
     too_small, asked = dict[str, str](), set().union(*attacks.values()) - {""}
     for task in sorted(asked):
         try:
-            sessions_of(TASKS[task], tracks=data.tracks, stages=stages, seed=ran["seed"])
+            sessions_of(
+                TASKS[task], tracks=data.tracks, stages=stages, seed=ran["seed"]
+            )
         except DataError as error:
             too_small[task] = str(error)
     predictors = () if variant.predictor else tuple(ran["predictors"][:1])
-    named: list[tuple[plugins.Kind, str]] = [("predictors", spec) for spec in predictors]
+    named: list[tuple[plugins.Kind, str]] = [
+        ("predictors", spec) for spec in predictors
+    ]
     named += [("attacks", spec) for whole in attacks for spec in whole.split("@")]
     named += [("mechanisms", spec) for spec in ran["mechanisms"]]
     for kind, spec in named:
         # Only the user's own command line decides what is imported, never a file.
         if plugins.is_own_class(kind, spec) and spec not in trust:
             raise SettingsError(
-                f"the run's files name {spec!r}, a class that is not built in; if you trust its "
-                f"code, add --trust {spec}"
+                f"the run's files name {spec!r}, a class that is not built in; if you"
+                f" trust its code, add --trust {spec}"
             )
     run = (asked - too_small.keys()) | {""}
     usual = PRESETS[ran["preset"]]
-    is_usual = [ran["scenes"], ran["scenes_utility"]] == [usual.scenes, usual.utility_scenes]
+    is_usual = [ran["scenes"], ran["scenes_utility"]] == [
+        usual.scenes,
+        usual.utility_scenes,
+    ]
     settings = Settings(
         preset=ran["preset"],
         dataset=source,

@@ -17,7 +17,9 @@ _AT_LEAST_TWO: Final = 2
 def whole(percent: float) -> str:
     """Return a share in percent without decimals; a small one is not rounded to nothing."""
     rounded = f"{percent:.0f}"
-    return "<1" if rounded in ("0", "-0") and percent > 0.0 else rounded.replace("-0", "0")
+    return (
+        "<1" if rounded in ("0", "-0") and percent > 0.0 else rounded.replace("-0", "0")
+    )
 
 
 def half_width(estimate: Estimate) -> float:

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
     from isac_track.plugins import Kind
 
 WIDTH: Final = 80  # Columns of the first screen.
-_INSIDE_NUMBER: Final = re.compile(r" (?=[%±])|(?<=\beta) (?=\d)|(?<=\d) (?=(?:m|s|Hz)\b)")
+_INSIDE_NUMBER: Final = re.compile(
+    r" (?=[%±])|(?<=\beta) (?=\d)|(?<=\d) (?=(?:m|s|Hz)\b)"
+)
 """Spaces at which no line is broken."""
 _COMMANDS = ("matrix.py", "isac-track", "__main__.py")
 _KINDS: tuple[Kind, ...] = ("mechanisms", "predictors", "attacks")
@@ -37,7 +39,11 @@ def wrapped(text: str, *, width: int = WIDTH, indent: str = "  ") -> list[str]:
     """Return a text in lines; a number and its unit stay together."""
     joined = _INSIDE_NUMBER.sub("\0", text)
     lines = textwrap.wrap(
-        joined, width, subsequent_indent=indent, break_on_hyphens=False, break_long_words=False
+        joined,
+        width,
+        subsequent_indent=indent,
+        break_on_hyphens=False,
+        break_long_words=False,
     )
     return [line.replace("\0", " ") for line in lines]
 
@@ -54,31 +60,44 @@ def scenes_text(identity: Mapping[str, Any]) -> str:
     """Return how many scenes a run has, and how many of them are attacked."""
     attacked = identity["scenes"]
     every = identity.get("scenes_utility", attacked)
-    return f"{every:,} scenes" + (f", {attacked:,} of them attacked" if every != attacked else "")
+    return f"{every:,} scenes" + (
+        f", {attacked:,} of them attacked" if every != attacked else ""
+    )
 
 
 def plan_lines(ready: Plan) -> Iterator[str]:
     """Yield what a plan is about to do, what it leaves out, and what slow attacks cost."""
     from evaluation.runs.files import CHECKSUMS  # noqa: PLC0415 - names alone need none
-    from evaluation.runs.folder import check_folder, usable  # noqa: PLC0415 - names alone need none
-    from evaluation.runs.pieces import n_finished  # noqa: PLC0415 - names alone need none
+    from evaluation.runs.folder import (  # noqa: PLC0415 - names alone need none
+        check_folder,
+        usable,
+    )
+    from evaluation.runs.pieces import (  # noqa: PLC0415 - names alone need none
+        n_finished,
+    )
 
-    # Reading all of them would take seconds here; the run does, and says which are damaged.
+    # Reading all of them would take seconds here; the run does, and says which are
+    # damaged.
     check_folder(ready.out)
     with usable(ready.out):
         finished = n_finished(ready) * (not ready.settings.fresh)
     so_far = f", {finished} of them finished by {CHECKSUMS}" if finished else ""
     yield (
-        f"{ready.dataset.name}: {len(ready.tracks)} of {len(ready.dataset.tracks)} tracks used, "
-        f"{scenes_text(ready.identity)}; {ready.n_cells} cells{so_far}, in {near(ready.out)}"
+        f"{ready.dataset.name}: {len(ready.tracks)} of {len(ready.dataset.tracks)}"
+        f" tracks used, {scenes_text(ready.identity)}; {ready.n_cells} cells{so_far},"
+        f" in {near(ready.out)}"
     )
     slow = [one for one in ready.axes.consumers if one.is_slow]
     n_levels, costs = len(ready.axes.mechanisms), list[tuple[str, int, float]]()
     for spec in dict.fromkeys(one.spec for one in slow):
-        from evaluation.cells.reconstruction import slow_cost_s  # noqa: PLC0415 - seldom needed
+        from evaluation.cells.reconstruction import (  # noqa: PLC0415 - seldom needed
+            slow_cost_s,
+        )
 
         rows = [one for one in slow if one.spec == spec]
-        costs.append((spec, len(rows), slow_cost_s(rows, tracks=ready.tracks, n_levels=n_levels)))
+        costs.append(
+            (spec, len(rows), slow_cost_s(rows, tracks=ready.tracks, n_levels=n_levels))
+        )
     yield from plan_notices(ready, slow_costs=costs)
 
 
@@ -107,7 +126,8 @@ def command(manifest: Mapping[str, Any]) -> str:
 def _named(settings: Mapping[str, Any], usual: Preset) -> Mapping[str, Sequence[str]]:
     """Return the values that were named on each axis: `+NAME` adds to those of the preset.
 
-    The manifest of an earlier version has the outcome alone: all of it is named where it differs.
+    The manifest of an earlier version has the outcome alone: all of it is named where
+    it differs.
     """
     if "named" in settings:
         named: Mapping[str, Sequence[str]] = settings["named"]
@@ -123,9 +143,13 @@ def _named(settings: Mapping[str, Any], usual: Preset) -> Mapping[str, Sequence[
 
 def _same_run(manifest: Mapping[str, Any]) -> list[str]:
     """Return the options that give the identity and the axes of a run again."""
-    from isac_track.datasets.registry import KNOWN  # noqa: PLC0415 - names alone need none
+    from isac_track.datasets.registry import (  # noqa: PLC0415 - names alone need none
+        KNOWN,
+    )
 
-    identity, settings, dataset = (manifest[key] for key in ("identity", "settings", "dataset"))
+    identity, settings, dataset = (
+        manifest[key] for key in ("identity", "settings", "dataset")
+    )
     name = settings["preset"]
     usual = PRESETS.get(name, PRESETS[DEFAULT])
     known = dataset["name"] in KNOWN
@@ -137,13 +161,22 @@ def _same_run(manifest: Mapping[str, Any]) -> list[str]:
     options += sessions or [("dataset", dataset["name"] if known else dataset["path"])]
     if not known:
         options.append(("format", dataset["format"] or None))
-        options += [(option, identity.get(option)) for option in ("fps", "unit", "columns", "crs")]
+        options += [
+            (option, identity.get(option))
+            for option in ("fps", "unit", "columns", "crs")
+        ]
     options += [
-        (name.replace("_", "-"), identity.get(name)) for name in ("on_duplicate", "drop_frozen")
+        (name.replace("_", "-"), identity.get(name))
+        for name in ("on_duplicate", "drop_frozen")
     ]
-    options += [("scenes", None if is_usual else scenes), ("seed", identity["seed"] or None)]
+    options += [
+        ("scenes", None if is_usual else scenes),
+        ("seed", identity["seed"] or None),
+    ]
     for axis, named in _named(settings, usual).items():
         options += [(axis.removesuffix("s"), value) for value in named or ["none"]]
     options += [("set", setting) for setting in changed_settings(manifest)]
     words = ["--persistent-ids"] * bool(identity.get("persistent_ids"))
-    return words + [word for key, at in options if at is not None for word in (f"--{key}", f"{at}")]
+    return words + [
+        word for key, at in options if at is not None for word in (f"--{key}", f"{at}")
+    ]

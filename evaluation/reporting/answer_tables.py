@@ -12,7 +12,13 @@ from evaluation.analysis import paper
 from evaluation.analysis.frontier import GAP, LEVEL_READ, VALUE, usual_price
 from evaluation.analysis.keys import AS_SHARED, Source, rows_of, where_text
 from evaluation.analysis.matching import AT_EQUAL_ALARMS, FUTURE, MISSED
-from evaluation.analysis.metrics import EXPOSURE, METRICS, OF_ROBOT, SUCCESS, SUCCESS_OF_100
+from evaluation.analysis.metrics import (
+    EXPOSURE,
+    METRICS,
+    OF_ROBOT,
+    SUCCESS,
+    SUCCESS_OF_100,
+)
 from evaluation.analysis.strongest import HEADLINE
 from evaluation.experiment.constants import horizon_of
 from evaluation.reporting import table as make
@@ -54,26 +60,33 @@ def paper_table(run: Results) -> Table:
     for row in records:
         metric, published = row["metric"], row["paper"]
         row["paper_error"] = paper.monte_carlo_error(metric, published)
-        is_judged = isinstance(row["within"], bool | np.bool_) and np.isfinite(row["ci_low"])
+        is_judged = isinstance(row["within"], bool | np.bool_) and np.isfinite(
+            row["ci_low"]
+        )
         answer = "fitted" if paper.is_fitted(row) else "yes" if row["within"] else "no"
         row[judged[0]] = answer if is_judged else ""
         allowed = paper.tolerance(row["mechanism"], metric, published)
-        # A hair more: the difference of two rounded fractions may miss the limit itself.
+        # A hair more: the difference of two rounded fractions may miss the limit
+        # itself.
         met = "yes" if abs(row["bias"]) <= allowed + 1e-12 else "no"
         text = f"{met} ({make.amount(metric, allowed).text})"
         row[judged[1]] = text if np.isfinite(row["ours"]) else ""
     linear = [row for row in records if "adding=" not in row["mechanism"]]
     seen = [row for row in linear if not paper.is_fitted(row)]
-    rates = [row for row in records if np.isfinite(row["paper_error"])]  # the missed ones
+    rates = [
+        row for row in records if np.isfinite(row["paper_error"])
+    ]  # the missed ones
     is_own = run.dataset == paper.DATASET
     identity = run.manifest["identity"]
     n_scenes = identity.get("scenes_utility", identity["scenes"])
-    notes = [f"Missed rates rest on {n_scenes:,} scenes, the others on {identity['scenes']:,}."]
+    n_attacked = identity["scenes"]
+    notes = [f"Missed rates rest on {n_scenes:,} scenes, the others on {n_attacked:,}."]
     if is_own:
         notes += _own_recording_notes(linear, seen, rates, judged[1])
     else:
         notes.append(
-            f"The paper used {paper.DATASET}; ours are of {run.dataset}, so they need not agree."
+            f"The paper used {paper.DATASET}; ours are of {run.dataset}, so they need"
+            " not agree."
         )
     columns = [
         *mechanism_columns(run.families),
@@ -85,7 +98,9 @@ def paper_table(run: Results) -> Table:
         *(replace(make.decided(name), align="right") for name in judged if is_own),
     ]
     title = "The paper's numbers beside ours, privacy as shared; 95 % intervals"
-    return make.built("paper", title, records, columns, notes=notes, n_headings=2, n_keys=4)
+    return make.built(
+        "paper", title, records, columns, notes=notes, n_headings=2, n_keys=4
+    )
 
 
 def _own_recording_notes(
@@ -96,20 +111,25 @@ def _own_recording_notes(
 ) -> list[str]:
     """Return how many numbers were fitted and how many agree, on the recording of the paper.
 
-    `linear` are the numbers under the adding rule of the paper, `seen` those that were not fitted,
-    `rates` the missed rates, and `tolerance` the column that says whether they agree.
+    `linear` are the numbers under the adding rule of the paper, `seen` those that were
+    not fitted, `rates` the missed rates, and `tolerance` the column that says whether
+    they agree.
     """
     n_within = sum(row[tolerance].startswith("yes") for row in seen)
-    far = [where_text(row["mechanism"], row["level"]) for row in rates if paper.differs(row)]
+    far = [
+        where_text(row["mechanism"], row["level"])
+        for row in rates
+        if paper.differs(row)
+    ]
     fitted = (
-        f"Of {len(linear)} numbers under linear adding {len(linear) - len(seen)} are fitted. "
-        f"The other {len(seen)} were seen when the readings were chosen: {n_within} are within "
-        "the tolerance."
+        f"Of {len(linear)} numbers under linear adding {len(linear) - len(seen)} are"
+        f" fitted. The other {len(seen)} were seen when the readings were chosen:"
+        f" {n_within} are within the tolerance."
     )
     error = (
-        f"The paper's own error is that of a share of {paper.CONFLICTS} conflicts. Missed rates "
-        f"that differ at 5 % by both errors: {', '.join(far) or 'none'} (of {len(rates)}, each "
-        "by itself)."
+        f"The paper's own error is that of a share of {paper.CONFLICTS} conflicts."
+        f" Missed rates that differ at 5 % by both errors: {', '.join(far) or 'none'}"
+        f" (of {len(rates)}, each by itself)."
     )
     return [fitted, error]
 
@@ -124,7 +144,9 @@ def claims_table(run: Results) -> Table:
     ]
     title, notes = "The paper's claims; 95 % intervals", ["Evidence: paper_claims.csv."]
     records = run.claims.to_dict("records")
-    return make.built("claims", title, records, columns, notes=notes, n_headings=1, n_keys=2)
+    return make.built(
+        "claims", title, records, columns, notes=notes, n_headings=1, n_keys=2
+    )
 
 
 def frontier_table(run: Results) -> Table:
@@ -136,7 +158,9 @@ def frontier_table(run: Results) -> Table:
     priced = usual_price(of[is_told]) if len(of) else of
     for row in rows_of(priced):
         source = Source(row["consumer"], row["knowledge"])
-        whose = "attacked" if source.knowledge in HEADLINE else f"after {source.knowledge}"
+        whose = (
+            "attacked" if source.knowledge in HEADLINE else f"after {source.knowledge}"
+        )
         whose = "shared" if source == AS_SHARED else whose
         head = f"{source.task or METRICS[row['metric']].head}, {whose}"
         if row["metric"] == OF_ROBOT:
@@ -148,23 +172,36 @@ def frontier_table(run: Results) -> Table:
                 heads[key] = None
     columns = [
         make.said("robot"),
-        make.said("mechanism", lambda row: family_of(run.families, row["mechanism"]).name),
+        make.said(
+            "mechanism", lambda row: family_of(run.families, row["mechanism"]).name
+        ),
         make.said("adding"),
         make.counted("rise", "points", "target", scale=100.0, sign="+"),
         make.counted("level", "", *LEVEL_READ, digits=2),
         *(replace(make.held(head), unit="%") for head in heads),
         make.said("beaten", lambda row: "yes" if row["dominated"] is True else ""),
     ]
-    title = "What is left where missed conflicts have risen so far over raw, at raw's false alarms"
+    title = (
+        "What is left where missed conflicts have risen so far over raw, at raw's false"
+        " alarms"
+    )
     notes = [
         price_text(priced),
         "Empty: out of reach of the levels that were run. More: frontier.csv.",
         "No interval: fewer than 4 levels within 3 points, or too few people.",
-        "Beaten: another is surely better by over 2 points in attacked PLR or linkage, it in none.",
-        "An error that is constant over a track is drawn once a person: 5 seeds tell more.",
+        (
+            "Beaten: another is surely better by over 2 points in attacked PLR or"
+            " linkage, it in none."
+        ),
+        (
+            "An error that is constant over a track is drawn once a person: 5 seeds"
+            " tell more."
+        ),
         *laplace_notes(of.round({"level": 2}), n_reports=run.n_reports),
     ]
-    return make.built("frontier", title, records.values(), columns, notes=notes, n_keys=4)
+    return make.built(
+        "frontier", title, records.values(), columns, notes=notes, n_keys=4
+    )
 
 
 def price_text(priced: pd.DataFrame) -> str:
@@ -173,17 +210,24 @@ def price_text(priced: pd.DataFrame) -> str:
         return "The price: missed conflicts, at raw's false alarms."
     horizon_s = horizon_of(str(priced["dataset"].iloc[0]).rpartition(":")[2])
     ahead = "" if horizon_s is None else f" {horizon_s:g} s ahead"
-    return f"The price: missed conflicts that are still to come{ahead}, at raw's false alarms."
+    return (
+        f"The price: missed conflicts that are still to come{ahead}, at raw's false"
+        " alarms."
+    )
 
 
 def flag_table(run: Results) -> Table:
     """Return the flags of weak attacks."""
     ends = ("difference", "ci_low", "ci_high")
-    texts = run.flags.assign(**run.flags[["by", "by_knowledge"]].astype(object).fillna(""))
+    texts = run.flags.assign(
+        **run.flags[["by", "by_knowledge"]].astype(object).fillna("")
+    )
     columns = [
         make.said("flag", lambda row: row["kind"].replace("_", " ")),
         make.said("attack", lambda row: Source(row["attack"], row["knowledge"]).label),
-        make.said("beaten by", lambda row: Source(row["by"], row["by_knowledge"]).label),
+        make.said(
+            "beaten by", lambda row: Source(row["by"], row["by_knowledge"]).label
+        ),
         *mechanism_columns(run.families),
         make.counted("PLR difference", "points", *ends, scale=100.0, sign="+"),
     ]
@@ -193,7 +237,9 @@ def flag_table(run: Results) -> Table:
 def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
     """Return the items of the verdict, a table for each section."""
     found = {}
-    for section in dict.fromkeys([*rules.SECTIONS, *(str(one["section"]) for one in items)]):
+    for section in dict.fromkeys(
+        [*rules.SECTIONS, *(str(one["section"]) for one in items)]
+    ):
         records = [_told(one) for one in items if one["section"] == section]
         if not records:
             continue
@@ -216,7 +262,9 @@ def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
             ]
         about = f"verdict-{section}", section.capitalize()
         notes, n_keys = _untestable(records), 1 + len(keys)
-        found[section] = make.built(*about, records, columns, notes=notes, n_keys=n_keys)
+        found[section] = make.built(
+            *about, records, columns, notes=notes, n_keys=n_keys
+        )
     return found
 
 
@@ -225,10 +273,13 @@ def _untestable(records: Sequence[Mapping[str, Any]]) -> list[str]:
     reasons: dict[str, list[str]] = {}
     for row in records:
         if row["decision"] == rules.NOT_TESTABLE:
-            about = " ".join(filter(None, (row[key] for key in ("task", "adding", "mechanism"))))
+            about = " ".join(
+                filter(None, (row[key] for key in ("task", "adding", "mechanism")))
+            )
             reasons.setdefault(row["why"], []).append(about)
     return [
-        f"Not testable, {len(of)} of {len(records)} ({', '.join(dict.fromkeys(of))}): {why}."
+        f"Not testable, {len(of)} of {len(records)} ({', '.join(dict.fromkeys(of))}):"
+        f" {why}."
         for why, of in reasons.items()
     ]
 
@@ -249,7 +300,10 @@ def _people_needed(row: Mapping[str, Any]) -> Cell:
 
 def _power(item: Mapping[str, Any]) -> str:
     power = item["power"]
-    return f"equal {100 * power[rules.TRACKS]:.0f} %, 10 points {100 * power[rules.DOES_NOT]:.0f} %"
+    return (
+        f"equal {100 * power[rules.TRACKS]:.0f} %, 10 points"
+        f" {100 * power[rules.DOES_NOT]:.0f} %"
+    )
 
 
 def _told(item: Mapping[str, Any]) -> dict[str, Any]:
@@ -261,7 +315,9 @@ def _told(item: Mapping[str, Any]) -> dict[str, Any]:
         **item,
         "mechanism": item.get("mechanism", "fid") if is_claim else of,
         "about": item["subject"] or ("as shared" if is_claim else ""),
-        "what it says": item["sentence"] + (f" {decision}: {why.rstrip('.')}." if why else ""),
+        "what it says": (
+            item["sentence"] + (f" {decision}: {why.rstrip('.')}." if why else "")
+        ),
         "descriptor": METRICS[descriptor].head if descriptor in METRICS else descriptor,
         "criterion": _criterion_text(item),
     }

@@ -39,7 +39,10 @@ _LEADS: Final = (rules.DOES_NOT, rules.TRACKS, rules.BETWEEN, rules.NOT_TESTABLE
 """Decisions of the items on descriptors: the first that any item has is the answer."""
 
 
-_RULE_NOISE: Final = {"linear": "noise as in the paper", "independent": "independent noise"}
+_RULE_NOISE: Final = {
+    "linear": "noise as in the paper",
+    "independent": "independent noise",
+}
 """Adding rules, in brackets."""
 
 
@@ -49,7 +52,9 @@ class Answer:
 
     question: str
     topic: str  # The question in a word.
-    sentence: str  # What the first screen says: shares in % with half of their 95 % interval.
+    sentence: (
+        str  # What the first screen says: shares in % with half of their 95 % interval.
+    )
     details: tuple[str, ...] = ()  # Further sentences, for the page and `--verbose`.
 
 
@@ -99,7 +104,9 @@ def reference(table: Headline) -> Where:
     if named := [where for where in HEADLINE if where in wheres]:
         return named[0]
     plain = min(table.wheres, key=lambda where: where[0] != RAW, default=(RAW, None))
-    costs = {where: cost.value if (cost := table.cost(where)) else -1.0 for where in wheres}
+    costs = {
+        where: cost.value if (cost := table.cost(where)) else -1.0 for where in wheres
+    }
     return max(costs, key=costs.__getitem__, default=plain)
 
 
@@ -135,7 +142,9 @@ def _robot_sentence(
     conflicts = "future conflicts" if robot.is_later else "conflicts"
     raw = _raw_beside(table, where, robot)
     sentences = [
-        sentence_case(f"{start}{subject} misses {percent(missed)} of {conflicts}{raw}."),
+        sentence_case(
+            f"{start}{subject} misses {percent(missed)} of {conflicts}{raw}."
+        ),
         *_other_rule(table, where, [robot]),
     ]
     if beaten:
@@ -163,7 +172,9 @@ def beaten_by_standing_still(
     return sorted(worst.values(), key=lambda row: names.index(row[0]))
 
 
-def _robot_details(table: Headline, where: Where, robot: Shown | None) -> tuple[str, ...]:
+def _robot_details(
+    table: Headline, where: Where, robot: Shown | None
+) -> tuple[str, ...]:
     """Return what the other robots miss, each at both horizons."""
     sentences = []
     for shown in (*table.future, *table.robots):
@@ -185,7 +196,8 @@ def _leak_sentence(table: Headline, where: Where, *, start: str) -> str:
     if shared is None:
         return "Not tested: the run has no descriptors."
     known = sentence_case(
-        f"{start}{percent(shared)} of positions are known to {table.epsilon_m:g} m as sent"
+        f"{start}{percent(shared)} of positions are known to {table.epsilon_m:g} m as"
+        " sent"
     )
     attacked = table.at(where, table.attacked) if table.attacked else None
     if table.attacked is None or attacked is None:
@@ -200,14 +212,19 @@ def _leak_details(table: Headline, where: Where) -> tuple[str, ...]:
     column = table.attacked
     if column is None or table.at(where, column) is None:
         return ()
-    is_headline = where[0] not in table.known or table.known[where[0]].family in (*SWEPT, CLEAN)
+    is_headline = where[0] not in table.known or table.known[where[0]].family in (
+        *SWEPT,
+        CLEAN,
+    )
     source = column.measure.source
     attack = f"the {attack_name(source.consumer)} ({source.label})"
     if not is_headline:
         attack = "the strongest against this mechanism"
     sentences = [f"The attack is {attack}. A stronger attack may know more."]
     if table.worst and (worst := table.at(where, table.worst)):
-        sentences.append(f"Of the most exposed tenth of people it knows {percent(worst)}.")
+        sentences.append(
+            f"Of the most exposed tenth of people it knows {percent(worst)}."
+        )
     if isotropic := table.at(where, column, other_law=True):
         sentences.append(
             "The run assumes the error law of the paper, along the line of sight. "
@@ -241,11 +258,14 @@ def _links_details(table: Headline, where: Where) -> tuple[str, ...]:
         phrase = sentence_case(task_phrase(source.task))
         way = " It matches all people at once." if column.is_joint else ""
         sentences.append(
-            f"{phrase}, the strongest attack is {source.attack.label} with {percent(rank1)}.{way}"
+            f"{phrase}, the strongest attack is {source.attack.label} with"
+            f" {percent(rank1)}.{way}"
         )
         if math.isfinite(column.candidates):
             chance = whole(PERCENT * column.chance)
-            sentences.append(f"Guessing among {column.candidates:.0f} people finds {chance} %.")
+            sentences.append(
+                f"Guessing among {column.candidates:.0f} people finds {chance} %."
+            )
     return tuple(sentences)
 
 
@@ -289,9 +309,13 @@ def _descriptors_sentence(items: Sequence[Mapping[str, Any]]) -> str:
     return _decision_sentence(lead, names, where=where)
 
 
-def _decision_sentence(item: Mapping[str, Any], names: Sequence[str], *, where: str) -> str:
+def _decision_sentence(
+    item: Mapping[str, Any], names: Sequence[str], *, where: str
+) -> str:
     """Return the decision of an item in words, with by how much linkage differs."""
-    low, high = (whole(PERCENT * (item[name] or 0.0)) for name in ("spread_low", "spread_high"))
+    low, high = (
+        whole(PERCENT * (item[name] or 0.0)) for name in ("spread_low", "spread_high")
+    )
     several = len(names) > 1
     subject = f"The {listed(names)}"
     if len(names) == len(DESCRIPTORS):
@@ -302,25 +326,26 @@ def _decision_sentence(item: Mapping[str, Any], names: Sequence[str], *, where: 
     match item["decision"]:
         case rules.DOES_NOT if (item["spread_low"] or 0.0) <= rules.SUCCESS_MARGIN:
             return (
-                f"{subject} {says_not} how linkable people are: linkage falls where the {head} "
-                f"hardly changes{where}."
+                f"{subject} {says_not} how linkable people are: linkage falls where the"
+                f" {head} hardly changes{where}."
             )
         case rules.DOES_NOT:
             return (
-                f"{subject} {says_not} how linkable people are: at equal values, linkage differs "
-                f"by at least {low} points{where}."
+                f"{subject} {says_not} how linkable people are: at equal values,"
+                f" linkage differs by at least {low} points{where}."
             )
         case rules.TRACKS:
             return (
-                f"{subject} {says} how linkable people are: at equal values, linkage differs by "
-                f"{low} to {high} points{where}."
+                f"{subject} {says} how linkable people are: at equal values, linkage"
+                f" differs by {low} to {high} points{where}."
             )
         case rules.BETWEEN:
             needed = item.get("n_needed")
             more = f" {people_needed(needed)}" if needed else ""
             return (
-                f"The run cannot say whether the {head} tells how linkable people are. At equal "
-                f"values, linkage differs by {low} to {high} points{where}.{more}"
+                f"The run cannot say whether the {head} tells how linkable people are."
+                f" At equal values, linkage differs by {low} to {high}"
+                f" points{where}.{more}"
             )
     # The reason in short: the details have it in full.
     why = item["why"].partition(": ")[0].partition(", not surely")[0]
@@ -351,7 +376,9 @@ def _descriptors_details(
     if "shown" in lead["evidence"]:
         sentences.append("An attack that links more people shows it.")
     if "attacks" in lead["evidence"]:
-        sentences.append("It holds as far as these attacks go; a stronger attack may change it.")
+        sentences.append(
+            "It holds as far as these attacks go; a stronger attack may change it."
+        )
         if gap := gap_text(table.gaps, where, lead["task"]):
             sentences.append(gap)
     counts = Counter(item["decision"] for item in own)
@@ -380,7 +407,9 @@ def _other_rule(table: Headline, where: Where, columns: Sequence[Shown]) -> list
             for column in columns
         ]
         known = [(value, other) for value, other in pairs if value and other]
-        if len(known) == len(pairs) and any(_differ(value, other) for value, other in known):
+        if len(known) == len(pairs) and any(
+            _differ(value, other) for value, other in known
+        ):
             shares = listed([percent(other) for _, other in known])
             return [f"With {adding_phrase(twin.adding)}: {shares}."]
     return []

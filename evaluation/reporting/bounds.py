@@ -5,7 +5,14 @@ from typing import Any
 
 from evaluation.analysis.bounds import Gap
 from evaluation.analysis.keys import Where
-from evaluation.analysis.metrics import CEILING, EXPOSURE, GAP, METRICS, RANK_GAP, SUCCESS
+from evaluation.analysis.metrics import (
+    CEILING,
+    EXPOSURE,
+    GAP,
+    METRICS,
+    RANK_GAP,
+    SUCCESS,
+)
 from evaluation.experiment.constants import MODEL, OTHER_LAW, OTHER_LAW_WORLD
 from evaluation.reporting import table as make
 from evaluation.reporting.lookups import estimates
@@ -13,17 +20,20 @@ from evaluation.reporting.rows import Results, mechanism_columns
 from evaluation.reporting.table import Cell, Column, Table
 
 _MODEL = (
-    "Everybody walks as the fitted motion says, with the errors of the recording: where attacks "
-    "rebuild, each person has an own motion, else all share one. optimum: the exact posterior of "
-    "who knows the motion, which no attack exceeds in the fitted model world, in expectation."
+    "Everybody walks as the fitted motion says, with the errors of the recording: where"
+    " attacks rebuild, each person has an own motion, else all share one. optimum: the"
+    " exact posterior of who knows the motion, which no attack exceeds in the fitted"
+    " model world, in expectation."
 )
 _GENIE = (
-    "ceiling: a genie who is told the scale of every error; the gap is at most that. On recorded "
-    "walks, which follow no model, the genie's value is no bound: attacks do exceed it."
+    "ceiling: a genie who is told the scale of every error; the gap is at most that. On"
+    " recorded walks, which follow no model, the genie's value is no bound: attacks do"
+    " exceed it."
 )
 _RATIO = (
-    "Of linkers: the exact likelihood ratio of each pair, of Gaussian errors of known variance. "
-    "Nobody who looks at one probe at a time finds more people, in expectation."
+    "Of linkers: the exact likelihood ratio of each pair, of Gaussian errors of known"
+    " variance. Nobody who looks at one probe at a time finds more people, in"
+    " expectation."
 )
 
 
@@ -68,7 +78,9 @@ def linked_bound_table(run: Results) -> Table:
 
 
 def _column(name: str, metric: str, key: str) -> Column:
-    return Column(name, lambda row: make.estimated(metric, row[key]), METRICS[metric].unit)
+    return Column(
+        name, lambda row: make.estimated(metric, row[key]), METRICS[metric].unit
+    )
 
 
 def _table(run: Results, title: str, columns: Sequence[Column], *, note: str) -> Table:
@@ -80,7 +92,9 @@ def _table(run: Results, title: str, columns: Sequence[Column], *, note: str) ->
         if bool(one.attack.task) == (note == _RATIO)
     ]
     columns = [*mechanism_columns(run.families), *columns]
-    return make.built(name, title, records, columns, notes=[_MODEL, note], n_headings=2, n_keys=4)
+    return make.built(
+        name, title, records, columns, notes=[_MODEL, note], n_headings=2, n_keys=4
+    )
 
 
 def gap_text(known: Sequence[Gap], where: Where, task: str = "") -> str:
@@ -94,4 +108,7 @@ def gap_text(known: Sequence[Gap], where: Where, task: str = "") -> str:
         return ""
     unit = "of 100 people" if task else "points"
     isotropic = "".join(f" With isotropic errors it lacks {other}." for other in others)
-    return f"In the model world the closest attack lacks {own} {unit} of the optimum.{isotropic}"
+    return (
+        f"In the model world the closest attack lacks {own} {unit} of the"
+        f" optimum.{isotropic}"
+    )

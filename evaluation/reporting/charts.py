@@ -1,7 +1,7 @@
 """Charts: marks and lines on two axes, as places; the page's templates make SVG of them.
 
-A chart is as wide as a phone. Colours are classes, so that they change in the dark, and a mark's
-shape and filling say the same in grey. Every mark is named.
+A chart is as wide as a phone. Colours are classes, so that they change in the dark, and
+a mark's shape and filling say the same in grey. Every mark is named.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -17,9 +17,19 @@ from isac_track.intervals import Estimate
 from isac_track.types import Floats
 
 WIDTH: Final = 360.0
-CHARACTER: Final = 5.6  # How wide a character is at most on average, in units of a chart.
+CHARACTER: Final = (
+    5.6  # How wide a character is at most on average, in units of a chart.
+)
 PERCENT: Final = 100.0
-INKS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#1b1d20")
+INKS: Final = (
+    "#0072b2",
+    "#d55e00",
+    "#009e73",
+    "#cc79a7",
+    "#e69f00",
+    "#56b4e9",
+    "#1b1d20",
+)
 MARKERS: Final = "os^DvP*"
 """Colours as in `colours.css`, and shapes as in `chart.html.j2`, as matplotlib has them."""
 LOOKS: Final = len(INKS)
@@ -53,16 +63,22 @@ class Look(NamedTuple):
     @property
     def shape(self) -> int:
         """Number of its shape."""
-        return (self.place + self.turn) % (LOOKS - 1) if self.turn else self.place % LOOKS
+        return (
+            (self.place + self.turn) % (LOOKS - 1) if self.turn else self.place % LOOKS
+        )
 
 
 def looks_of(known: Iterable[Family]) -> dict[str, Look]:
     """Return the look of every mechanism: its rule is hollow or not, raw is a star."""
     added = [one for one in known if one.is_added]
     names = dict.fromkeys([FID, FIXED, *(one.name for one in added)])
-    looks = {name: Look(n % (LOOKS - 1), turn=n // (LOOKS - 1)) for n, name in enumerate(names)}
+    looks = {
+        name: Look(n % (LOOKS - 1), turn=n // (LOOKS - 1))
+        for n, name in enumerate(names)
+    }
     return {RAW: Look(LOOKS - 1)} | {
-        one.mechanism: looks[one.name]._replace(hollow=one.adding == "independent") for one in added
+        one.mechanism: looks[one.name]._replace(hollow=one.adding == "independent")
+        for one in added
     }
 
 
@@ -85,7 +101,9 @@ class Curve(NamedTuple):
     label: str = ""  # Stands at the right end of the line, where there is room.
 
 
-Mark: TypeAlias = tuple[Look, float, float, str]  # x (infinite: the right edge), y, and name.
+Mark: TypeAlias = tuple[
+    Look, float, float, str
+]  # x (infinite: the right edge), y, and name.
 
 
 class Label(NamedTuple):
@@ -115,10 +133,16 @@ class Chart:
     x_ticks: list[tuple[float, str]] = field(default_factory=list)
     y_ticks: list[tuple[float, str]] = field(default_factory=list)
     grid: list[Stroke] = field(default_factory=list)
-    lines: list[tuple[str, Sequence[Stroke]]] = field(default_factory=list)  # Classes before.
-    marks: list[tuple[Look, Stroke, str]] = field(default_factory=list)  # Middles and name.
+    lines: list[tuple[str, Sequence[Stroke]]] = field(
+        default_factory=list
+    )  # Classes before.
+    marks: list[tuple[Look, Stroke, str]] = field(
+        default_factory=list
+    )  # Middles and name.
     labels: list[Label] = field(default_factory=list)  # Beside the ends of curves.
-    hints: dict[str, str] = field(default_factory=dict)  # Hover text by the words of a text.
+    hints: dict[str, str] = field(
+        default_factory=dict
+    )  # Hover text by the words of a text.
     right: float = _RIGHT  # Where the horizontal axis ends.
 
     @property
@@ -130,8 +154,12 @@ class Chart:
     def texts(self) -> list[tuple[float, float, str, str]]:
         """Place, class and words of all texts but that of the upright axis."""
         found = [(at, self.bottom + 12.0, "x", text) for at, text in self.x_ticks]
-        found += [(0.5 * (self.left + self.right), self.bottom + 26.0, "x", self.x_label)]
-        return found + [(self.left - 5.0, at + 3.4, "y", text) for at, text in self.y_ticks]
+        found += [
+            (0.5 * (self.left + self.right), self.bottom + 26.0, "x", self.x_label)
+        ]
+        return found + [
+            (self.left - 5.0, at + 3.4, "y", text) for at, text in self.y_ticks
+        ]
 
     def x_axis(self, values: Floats, *, log: bool = False) -> Callable[[Any], Any]:
         """Draw the axis of values; return where one of them is."""
@@ -179,7 +207,9 @@ def rows_chart(
                 chart.marks.append((look, [(x, y)], f"{row}: {name} {share(one)}"))
     for look, value in across:
         if np.isfinite(value):
-            chart.lines.append((f"across k{look.place}", [chart.down(at(PERCENT * value))]))
+            chart.lines.append(
+                (f"across k{look.place}", [chart.down(at(PERCENT * value))])
+            )
     return chart
 
 
@@ -200,7 +230,9 @@ def plane_chart(
     if limit is not None:
         chart.lines.append(("across k6", [chart.across(at_y(PERCENT * limit))]))
     for curve in curves:
-        way = [(at_x(PERCENT * one.x.value), at_y(PERCENT * one.y.value)) for one in curve]
+        way = [
+            (at_x(PERCENT * one.x.value), at_y(PERCENT * one.y.value)) for one in curve
+        ]
         chart.lines.append((f"curve k{curve[0].look.place}", [way]))
     if has_front and points:
         values = np.array([(one.x.value, one.y.value) for one in points])
@@ -227,7 +259,9 @@ def curves_chart(
     marked: Sequence[Mark] = (),
 ) -> Chart:
     """Return curves on two axes; `across` are lines from side to side, a class and value each."""
-    chart = Chart(x.label, _CURVES_HEIGHT, 40.0, y.label, right=_RIGHT - label_room(curves))
+    chart = Chart(
+        x.label, _CURVES_HEIGHT, 40.0, y.label, right=_RIGHT - label_room(curves)
+    )
     at_x = chart.x_axis(np.concatenate([one.x for one in curves]), log=x.log)
     others = [value for _, value in across] + [value for _, _, value, _ in marked]
     shown = np.concatenate([*(one.y.ravel() for one in curves), np.array(others)])
@@ -254,7 +288,8 @@ def curves_chart(
 def label_room(curves: Sequence[Curve]) -> float:
     """Return how much room the labels of curves take at the right; 0 if they do not fit.
 
-    They fit if every curve has a different one, there are at most seven, and none is too long.
+    They fit if every curve has a different one, there are at most seven, and none is
+    too long.
     """
     labels = [curve.label for curve in curves]
     widest = CHARACTER * max(map(len, labels), default=0) + _LABEL_MARK
@@ -270,7 +305,9 @@ def _labels(
     order = sorted(range(len(curves)), key=ends.__getitem__)
     heights = list[float]()
     for place in order:
-        heights.append(max(ends[place], heights[-1] + _LABEL_STEP if heights else _TOP + 2.0))
+        heights.append(
+            max(ends[place], heights[-1] + _LABEL_STEP if heights else _TOP + 2.0)
+        )
     # What has moved below the axis pushes the others up again.
     limit = bottom
     for turn in reversed(range(len(heights))):
@@ -296,7 +333,9 @@ def share(one: Estimate) -> str:
 
 def _shares(of: Sequence[Estimate]) -> Floats:
     """Return values in % with both ends of their intervals, one after the other."""
-    found = np.array([(one.value, one.ci_low, one.ci_high) for one in of], dtype=np.float64)
+    found = np.array(
+        [(one.value, one.ci_low, one.ci_high) for one in of], dtype=np.float64
+    )
     return PERCENT * found.reshape(-1)
 
 
@@ -310,10 +349,16 @@ def _axis(
         low, high = np.log10([known.min() / 1.1, 1.1 * known.max()]).tolist()
         steps = (1.0, 2.0, 5.0) if high - low < _FEW_DECADES else (1.0,)
         decades = 10.0 ** np.arange(np.floor(low), np.ceil(high))
-        ticks = [one for one in np.outer(decades, steps).ravel() if low <= np.log10(one) <= high]
+        ticks = [
+            one
+            for one in np.outer(decades, steps).ravel()
+            if low <= np.log10(one) <= high
+        ]
 
-        def place(of: Any) -> Any:  # noqa: ANN401 - a number or an array, which it gives back
-            return ends[0] + length * (np.log10(np.maximum(of, 10.0**low)) - low) / (high - low)
+        def place(values: Any) -> Any:  # noqa: ANN401 - a number or an array, as given
+            return ends[0] + length * (
+                np.log10(np.maximum(values, 10.0**low)) - low
+            ) / (high - low)
 
         return place, [(float(place(one)), _short(one)) for one in ticks]
     ticks = _ticks(float(known.min(initial=0.0)), float(known.max(initial=0.0)))

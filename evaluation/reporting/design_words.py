@@ -10,7 +10,14 @@ from typing import Any, Final
 from rich.console import Console
 
 from evaluation.analysis.levels import COLUMNS
-from evaluation.analysis.metrics import EXPOSURE, MEDIAN, METRICS, MISSED_RATE, SUCCESS, WIDE
+from evaluation.analysis.metrics import (
+    EXPOSURE,
+    MEDIAN,
+    METRICS,
+    MISSED_RATE,
+    SUCCESS,
+    WIDE,
+)
 from evaluation.reporting import recommendation as words
 from evaluation.reporting import table as make
 from evaluation.reporting import terminal
@@ -64,8 +71,9 @@ class Answer:
 def answer_of(out: Path, question: Question) -> Answer:
     """Return the answer of a run to a question.
 
-    Raises DataError if there is no run, or a file of it is missing or broken, and SettingsError if
-    it lacks a mechanism, a robot or a family that the question is about.
+    Raises DataError if there is no run, or a file of it is missing or broken, and
+    SettingsError if it lacks a mechanism, a robot or a family that the question is
+    about.
     """
     manifest = read_manifest(out)
     table = made_of(out, "levels.csv", columns=COLUMNS)
@@ -84,7 +92,11 @@ def answer_of(out: Path, question: Question) -> Answer:
 def to_json(answer: Answer) -> dict[str, Any]:
     """Return the answer as plain values; what is unknown is None."""
     advice, manifest = answer.recommendation, answer.manifest
-    identity, dataset, question = manifest["identity"], manifest["dataset"], advice.question
+    identity, dataset, question = (
+        manifest["identity"],
+        manifest["dataset"],
+        advice.question,
+    )
     limits = {name: question.limits.get(name) for name in LIMITS}
     return {
         "met": advice.met,
@@ -127,7 +139,8 @@ def _offer(offer: Offer, answer: Answer) -> dict[str, Any]:
         "shared": _side(offer.shared),
         "after_attack": _side(offer.attacked),
         "beyond": [
-            _side(side, limit=advice.question.limits.get(EXPOSURE)) for side in offer.beyond
+            _side(side, limit=advice.question.limits.get(EXPOSURE))
+            for side in offer.beyond
         ],
         "linked": _linked(offer.linked) if offer.linked else None,
         "tasks": [_linked(task) for task in offer.tasks],
@@ -190,7 +203,11 @@ def notes(answer: Answer) -> list[str]:
     """Return what else a reader must know of the run and of the question."""
     advice, dataset = answer.recommendation, answer.manifest["dataset"]
     epsilon = words.epsilon_m(answer.manifest)
-    texts = [dataset["notice"] or "The people are simulated."] if dataset["simulated"] else []
+    texts = (
+        [dataset["notice"] or "The people are simulated."]
+        if dataset["simulated"]
+        else []
+    )
     if few := few_people(dataset):
         texts.append(few)
     raw = advice.raw.checks if advice.raw else ()
@@ -202,13 +219,14 @@ def notes(answer: Answer) -> list[str]:
     ]
     if reasons:
         texts.append(
-            f"Raw positions exceed the limit themselves: {'; '.join(reasons)}. No level can be "
-            "expected to keep within it."
+            f"Raw positions exceed the limit themselves: {'; '.join(reasons)}. No level"
+            " can be expected to keep within it."
         )
     texts += _closed_form_notes(answer)
     texts += [
-        f"{sentence_case(words.level_name(offer))} keeps within the limits, but no level of its "
-        f"mechanism does with {adding_phrase(offer.lacks_rule)}: --adding leaves that rule out."
+        f"{sentence_case(words.level_name(offer))} keeps within the limits, but no"
+        f" level of its mechanism does with {adding_phrase(offer.lacks_rule)}: --adding"
+        " leaves that rule out."
         for offer in [offer for offer in advice.refused if offer.lacks_rule][:1]
     ]
     return texts
@@ -223,10 +241,13 @@ def _closed_form_notes(answer: Answer) -> list[str]:
     epsilon_m = words.epsilon_m(answer.manifest)
     dt_s = float(answer.manifest["history"]["interval_s"])
     lines = plan_lines(plr=limit, epsilon_m=epsilon_m, q=steady.Q_M2_PER_S3, dt_s=dt_s)
-    return [f"Closed forms alone, without a run: {' '.join(line.strip() for line in lines[:2])}"]
+    both = " ".join(line.strip() for line in lines[:2])
+    return [f"Closed forms alone, without a run: {both}"]
 
 
-def show(answer: Answer, *, verbose: bool = False, console: Console | None = None) -> None:
+def show(
+    answer: Answer, *, verbose: bool = False, console: Console | None = None
+) -> None:
     """Print the answer and the nearest levels in a few lines, or all that is behind it."""
     console = console or terminal.standard_output()
     parts = _whole(answer) if verbose else _brief(answer, width=console.width)
@@ -253,10 +274,14 @@ def _brief(answer: Answer, *, width: int) -> list[Part]:
 def _shown_levels(advice: Recommendation) -> list[Offer]:
     """Return raw, the levels that are proposed, and the nearest of every other mechanism."""
     named = [*filter(None, [advice.raw]), *advice.proposals, *advice.unsettled]
-    return named + [offer for offer in _nearest_levels(advice.refused) if offer not in named]
+    return named + [
+        offer for offer in _nearest_levels(advice.refused) if offer not in named
+    ]
 
 
-def _level_lines(offers: Sequence[Offer], advice: Recommendation, *, epsilon_m: float) -> list[str]:
+def _level_lines(
+    offers: Sequence[Offer], advice: Recommendation, *, epsilon_m: float
+) -> list[str]:
     """Return the levels in lines: cost, what an attack knows, and what it re-identifies."""
     wide_m = WIDE_TIMES * epsilon_m
     rows = []
@@ -273,7 +298,11 @@ def _level_lines(offers: Sequence[Offer], advice: Recommendation, *, epsilon_m: 
         Group("re-identified", ("% of raw",)),
     ]
     is_marked = any(row[0].endswith(INDEPENDENT_MARK) for row in rows)
-    corner = f"shared ({INDEPENDENT_MARK.strip()} independent)" if is_marked else "what is shared"
+    corner = (
+        f"shared ({INDEPENDENT_MARK.strip()} independent)"
+        if is_marked
+        else "what is shared"
+    )
     return grid_lines(rows, groups, corner=("± half of a 95 % interval", corner))
 
 
@@ -290,15 +319,20 @@ def _whole(answer: Answer) -> list[Part]:
     epsilon, identity = words.epsilon_m(manifest), manifest["identity"]
     conflicts = words.conflicts_text(advice.question.criterion)
     about = (
-        f"{manifest['dataset']['name']}: {scenes_text(identity)}, seed {identity['seed']}. "
-        f"Robot: {robot_text(advice)}; {conflicts}, at the false alarms of raw positions. "
-        "A limit holds if the upper end of the 95 % interval does."
+        f"{manifest['dataset']['name']}: {scenes_text(identity)}, seed"
+        f" {identity['seed']}. Robot: {robot_text(advice)}; {conflicts}, at the false"
+        " alarms of raw positions. A limit holds if the upper end of the 95 % interval"
+        " does."
     )
-    text = words.answer_text(advice, simulated=manifest["dataset"]["simulated"], epsilon_m=epsilon)
+    text = words.answer_text(
+        advice, simulated=manifest["dataset"]["simulated"], epsilon_m=epsilon
+    )
     parts: list[Part] = [(text, "bold"), "", about]
     parts += [answer_table(advice), ""]
     shown = advice.proposals or advice.unsettled or advice.refused[:1]
-    parts += [f"- {words.offer_text(offer, advice, epsilon_m=epsilon)}" for offer in shown]
+    parts += [
+        f"- {words.offer_text(offer, advice, epsilon_m=epsilon)}" for offer in shown
+    ]
     refused = [offer for offer in _nearest_levels(advice.refused) if offer not in shown]
     if refused:
         parts += ["", "The other mechanisms, each at its nearest level:"]
@@ -336,14 +370,18 @@ def robot_text(advice: Recommendation) -> str:
 def answer_table(advice: Recommendation) -> Table:
     """Return raw, the levels that are proposed, and the nearest of every other mechanism."""
     columns = [
-        make.said("what is shared", lambda offer: mechanism_name(offer.family, offer.where[1])),
+        make.said(
+            "what is shared", lambda offer: mechanism_name(offer.family, offer.where[1])
+        ),
         Column(
             "missed",
             lambda offer: make.estimated(MISSED_RATE, offer.cost),
             "%",
             above="at raw's alarms",
         ),
-        Column("known", partial(_left, EXPOSURE), METRICS[EXPOSURE].unit, above="attacked"),
+        Column(
+            "known", partial(_left, EXPOSURE), METRICS[EXPOSURE].unit, above="attacked"
+        ),
         Column("at 4/3", partial(_left, WIDE), METRICS[WIDE].unit),
         Column("error", partial(_left, MEDIAN), METRICS[MEDIAN].unit, above="median"),
         Column("of raw", partial(_link, "share"), "%", above="re-identified"),

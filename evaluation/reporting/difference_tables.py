@@ -33,10 +33,13 @@ _PAIRED = {
     comparing.PEOPLE: "paired over people, not over draws (other scenes and errors)",
     comparing.NONE: "not paired: intervals of independent estimates",
 }
-_MARKS = {comparing.PEOPLE: "~", comparing.NONE: "*"}  # Of a difference that is not paired in full.
+_MARKS = {
+    comparing.PEOPLE: "~",
+    comparing.NONE: "*",
+}  # Of a difference that is not paired in full.
 _ABOUT_CONSTANTS = (
-    "rates and PLR in %, lengths in s; fitted: raw PLR, raw MEL and the PLR of fid:1000; the "
-    "others (linear adding) were not fitted, but seen"
+    "rates and PLR in %, lengths in s; fitted: raw PLR, raw MEL and the PLR of"
+    " fid:1000; the others (linear adding) were not fitted, but seen"
 )
 
 
@@ -71,7 +74,10 @@ def _plain(rows: pd.DataFrame) -> list[dict[Any, Any]]:
 
 
 def show(
-    comparison: comparing.Comparison, *, every: bool = False, console: Console | None = None
+    comparison: comparing.Comparison,
+    *,
+    every: bool = False,
+    console: Console | None = None,
 ) -> None:
     """Print what changed, how much of it counts, and the surest differences, or `every` one."""
     console = console or terminal.standard_output()
@@ -96,8 +102,8 @@ def _bold(text: str) -> Part:
 def _run_lines(comparison: comparing.Comparison) -> list[str]:
     """Return which runs are compared."""
     return [
-        f"{name}: {about['out']} ({about['dataset']}, {about['people']} clusters of people, "
-        f"{scenes_text(about)}, seed {about['seed']})"
+        f"{name}: {about['out']} ({about['dataset']}, {about['people']} clusters of"
+        f" people, {scenes_text(about)}, seed {about['seed']})"
         for name, about in (("A", comparison.a), ("B", comparison.b))
     ]
 
@@ -105,7 +111,10 @@ def _run_lines(comparison: comparing.Comparison) -> list[str]:
 def _lead_table(lead: pd.DataFrame) -> Table:
     title = "The main numbers, B - A with 95 % intervals, p after Holm"
     keys = [
-        make.said("", lambda row: f"{METRICS[row['metric']].title}, {_source(row)}{_ahead(row)}"),
+        make.said(
+            "",
+            lambda row: f"{METRICS[row['metric']].title}, {_source(row)}{_ahead(row)}",
+        ),
         make.said("", lambda row: where_text(row["mechanism"], row["level"])),
     ]
     return _table("lead", title, lead, keys)
@@ -141,13 +150,15 @@ def _count_parts(comparison: comparing.Comparison) -> list[Part]:
     rows, (only_a, only_b) = comparison.rows, comparison.only_numbers
     n_identical = comparing.counts(rows)[comparing.IDENTICAL]
     head = (
-        f"{n_identical} of {len(rows)} numbers are identical ({only_a} more are only in A, "
-        f"{only_b} only in B)"
+        f"{n_identical} of {len(rows)} numbers are identical ({only_a} more are only in"
+        f" A, {only_b} only in B)"
     )
     families = {"headline": comparison.headline, "others": rows[~rows["headline"]]}
     texts = [_family_text(name, some) for name, some in families.items() if len(some)]
     kinds = rows["pairing"].value_counts()
-    paired = [f"{kinds[kind]} {note}" for kind, note in _PAIRED.items() if kind in kinds]
+    paired = [
+        f"{kinds[kind]} {note}" for kind, note in _PAIRED.items() if kind in kinds
+    ]
     return [_bold(head), *texts, f"({'; '.join(paired)})"]
 
 
@@ -157,9 +168,9 @@ def _family_text(name: str, rows: pd.DataFrame) -> str:
     untested = counts[comparing.UNTESTED]
     without = f", {untested} without an interval" if untested else ""
     return (
-        f"{name}: {counts[comparing.DIFFERS]} of {len(rows)} differ (p <= "
-        f"{comparing.SIGNIFICANCE:g} after Holm), {counts[comparing.BETWEEN]} undecided, "
-        f"{counts[comparing.IDENTICAL]} identical{without}"
+        f"{name}: {counts[comparing.DIFFERS]} of {len(rows)} differ (p <="
+        f" {comparing.SIGNIFICANCE:g} after Holm), {counts[comparing.BETWEEN]}"
+        f" undecided, {counts[comparing.IDENTICAL]} identical{without}"
     )
 
 
@@ -172,7 +183,11 @@ def _verdict_parts(verdicts: Mapping[str, Any]) -> list[Part]:
         f"Verdict: {len(changed)} of {verdicts['in_both']} decisions changed "
         f"({len(verdicts['only_a'])} only in A, {len(verdicts['only_b'])} only in B)"
     )
-    return ["", _bold(head), *(f"{item['id']}: {item['a']} -> {item['b']}" for item in changed)]
+    return [
+        "",
+        _bold(head),
+        *(f"{item['id']}: {item['a']} -> {item['b']}" for item in changed),
+    ]
 
 
 def differences(shown: pd.DataFrame, *, of: int, room: int) -> Table:
@@ -193,11 +208,15 @@ def _table(name: str, title: str, shown: pd.DataFrame, keys: Sequence[Column]) -
 
     def change(row: Mapping[Any, Any]) -> Cell:
         ends = (row[name] for name in ("difference", "ci_low", "ci_high"))
-        return make.amount(row["metric"], *ends, sign="+", mark=marks.get(row["pairing"], ""))
+        return make.amount(
+            row["metric"], *ends, sign="+", mark=marks.get(row["pairing"], "")
+        )
 
     def p_value(row: Mapping[Any, Any]) -> Cell:
         p = row["p_holm"]
-        return Cell("" if math.isnan(p) else "<0.001" if p < _SURE else f"{p:.3f}", value=p)
+        return Cell(
+            "" if math.isnan(p) else "<0.001" if p < _SURE else f"{p:.3f}", value=p
+        )
 
     columns = [*keys, make.measured("A", "a"), make.measured("B", "b")]
     columns += [Column("B - A", change), Column("p", p_value)]
@@ -238,7 +257,9 @@ def _short(value: float, unit: str) -> str:
     return f"{value:.3g}{' s' * (unit == 's')}" if math.isfinite(value) else "unknown"
 
 
-def variants_json(rows: pd.DataFrame, others: list[dict[str, Any]], *, out: Path) -> dict[str, Any]:
+def variants_json(
+    rows: pd.DataFrame, others: list[dict[str, Any]], *, out: Path
+) -> dict[str, Any]:
     """Return the table and what became of `others`, the variants, in plain values."""
     return {
         "out": str(out),
@@ -254,11 +275,16 @@ def show_variants(rows: pd.DataFrame, *, left_out: Mapping[str, str]) -> None:
     shown = [section for section in SECTIONS if section in set(rows["section"])]
     records = [
         {"variant": variant}
-        | {name: ", ".join(f"{n} {one}" for one, n in of.get(name, {}).items()) for name in shown}
+        | {
+            name: ", ".join(f"{n} {one}" for one, n in of.get(name, {}).items())
+            for name in shown
+        }
         for variant, of in sensitivity.counts(rows).items()
     ]
     columns = [make.said(name) for name in ("variant", *shown)]
-    items = make.built("sensitivity", "Items of the verdict, by section", records, columns)
+    items = make.built(
+        "sensitivity", "Items of the verdict, by section", records, columns
+    )
     terminal.show([items, "", *_variant_parts(rows, left_out)])
 
 
@@ -274,16 +300,20 @@ def _variant_parts(rows: pd.DataFrame, left_out: Mapping[str, str]) -> list[Part
     lines = turned(rows)
     end = ":" if lines else "."
     head = (
-        f"{changes.get(sensitivity.SAME, 0)} items have the same decision{''.join(counts)}, "
-        f"{len(lines)} {sensitivity.TURNED}{end}"
+        f"{changes.get(sensitivity.SAME, 0)} items have the same"
+        f" decision{''.join(counts)}, {len(lines)} {sensitivity.TURNED}{end}"
     )
     meaning = (
-        "(Signs of decisions: base against the run's own verdict, all others against base. lost: "
-        "decided before, not now; gained: the reverse; missing: not tested there.)"
+        "(Signs of decisions: base against the run's own verdict, all others against"
+        " base. lost: decided before, not now; gained: the reverse; missing: not tested"
+        " there.)"
     )
     return [
         meaning,
-        *(f"left out: {name}: {why}; --variant {name} runs it" for name, why in left_out.items()),
+        *(
+            f"left out: {name}: {why}; --variant {name} runs it"
+            for name, why in left_out.items()
+        ),
         "",
         _bold(head),
         *(f"- {line}" for line in lines),
@@ -294,16 +324,27 @@ def show_constants(found: Mapping[str, Calibration]) -> None:
     """Print constants and what they predict beside the paper's numbers, case by case."""
     records = [
         {"constant or number": make.word(name)}
-        | {case: make.number(getattr(fit, name), digits=2) for case, (fit, _) in found.items()}
+        | {
+            case: make.number(getattr(fit, name), digits=2)
+            for case, (fit, _) in found.items()
+        }
         for name in FITTED
     ]
     for mechanism, at, metric, published in PUBLISHED:
         spec = mechanism if at is None else f"{mechanism}:{at:g}"
         scale, digits = METRICS[metric].scale, 1 if METRICS[metric].is_share else 2
         number = partial(make.number, scale=scale, digits=digits)
-        row = {"constant or number": make.word(f"{spec} {metric}"), "paper": number(published)}
+        row = {
+            "constant or number": make.word(f"{spec} {metric}"),
+            "paper": number(published),
+        }
         row |= {case: number(ours[spec, metric]) for case, (_, ours) in found.items()}
         records.append(row)
-    columns = [make.held("constant or number", align="left"), *map(make.held, ("paper", *found))]
+    columns = [
+        make.held("constant or number", align="left"),
+        *map(make.held, ("paper", *found)),
+    ]
     title = "paper, and what each set of constants gives"
-    terminal.show([make.built("calibration", title, records, columns, notes=[_ABOUT_CONSTANTS])])
+    terminal.show(
+        [make.built("calibration", title, records, columns, notes=[_ABOUT_CONSTANTS])]
+    )

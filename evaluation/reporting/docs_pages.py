@@ -15,16 +15,20 @@ GLOSSARY_PAGE: Final = Path("docs", "glossary.md")
 FIGURES: Final = Path("docs", "figures")
 PICTURE: Final = FIGURES / "one_walk.svg"
 _SHOWN: Final = ("after_attack", "frontier", "linkability", "operating_points")
-_SOURCE: Final = ("students03", "paper")  # Data set and preset of the figures in the docs.
+_SOURCE: Final = (
+    "students03",
+    "paper",
+)  # Data set and preset of the figures in the docs.
 
 
 def write_pages(run: Results, *, root: Path) -> list[Path]:
     """Write `docs/glossary.md`, and the pictures of the docs that are drawn from such a run.
 
-    The figures are those of the preset `paper` on Students03, the walk is of a simulated crowd.
+    The figures are those of the preset `paper` on Students03, the walk is of a
+    simulated crowd.
 
-    Walks of recorded people are not drawn: their licence may forbid it. Return the paths of what
-    was written. DataError if a file cannot be written.
+    Walks of recorded people are not drawn: their licence may forbid it. Return the
+    paths of what was written. DataError if a file cannot be written.
     """
     texts = {root / GLOSSARY_PAGE: glossary_page()}
     if run.manifest["dataset"]["simulated"] and run.gallery is not None:

@@ -24,17 +24,22 @@ def load(out: Path | str) -> Results:
 
     Nothing is made anew: that does `evaluation.report`, from the cells.
 
-    Raises DataError if the folder holds no run, or a table is missing or broken, with the way out.
+    Raises DataError if the folder holds no run, or a table is missing or broken, with
+    the way out.
     """
     out = Path(out)
     manifest = read_manifest(out)
     files = {**FRAMES, "flags": "flags.json", "verdict": "verdict.json"}
-    tables: dict[str, Any] = {field: made_of(out, name) for field, name in files.items()}
+    tables: dict[str, Any] = {
+        field: made_of(out, name) for field, name in files.items()
+    }
     flags = tables["flags"]
     tables["flags"] = pd.DataFrame(flags["flags"], columns=flags.get("columns"))
     results = Results(out=out, manifest=manifest, **tables)
     rows = results.measured
-    rows = rows[rows["metric"].isin([EXPOSURE, SUCCESS, ASSIGNED]) & (rows["knowledge"] != "")]
+    rows = rows[
+        rows["metric"].isin([EXPOSURE, SUCCESS, ASSIGNED]) & (rows["knowledge"] != "")
+    ]
     # Their values alone are asked for, and what makes estimates takes long to import.
     known: Any = dict(zip(keys_of(rows), map(_Known, rows["value"]), strict=True))
     best = strongest(known, results.families)

@@ -58,8 +58,12 @@ _LABEL_WIDTH: Final = 27
 _CORNER: Final = ("± half of a 95 % interval", "what is shared")
 _ROBOT_WIDTH: Final = 8  # Characters of a name over a column.
 _MOST_LINKED: Final = 2  # Tasks that have a column.
-_MUCH: Final = 0.2  # Of the mean speed of all tracks: by so much those used differ worth a doubt.
-_SLACK: Final = 0.05  # Of missed conflicts, above what raw costs: what the next question allows.
+_MUCH: Final = (
+    0.2  # Of the mean speed of all tracks: by so much those used differ worth a doubt.
+)
+_SLACK: Final = (
+    0.05  # Of missed conflicts, above what raw costs: what the next question allows.
+)
 _CUTS: Final = ("split", "jump", "clock", "id-reuse")
 """Repairs that make several tracks of one person."""
 
@@ -67,13 +71,15 @@ _CUTS: Final = ("split", "jump", "clock", "id-reuse")
 def first_screen(run: Results, *, before: int = 0) -> list[str]:
     """Return the lines of the first screen.
 
-    `before` lines were printed already: they leave the table less room, but at least a few rows.
+    `before` lines were printed already: they leave the table less room, but at least a
+    few rows.
     """
     table = headline_of(run)
     top = [*wrapped(data_line(run.manifest)), *unusual_geometry(run.manifest)]
     last = [*_doubt_lines(doubts(run, table)), *_page_lines(run), *_next_lines(run)]
     texts = [
-        f"{answer.topic}: {answer.sentence}" for answer in answers(run, table, names_level=False)
+        f"{answer.topic}: {answer.sentence}"
+        for answer in answers(run, table, names_level=False)
     ]
     least = _table_lines(run, table, room=0)
     most = LINES - len([*top, *least, *last])
@@ -91,25 +97,35 @@ def data_line(manifest: Mapping[str, Any]) -> str:
     dataset, identity = manifest["dataset"], manifest["identity"]
     is_cut = any(repair["kind"] in _CUTS for repair in dataset["repairs"])
     noun, plural = ("track", "tracks") if is_cut else ("person", "people")
-    title = f"{dataset_title(dataset['name'])}: {counted(dataset['tracks'], noun, plural)} recorded"
+    title = (
+        f"{dataset_title(dataset['name'])}: {counted(dataset['tracks'], noun, plural)}"
+        " recorded"
+    )
     if dataset.get("simulated"):
-        title = f"Simulated crowd {dataset['name']}: {counted(dataset['tracks'], noun, plural)}"
+        title = (
+            f"Simulated crowd {dataset['name']}:"
+            f" {counted(dataset['tracks'], noun, plural)}"
+        )
     scenes = identity.get("scenes_utility", identity["scenes"])
     return (
-        f"{title}, {dataset['tracks_used']:,} long enough to use; {counted(scenes, 'test scene')}"
+        f"{title}, {dataset['tracks_used']:,} long enough to use;"
+        f" {counted(scenes, 'test scene')}"
     )
 
 
 def fitting_lines(texts: Sequence[str], *, most: int) -> list[str]:
     """Return texts in at most `most` lines, if that takes no more than their last sentences.
 
-    The last sentence of the longest text goes first: the details of an answer are in its table.
+    The last sentence of the longest text goes first: the details of an answer are in
+    its table.
     """
     shown = [re.split(r"(?<=[.:]) (?=[A-Z])", text) for text in texts]
     lines = [wrapped(" ".join(sentences)) for sentences in shown]
     while sum(map(len, lines)) > most:
         # A topic and its first sentence stay.
-        longest = max(range(len(shown)), key=lambda n: (len(shown[n]) > _SHORTEST, len(lines[n])))
+        longest = max(
+            range(len(shown)), key=lambda n: (len(shown[n]) > _SHORTEST, len(lines[n]))
+        )
         if len(shown[longest]) <= _SHORTEST:
             break
         shown[longest].pop()
@@ -133,7 +149,10 @@ def _table_lines(run: Results, table: Headline, *, room: int) -> list[str]:
     for most in range(_MOST_ROWS - len(chance), _LEAST_ROWS - 1, -1):
         levels = screen_levels(table, known, most=most, named=named)
         rows = [
-            [_label(table, where), *(percent_cell(table.at(where, column)) for column in columns)]
+            [
+                _label(table, where),
+                *(percent_cell(table.at(where, column)) for column in columns),
+            ]
             for where in levels
         ]
         grid = grid_lines([*rows, *chance], groups, corner=_CORNER)
@@ -148,10 +167,15 @@ def first_table(run: Results) -> Table:
     table = headline_of(run)
     pairs = screen_columns(table, lead_robot(table, best=best_robot(run)))
     columns = [column for _, some in pairs for column in some]
-    known = [where for where in table.wheres if any(table.at(where, one) for one in columns)]
+    known = [
+        where for where in table.wheres if any(table.at(where, one) for one in columns)
+    ]
     named = [reference(table), *recommended_levels(run)]
     levels = screen_levels(table, known, most=_MOST_ROWS, named=named)
-    heads = [Column(column.title, partial(_estimated, table, column), "%") for column in columns]
+    heads = [
+        Column(column.title, partial(_estimated, table, column), "%")
+        for column in columns
+    ]
     heads.insert(0, make.said("what is shared", table.name))
     return make.built("first", "", levels, heads)
 
@@ -161,23 +185,30 @@ def short_table(table: Headline) -> Table:
 
     It has no run at hand: its robot is the one that misses least.
     """
-    robot = min(table.future or table.robots, key=lambda shown: _mean_missed(table, shown))
+    robot = min(
+        table.future or table.robots, key=lambda shown: _mean_missed(table, shown)
+    )
     columns = [column for _, some in screen_columns(table, robot) for column in some]
-    known = [where for where in table.wheres if any(table.at(where, one) for one in columns)]
+    known = [
+        where for where in table.wheres if any(table.at(where, one) for one in columns)
+    ]
     levels = screen_levels(table, known, most=_MOST_ROWS, named=[reference(table)])
     heads = [
         f"{robot_name(robot.measure.consumer)} misses (%)",
         "known as sent (%)",
         "attacked (%)",
     ]
-    linked = [f"{column.name.removeprefix('after ')} (%)" for column in columns[len(heads) :]]
+    linked = [
+        f"{column.name.removeprefix('after ')} (%)" for column in columns[len(heads) :]
+    ]
     heads += [f"linked, {head}" if n == 0 else head for n, head in enumerate(linked)]
     cells = [
         Column(head, partial(_short_cell, table, column))
         for head, column in zip(heads, columns, strict=True)
     ]
     names = make.said(
-        "shared", lambda where: mechanism_name(family_of(table.known, where[0]), where[1])
+        "shared",
+        lambda where: mechanism_name(family_of(table.known, where[0]), where[1]),
     )
     return make.built("screen", "", levels, [names, *cells])
 
@@ -215,7 +246,9 @@ def _level_line(table: Headline) -> str:
     return f"With {level_phrase(table, where)}{meaning}:"
 
 
-def screen_columns(table: Headline, robot: Shown | None) -> list[tuple[Group, list[Shown]]]:
+def screen_columns(
+    table: Headline, robot: Shown | None
+) -> list[tuple[Group, list[Shown]]]:
     """Return the columns of the first screen: one robot, known positions, two linkage tasks."""
     groups = []
     if robot is not None:
@@ -239,9 +272,10 @@ def screen_levels(
 ) -> list[Where]:
     """Return at most `most` levels, in the order of the run.
 
-    Raw positions and the `named` levels come first, then one level of each mechanism of the paper,
-    one of each other mechanism, and the further levels that the paper gives numbers for. Noise that
-    is independent of the sensing error comes last where the same noise stands without it.
+    Raw positions and the `named` levels come first, then one level of each mechanism of
+    the paper, one of each other mechanism, and the further levels that the paper gives
+    numbers for. Noise that is independent of the sensing error comes last where the
+    same noise stands without it.
     """
     without_level = [where for where in known if where[1] is None]
     lead: dict[str, Where] = {}
@@ -251,7 +285,9 @@ def screen_levels(
     others, _ = levels_of(table)
     every = dict.fromkeys([*without_level, *named, *lead.values(), *others])
     wanted = [where for where in every if where in known]
-    first = {(table.known[where[0]].name, where[1]): where for where in reversed(wanted)}
+    first = {
+        (table.known[where[0]].name, where[1]): where for where in reversed(wanted)
+    }
     always = [*without_level, *named]
     # Sorting keeps the order of equals.
     wanted.sort(
@@ -272,14 +308,17 @@ def _order(table: Headline, where: Where) -> tuple[int, str, float, str]:
 
 def _chance_row(columns: Sequence[Shown]) -> list[list[str]]:
     """Return the row of guessing; none where nobody is linked."""
-    sizes = [column.candidates for column in columns if math.isfinite(column.candidates)]
+    sizes = [
+        column.candidates for column in columns if math.isfinite(column.candidates)
+    ]
     if not any(math.isfinite(column.chance) for column in columns):
         return []
     among = f" among {min(sizes):.0f}" if sizes else ""
     if len({round(size) for size in sizes}) > 1:
         among += f" to {max(sizes):.0f}"
     chances = [
-        whole(PERCENT * column.chance) if math.isfinite(column.chance) else "" for column in columns
+        whole(PERCENT * column.chance) if math.isfinite(column.chance) else ""
+        for column in columns
     ]
     return [[f"guessing{among}", *chances]]
 
@@ -289,10 +328,16 @@ def doubts(run: Results, table: Headline) -> list[str]:
     manifest = run.manifest
     linked = manifest.get("linkage") or {}
     skipped = [*linked.get("skipped", ())]
-    n_units = sum(repair["kind"] == "doubt" for repair in manifest["dataset"]["repairs"])
-    n_controls = sum(item["decision"] == DOES_NOT for item in run.verdict.get("controls", ()))
+    n_units = sum(
+        repair["kind"] == "doubt" for repair in manifest["dataset"]["repairs"]
+    )
+    n_controls = sum(
+        item["decision"] == DOES_NOT for item in run.verdict.get("controls", ())
+    )
     n_weak = len(weak_attacks.lines(run.flags))
-    n_frozen = max((task.get("frozen", 0) for task in linked.get("tasks", {}).values()), default=0)
+    n_frozen = max(
+        (task.get("frozen", 0) for task in linked.get("tasks", {}).values()), default=0
+    )
     failed = [*run.failed["why"]]
     texts = [
         f"{counted(len(failed), 'cell')} FAILED ({failed[0]})" if failed else "",
@@ -301,9 +346,11 @@ def doubts(run: Results, table: Headline) -> list[str]:
         _untried_text(run),
         "units of the recording may be wrong" if n_units else "",
         _no_interval_text(table),
-        f"{counted(n_controls, 'positive control')} of the descriptors failed"
-        if n_controls
-        else "",
+        (
+            f"{counted(n_controls, 'positive control')} of the descriptors failed"
+            if n_controls
+            else ""
+        ),
         f"{counted(n_weak, 'sign')} that an attack is too weak" if n_weak else "",
         _invalid_text(run),
         _control_text(run),
@@ -318,7 +365,9 @@ def doubts(run: Results, table: Headline) -> list[str]:
 def _untried_text(run: Results) -> str:
     """Return that no adversary that knows more was tried on the level that is proposed."""
     proposals = run.recommendation().proposals[:1]
-    is_untried = any(all(side.source is None for side in offer.beyond) for offer in proposals)
+    is_untried = any(
+        all(side.source is None for side in offer.beyond) for offer in proposals
+    )
     return "the proposal was tried against one release only" if is_untried else ""
 
 
@@ -336,7 +385,9 @@ def _no_interval_text(table: Headline) -> str:
 
 def _invalid_text(run: Results) -> str:
     """Return how many linkage results measure a shortcut instead of the attack."""
-    texts = run.linkability[["cohort", "knowledge", "invalid"]].astype(object).fillna("")
+    texts = (
+        run.linkability[["cohort", "knowledge", "invalid"]].astype(object).fillna("")
+    )
     is_linked = (texts["cohort"] == "all") & (texts["knowledge"] != "")
     invalid = texts.loc[is_linked, "invalid"]
     shortcuts = sorted({name for text in invalid if text for name in text.split(", ")})
@@ -358,7 +409,9 @@ def _control_text(run: Results) -> str:
     expected = LEVEL * len(tests)
     if not sum(tests) > expected:
         return ""
-    return f"{sum(tests)} of {len(tests)} controls link people ({expected:.0f} expected)"
+    return (
+        f"{sum(tests)} of {len(tests)} controls link people ({expected:.0f} expected)"
+    )
 
 
 def _doubt_lines(texts: Sequence[str]) -> list[str]:

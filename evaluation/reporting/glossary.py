@@ -1,6 +1,7 @@
 """The glossary: one plain sentence for each name that a screen, a table or a figure shows.
 
-Its one home. The page takes hover text and its section from here, `docs/glossary.md` is made of it.
+Its one home. The page takes hover text and its section from here, `docs/glossary.md` is
+made of it.
 """
 
 import re
@@ -13,43 +14,84 @@ from markupsafe import Markup, escape
 from evaluation.reporting.names import ATTACK_NAMES, FAMILY_NAMES, ROBOT_NAMES
 
 _WORDS: Final = {
-    "ISAC": "Integrated sensing and communication: a radio network that also senses objects.",
-    "FID": "Fisher information density: how precisely the network can locate a point, 1/(m² s).",
-    "eta": "Threshold of FID noise, 1/(m² s): FID above it is brought down by added noise.",
-    "epsilon": "Distance in m below which a shared or rebuilt position counts as known.",
+    "ISAC": (
+        "Integrated sensing and communication: a radio network that also senses"
+        " objects."
+    ),
+    "FID": (
+        "Fisher information density: how precisely the network can locate a point,"
+        " 1/(m² s)."
+    ),
+    "eta": (
+        "Threshold of FID noise, 1/(m² s): FID above it is brought down by added noise."
+    ),
+    "epsilon": (
+        "Distance in m below which a shared or rebuilt position counts as known."
+    ),
     "mechanism": "A rule that changes positions before the network shares them.",
     "level": "The strength of a mechanism: eta for FID noise, metres for most others.",
     "release": "Times, positions and fresh pseudonyms that a recipient gets at a time.",
     "pseudonym": "A random label of a track, new in every release.",
     "adding": "How added noise combines with the sensing error: linear or independent.",
-    "linear": "Adding rule of the paper: the standard deviations of both errors add up.",
+    "linear": (
+        "Adding rule of the paper: the standard deviations of both errors add up."
+    ),
     "independent": "Adding rule of two unrelated errors: their variances add up.",
     "as shared": "Positions as the mechanism sends them, before any attack.",
     "after attack": "Positions that an attack has rebuilt from a release.",
     "law": "The direction of position errors: radial, isotropic or fixed_direction.",
     "radial": "Error law: a random distance in a uniformly random direction.",
     "isotropic": "Error law: the same normal error along both axes.",
-    "fixed_direction": "Error law: all errors of a track lie along one random direction.",
-    "white": "Fixed noise with independent adding and isotropic errors, as a reference.",
-    "interval": "95 % interval over people: 19 of 20 such intervals hold the true value.",
+    "fixed_direction": (
+        "Error law: all errors of a track lie along one random direction."
+    ),
+    "white": (
+        "Fixed noise with independent adding and isotropic errors, as a reference."
+    ),
+    "interval": (
+        "95 % interval over people: 19 of 20 such intervals hold the true value."
+    ),
     "chance": "Rank 1 of a random guess: one divided by the number of candidates.",
     "candidates": "People among whom a linkage attack looks for the same person.",
-    "missed conflict": "A robot does not foresee that somebody comes inside the safety radius.",
+    "missed conflict": (
+        "A robot does not foresee that somebody comes inside the safety radius."
+    ),
     "future conflict": "A conflict in which nobody is inside the safety radius yet.",
     "false alarm": "A robot expects a conflict that does not happen.",
-    "handover": "Pseudonyms change after some seconds of silence; frame and clock stay true.",
-    "re-identified": "A linkage attack ranks the same person first among all candidates.",
-    "singling out": "Isolating the records of a person in a data set (Opinion 05/2014).",
+    "handover": (
+        "Pseudonyms change after some seconds of silence; frame and clock stay true."
+    ),
+    "re-identified": (
+        "A linkage attack ranks the same person first among all candidates."
+    ),
+    "singling out": (
+        "Isolating the records of a person in a data set (Opinion 05/2014)."
+    ),
     "linkability": "Linking two records of the same person (Opinion 05/2014).",
-    "inference": "Deducing an attribute of a person, probably correctly (Opinion 05/2014).",
-    "front": "Levels that no other level of the run beats in cost and privacy together.",
-    "model world": "Simulated walks that follow the fitted motion, where the optimum is known.",
+    "inference": (
+        "Deducing an attribute of a person, probably correctly (Opinion 05/2014)."
+    ),
+    "front": (
+        "Levels that no other level of the run beats in cost and privacy together."
+    ),
+    "model world": (
+        "Simulated walks that follow the fitted motion, where the optimum is known."
+    ),
     "optimum": "The exact best attack in a model world: no attack beats it on average.",
-    "ceiling": "An optimum that also knows the scale of every error; attacks need not reach it.",
-    "clusters": "People, or groups who walk together, that an interval is computed over.",
-    "control": "A linker that must stay at chance; if it does not, the task leaks otherwise.",
+    "ceiling": (
+        "An optimum that also knows the scale of every error; attacks need not"
+        " reach it."
+    ),
+    "clusters": (
+        "People, or groups who walk together, that an interval is computed over."
+    ),
+    "control": (
+        "A linker that must stay at chance; if it does not, the task leaks otherwise."
+    ),
     "shortcut": "A control that links people by something other than their walk.",
-    "joint matching": "All probes are matched to candidates at once, each candidate once.",
+    "joint matching": (
+        "All probes are matched to candidates at once, each candidate once."
+    ),
     "rebuilt": "Computed from a release by a reconstruction attack.",
     "true": "Where the person was, without any error.",
     "shared": "What the network sent, as `as shared`.",
@@ -63,11 +105,19 @@ _MECHANISMS: Final = {
     "ou": "Noise that changes slowly, over some seconds (tau_s), level in m.",
     "ou_fid": "Slow noise where the FID exceeds eta.",
     "laplace": "Planar Laplace noise on every position, level in m.",
-    "forecast": "The network's own filtered position, once a second, with noise, level in m.",
-    "correlated": "A control: noise as large as fixed noise, but similar from sample to sample.",
-    "offset": "A control: a whole track shifted by one distance in a random direction, in m.",
+    "forecast": (
+        "The network's own filtered position, once a second, with noise, level in m."
+    ),
+    "correlated": (
+        "A control: noise as large as fixed noise, but similar from sample to sample."
+    ),
+    "offset": (
+        "A control: a whole track shifted by one distance in a random direction, in m."
+    ),
     "thin": "A control: only every n-th sample is shared.",
-    "window": "Only the last seconds of every track are shared; older samples are withheld.",
+    "window": (
+        "Only the last seconds of every track are shared; older samples are withheld."
+    ),
 }
 
 _ATTACKS: Final = {
@@ -91,9 +141,13 @@ _LINKERS: Final = {
     "behaviour": "Compares walking habits such as speed and its variation.",
     "histogram": "Compares the distributions of speed and turning.",
     "kinematic": "Extrapolates a walk across the gap and compares position and speed.",
-    "likelihood_ratio": "Weighs how likely one person walked both paths against two people.",
+    "likelihood_ratio": (
+        "Weighs how likely one person walked both paths against two people."
+    ),
     "mean_distance": "Mean distance of two walks over the instants of both.",
-    "fusion": "Combines the scores of all other linkers by what it learnt on other people.",
+    "fusion": (
+        "Combines the scores of all other linkers by what it learnt on other people."
+    ),
 }
 
 _TASKS: Final = {
@@ -130,10 +184,19 @@ _METRICS: Final = {
     "missed": "Share of conflicts that a robot misses.",
     "missed future": "Share of future conflicts that a robot misses.",
     "distance MAE": "Mean absolute error of the distance that a robot predicts, m.",
-    "robot's own PLR": "Share of positions that the robot's own filter knows within epsilon.",
-    "PLR": "Privacy leakage ratio: share of positions closer to the truth than epsilon.",
-    "AEL": "Average exposure length: how long positions leak without a break on average, s.",
-    "MEL": "Maximum exposure length: the longest unbroken leak of a track, averaged, s.",
+    "robot's own PLR": (
+        "Share of positions that the robot's own filter knows within epsilon."
+    ),
+    "PLR": (
+        "Privacy leakage ratio: share of positions closer to the truth than epsilon."
+    ),
+    "AEL": (
+        "Average exposure length: how long positions leak without a break on"
+        " average, s."
+    ),
+    "MEL": (
+        "Maximum exposure length: the longest unbroken leak of a track, averaged, s."
+    ),
     "PLR, worst tenth": "PLR of the most exposed tenth of the people.",
     "RMSE": "Root mean squared distance to the true positions, m.",
     "RMSE ratio": "RMSE divided by that of a linear benchmark smoother.",
@@ -147,7 +210,9 @@ _METRICS: Final = {
     "rank 1": "Share of people whose own other track comes first among the candidates.",
     "rank 1 of 100": "Rank 1 among 100 candidates, comparable between runs.",
     "rank 1, assigned": "Rank 1 if all probes are matched at once.",
-    "false links": "Share of probes without a partner for which a linker names somebody.",
+    "false links": (
+        "Share of probes without a partner for which a linker names somebody."
+    ),
     "MRR": "Mean reciprocal rank of the right candidate.",
     "AUC": "Chance that a pair of one person scores above a pair of two people.",
     "EER": "Error rate at the threshold where both kinds of error are equal.",
@@ -159,7 +224,9 @@ _METRICS: Final = {
     "D_sys": "Global linkability measure from 0 to 1 (Gomez-Barrero et al.).",
     "D_sys, published program": "D_sys as the published program computes it.",
     "D_sys, corrected": "D_sys minus its mean over shuffled pairs.",
-    "residual risk": "Rank 1 above chance, as a share of all that is possible above chance.",
+    "residual risk": (
+        "Rank 1 above chance, as a share of all that is possible above chance."
+    ),
 }
 
 GLOSSARY: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
@@ -176,7 +243,9 @@ GLOSSARY: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
 )
 """By section: names as a file, table or figure has them, and what each is."""
 
-_PLAIN: Final[Mapping[str, str]] = MappingProxyType({**FAMILY_NAMES, **ATTACK_NAMES, **ROBOT_NAMES})
+_PLAIN: Final[Mapping[str, str]] = MappingProxyType(
+    {**FAMILY_NAMES, **ATTACK_NAMES, **ROBOT_NAMES}
+)
 """By name in a file: the name that people read."""
 
 
@@ -188,7 +257,9 @@ def plain_name(name: str) -> str:
 
 def _definitions() -> dict[str, str]:
     """Return every known name, as in files and as people read it, with its sentence."""
-    own = {name: text for section in GLOSSARY.values() for name, text in section.items()}
+    own = {
+        name: text for section in GLOSSARY.values() for name, text in section.items()
+    }
     return {plain: own[name] for name, plain in _PLAIN.items()} | own
 
 
@@ -226,8 +297,15 @@ def definition(name: str) -> str:
     """
     bare = name.strip()
     linker = bare.rpartition("/")[2].partition("@")[0]
-    kinds = (bare.partition(" (")[0], bare.partition(",")[0], linker, re.split(r"[,: ]", linker)[0])
-    return next((DEFINITIONS[kind] for kind in (bare, *kinds) if kind in DEFINITIONS), "")
+    kinds = (
+        bare.partition(" (")[0],
+        bare.partition(",")[0],
+        linker,
+        re.split(r"[,: ]", linker)[0],
+    )
+    return next(
+        (DEFINITIONS[kind] for kind in (bare, *kinds) if kind in DEFINITIONS), ""
+    )
 
 
 def hinted(text: str) -> Markup:
@@ -253,11 +331,17 @@ def glossary_page() -> str:
     lines = [
         "# Glossary",
         "",
-        "Every name that a screen, a table or a figure shows. The page of a run has the same list.",
+        (
+            "Every name that a screen, a table or a figure shows. The page of a run has"
+            " the same list."
+        ),
         "`python -m evaluation.report --docs OUT` writes this file from",
         "`evaluation/reporting/glossary.py`.",
     ]
     for section, entries in GLOSSARY.items():
         lines += ["", f"## {section}", "", "| name | in words | is |", "|---|---|---|"]
-        lines += [f"| `{name}` | {plain_name(name)} | {text} |" for name, text in entries.items()]
+        lines += [
+            f"| `{name}` | {plain_name(name)} | {text} |"
+            for name, text in entries.items()
+        ]
     return "\n".join(lines) + "\n"

@@ -20,8 +20,8 @@ def grid_lines(
 ) -> list[str]:
     """Return a table in lines, its first column to the left and all others to the right.
 
-    `rows` have a label and a text for each head of the groups; `corner` stands above the labels.
-    A title that is wider than its columns makes the first of them wider.
+    `rows` have a label and a text for each head of the groups; `corner` stands above
+    the labels. A title that is wider than its columns makes the first of them wider.
     """
     heads = [head for group in groups for head in group.heads]
     below = [[corner[1], *heads], *rows]
@@ -36,6 +36,8 @@ def grid_lines(
         place += n
     lines = [_GAP.join(above).rstrip()]
     for row in below:
-        cells = [text.rjust(width) for text, width in zip(row[1:], widths[1:], strict=True)]
+        cells = [
+            text.rjust(width) for text, width in zip(row[1:], widths[1:], strict=True)
+        ]
         lines.append(_GAP.join([row[0].ljust(widths[0]), *cells]).rstrip())
     return lines

@@ -75,7 +75,9 @@ class Headline:
 
     known: Mapping[str, Family]
     numbers: Mapping[Key, Estimate]
-    other_law: Mapping[Key, Estimate]  # The same under the other error law, where the run has it.
+    other_law: Mapping[
+        Key, Estimate
+    ]  # The same under the other error law, where the run has it.
     gaps: Sequence[Gap]  # From the optimum, in model worlds.
     robots: Sequence[Shown]
     shared: Shown
@@ -85,7 +87,9 @@ class Headline:
     wheres: Sequence[Where]  # All levels of the run: the ceiling comes last.
     epsilon_m: float  # A position that is closer to the truth is known.
     horizon_s: float | None = None  # The longest further horizon of the run.
-    later: Mapping[Key, Estimate] = field(default_factory=dict)  # Numbers at that horizon.
+    later: Mapping[Key, Estimate] = field(
+        default_factory=dict
+    )  # Numbers at that horizon.
 
     @property
     def columns(self) -> list[Shown]:
@@ -96,15 +100,27 @@ class Headline:
     @property
     def future(self) -> list[Shown]:
         """Conflicts that are still to come at the further horizon, as the robots miss them."""
-        above = "" if self.horizon_s is None else f"missed future conflicts, {self.horizon_s:g} s"
+        above = (
+            ""
+            if self.horizon_s is None
+            else f"missed future conflicts, {self.horizon_s:g} s"
+        )
         robots = [
-            replace(robot, above=above, measure=robot.measure._replace(metric=MISSED_FUTURE))
+            replace(
+                robot, above=above, measure=robot.measure._replace(metric=MISSED_FUTURE)
+            )
             for robot in self.robots
         ]
         later = [replace(robot, is_later=True) for robot in robots]
-        return [robot for robot in later if any(self.at(where, robot) for where in self.wheres)]
+        return [
+            robot
+            for robot in later
+            if any(self.at(where, robot) for where in self.wheres)
+        ]
 
-    def at(self, where: Where, column: Shown, *, other_law: bool = False) -> Estimate | None:
+    def at(
+        self, where: Where, column: Shown, *, other_law: bool = False
+    ) -> Estimate | None:
         """Return a number at a level; None where it is not known."""
         numbers = self.numbers
         if other_law:
@@ -112,7 +128,9 @@ class Headline:
         elif column.is_later:
             numbers = self.later
         estimate = numbers.get(column.measure.at(*where))
-        return estimate if estimate is not None and math.isfinite(estimate.value) else None
+        return (
+            estimate if estimate is not None and math.isfinite(estimate.value) else None
+        )
 
     def cost(self, where: Where) -> Estimate | None:
         """Return the missed conflicts of the first robot at a level; None where unknown."""
@@ -133,25 +151,32 @@ def headline(
 ) -> Headline:
     """Return what comes first of a summary; `attacks` are the strongest, by default of its own.
 
-    `attacked` are the numbers of the strongest against each mechanism, as in `strongest.csv`.
-    Without them the strongest against each is read off the summary, without cross-fitting.
-    `epsilon_m` is the run's `privacy.epsilon_m`.
+    `attacked` are the numbers of the strongest against each mechanism, as in
+    `strongest.csv`. Without them the strongest against each is read off the summary,
+    without cross-fitting. `epsilon_m` is the run's `privacy.epsilon_m`.
     """
     rows = summary[summary["metric"].isin(_METRICS)]
     world = worlds_of(rows)
     own = rows[world == ""]
     numbers, known = estimates(own), families_in(own)
     if attacks is None:
-        attacks = {task: source.attack for task, source in strongest(numbers, known).items()}
-    further = [seconds for name in world.unique() if (seconds := horizon_of(name)) is not None]
+        attacks = {
+            task: source.attack for task, source in strongest(numbers, known).items()
+        }
+    further = [
+        seconds for name in world.unique() if (seconds := horizon_of(name)) is not None
+    ]
     horizon_s = max(further, default=None)
     able = own.loc[own["metric"] == MISSED_RATE, "consumer"].unique().tolist()
     known_to = f"known to {epsilon_m:g} m"
     best, wheres = attacks.get(""), dict.fromkeys(key.where for key in numbers)
     against = _own_strongest(numbers, known, attacks)
     if attacked is not None and not attacked.empty:
-        # The worst tenth is cross-fitted over releases already, and has no row of its own there.
-        worst = {key: number for key, number in against.items() if key.metric == WORST_TENTH}
+        # The worst tenth is cross-fitted over releases already, and has no row of its
+        # own there.
+        worst = {
+            key: number for key, number in against.items() if key.metric == WORST_TENTH
+        }
         against = worst | _cross_fitted(attacked, attacks)
     return Headline(
         known=known,
@@ -161,10 +186,16 @@ def headline(
         robots=_robots(able),
         shared=Shown(known_to, "as sent", AS_SHARED.measure(EXPOSURE)),
         attacked=Shown(known_to, "attacked", best.measure(EXPOSURE)) if best else None,
-        worst=Shown(known_to, "worst tenth", best.measure(WORST_TENTH)) if best else None,
+        worst=(
+            Shown(known_to, "worst tenth", best.measure(WORST_TENTH)) if best else None
+        ),
         linked=_linked(attacks, numbers, linkability),
         horizon_s=horizon_s,
-        later={} if horizon_s is None else estimates(rows[world == horizon_world(horizon_s)]),
+        later=(
+            {}
+            if horizon_s is None
+            else estimates(rows[world == horizon_world(horizon_s)])
+        ),
         wheres=sorted(wheres, key=lambda where: known[where[0]].family == CLEAN),
         epsilon_m=epsilon_m,
     )
@@ -175,11 +206,17 @@ def _robots(able: Sequence[str]) -> list[Shown]:
     usual = [name for name in ROBOTS if name in able]
     others = [name for name in able if name not in ROBOTS]
     added = [name for name in others if name not in _BESIDE]
-    names = list(dict.fromkeys([*usual[:1], *added, *(usual[1:] or others)]))[:_MOST_ROBOTS]
-    return [Shown(_MISSED, robot_name(name), Measure(name, MISSED_RATE)) for name in names]
+    names = list(dict.fromkeys([*usual[:1], *added, *(usual[1:] or others)]))[
+        :_MOST_ROBOTS
+    ]
+    return [
+        Shown(_MISSED, robot_name(name), Measure(name, MISSED_RATE)) for name in names
+    ]
 
 
-def _cross_fitted(attacked: pd.DataFrame, attacks: Mapping[str, Source]) -> dict[Key, Estimate]:
+def _cross_fitted(
+    attacked: pd.DataFrame, attacks: Mapping[str, Source]
+) -> dict[Key, Estimate]:
     """Return, under the headline's name, the strongest against each mechanism, cross-fitted."""
     rows = attacked[attacked["adversary"] == ONE_RELEASE]
     tasks = rows["task"].astype(object).fillna("")
@@ -191,7 +228,9 @@ def _cross_fitted(attacked: pd.DataFrame, attacks: Mapping[str, Source]) -> dict
 
 
 def _own_strongest(
-    numbers: Mapping[Key, Estimate], known: Mapping[str, Family], attacks: Mapping[str, Source]
+    numbers: Mapping[Key, Estimate],
+    known: Mapping[str, Family],
+    attacks: Mapping[str, Source],
 ) -> dict[Key, Estimate]:
     """Return, under the headline's name, who is strongest against each other mechanism.
 
@@ -200,7 +239,10 @@ def _own_strongest(
     # The headline is chosen over raw, fixed noise and FID: others it would flatter.
     own: dict[Key, Estimate] = {}
     rules = rules_of(numbers)
-    for by, metrics in ((EXPOSURE, (EXPOSURE, WORST_TENTH)), (SUCCESS, (SUCCESS, SUCCESS_OF_100))):
+    for by, metrics in (
+        (EXPOSURE, (EXPOSURE, WORST_TENTH)),
+        (SUCCESS, (SUCCESS, SUCCESS_OF_100)),
+    ):
         for task, blocks in by_task(numbers, metric=by).items():
             if task not in attacks:
                 continue
@@ -220,22 +262,30 @@ def _headline(task: str, attacks: Mapping[str, Source]) -> Source:
 
 
 def _linked(
-    attacks: Mapping[str, Source], numbers: Mapping[Key, Estimate], linkability: pd.DataFrame | None
+    attacks: Mapping[str, Source],
+    numbers: Mapping[Key, Estimate],
+    linkability: pd.DataFrame | None,
 ) -> list[Shown]:
     """Return a column for each task that is shown, of the run's tasks if it has none of these."""
     values = {
-        key.measure: number.value for key, number in numbers.items() if math.isfinite(number.value)
+        key.measure: number.value
+        for key, number in numbers.items()
+        if math.isfinite(number.value)
     }
     rules, columns = rules_of(numbers), []
-    for task in [name for name in TASKS if name in attacks] or [task for task in attacks if task][
-        :3
-    ]:
+    for task in [name for name in TASKS if name in attacks] or [
+        task for task in attacks if task
+    ][:3]:
         source, head = _headline(task, attacks), task_head(task)
-        column = Shown(_LINKED, head, source.measure(SUCCESS_OF_100), 1.0 / GALLERY, GALLERY)
+        column = Shown(
+            _LINKED, head, source.measure(SUCCESS_OF_100), 1.0 / GALLERY, GALLERY
+        )
         if column.measure not in values:
             chance, sizes = values.get(source.measure("chance"), math.nan), [math.nan]
             if linkability is not None:
-                rows = linkability.loc[linkability["consumer"] == source.consumer, "gallery_mean"]
+                rows = linkability.loc[
+                    linkability["consumer"] == source.consumer, "gallery_mean"
+                ]
                 sizes = rows.dropna().to_list() or sizes
             measure, is_joint = source.measure(SUCCESS), rules.get(source) == ASSIGNED
             size = float(np.mean(sizes))
@@ -249,9 +299,10 @@ def levels_of(
 ) -> tuple[list[Where], int]:
     """Return the levels that have a row, and how many mechanisms have none.
 
-    All levels where there is room; else the headline levels, then one of every other mechanism: a
-    headline level of its family, or that which costs a robot about as much as the strictest FID.
-    Of these the `named` levels come first; the first of them has a row in any case.
+    All levels where there is room; else the headline levels, then one of every other
+    mechanism: a headline level of its family, or that which costs a robot about as much
+    as the strictest FID. Of these the `named` levels come first; the first of them has
+    a row in any case.
     """
     first = [where for where in HEADLINE if where in table.wheres]
     rest = [where for where in table.wheres if where not in first]
@@ -264,7 +315,9 @@ def levels_of(
     first = first[: max(1, most - len(others[:1]))]
     shown = {name for name, _ in [*first, *others]}
     for name in dict.fromkeys(name for name, _ in rest if name not in shown):
-        usual = [(name, at) for family, at in HEADLINE if family == table.known[name].name]
+        usual = [
+            (name, at) for family, at in HEADLINE if family == table.known[name].name
+        ]
         ats = [where for where in rest if where[0] == name]
         closest = min(ats, key=lambda where: abs(cost.get(where, math.inf) - target))
         others.append(next((where for where in usual if where in ats), closest))
@@ -293,15 +346,22 @@ def headline_table(first: Headline) -> Table:
 def _worst_notes(table: Headline) -> list[str]:
     """Return how many people the worst tenth is chosen from, or why there is none."""
     metric = table.worst and table.worst.measure
-    people = [estimate.n for key, estimate in table.numbers.items() if key.measure == metric]
+    people = [
+        estimate.n for key, estimate in table.numbers.items() if key.measure == metric
+    ]
     if not people:
         return []
     n, enough = max(people), f"people with at least {LEAST_RELEASES} releases"
     if n < LEAST_PEOPLE:
-        return [f"Worst tenth: refused, since it takes {LEAST_PEOPLE} {enough}; there are {n}."]
+        refused = f"refused, since it takes {LEAST_PEOPLE} {enough}"
+        return [f"Worst tenth: {refused}; there are {n}."]
     how = "chosen on every other release, PLR of the releases between"
     return [f"Worst tenth: the most exposed tenth of {n} {enough}, {how}."]
 
 
-def _cell(first: Headline, column: Shown, where: Where, *, other_law: bool = False) -> Cell:
-    return make.estimated(column.measure.metric, first.at(where, column, other_law=other_law))
+def _cell(
+    first: Headline, column: Shown, where: Where, *, other_law: bool = False
+) -> Cell:
+    return make.estimated(
+        column.measure.metric, first.at(where, column, other_law=other_law)
+    )

@@ -1,7 +1,7 @@
 """`--list`: all that can be named, with what it is and its unit, a line each.
 
-No plug-in is imported: that takes seconds, and what strangers wrote may fail. Their sources are
-read instead.
+No plug-in is imported: that takes seconds, and what strangers wrote may fail. Their
+sources are read instead.
 """
 
 import ast
@@ -151,8 +151,15 @@ def source_of(origin: str) -> Source:
     module, _, name = origin.partition(":")
     try:
         spec = find_spec(module)
-        tree = ast.parse(Path(spec.origin).read_bytes()) if spec and spec.origin else None
-    except (ImportError, OSError, SyntaxError, ValueError):  # a run that names it says why
+        tree = (
+            ast.parse(Path(spec.origin).read_bytes()) if spec and spec.origin else None
+        )
+    except (
+        ImportError,
+        OSError,
+        SyntaxError,
+        ValueError,
+    ):  # a run that names it says why
         return Source()
     for node in tree.body if tree else ():
         if isinstance(node, ast.ClassDef) and node.name == name:
@@ -181,7 +188,9 @@ def _plugins(kind: "Kind") -> dict[str, str]:
         shown = name
         if kind == "mechanisms" and source.parameter not in ("", "adding", "law"):
             unit = _LEVEL_UNITS.get(source.parameter) or _unit(source.parameter)
-            shown = f"{name}:{source.parameter.upper()}" + (f" ({unit})" if unit else "")
+            shown = f"{name}:{source.parameter.upper()}" + (
+                f" ({unit})" if unit else ""
+            )
         entries[shown] = source.about or origin
     return entries
 
@@ -189,11 +198,13 @@ def _plugins(kind: "Kind") -> dict[str, str]:
 def _settings() -> dict[str, str]:
     """Return the value of every setting with its unit, and what it is."""
     values = {
-        name: f"{value} {_unit(name)}".rstrip() for name, value in StageSettings().flat().items()
+        name: f"{value} {_unit(name)}".rstrip()
+        for name, value in StageSettings().flat().items()
     }
     width = max(map(len, values.values()))
     return {
-        name: f"{text:<{width}}  {SETTINGS.get(name, '')}".rstrip() for name, text in values.items()
+        name: f"{text:<{width}}  {SETTINGS.get(name, '')}".rstrip()
+        for name, text in values.items()
     }
 
 

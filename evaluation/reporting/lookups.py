@@ -11,7 +11,13 @@ from evaluation.analysis.keys import Key, keys_of
 if TYPE_CHECKING:
     from isac_track.intervals import Estimate
 
-HEADLINE: Final = (("raw", None), ("fid", 1.0), ("fid", 1000.0), ("fixed", 0.7), ("fixed", 1.0))
+HEADLINE: Final = (
+    ("raw", None),
+    ("fid", 1.0),
+    ("fid", 1000.0),
+    ("fixed", 0.7),
+    ("fixed", 1.0),
+)
 """The few levels that tell the story: mechanism without its adding rule, and level."""
 ENDS: Final = ["value", "ci_low", "ci_high"]  # Columns of an estimate.
 
@@ -26,5 +32,9 @@ def estimates(rows: pd.DataFrame) -> "dict[Key, Estimate]":
     from isac_track.intervals import Estimate  # noqa: PLC0415 - see `load`
 
     return dict(
-        zip(keys_of(rows), map(Estimate, *(rows[one] for one in (*ENDS, "n"))), strict=True)
+        zip(
+            keys_of(rows),
+            map(Estimate, *(rows[one] for one in (*ENDS, "n"))),
+            strict=True,
+        )
     )

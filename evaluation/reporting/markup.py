@@ -28,7 +28,9 @@ HTML.filters["path"] = lambda strokes: "".join(
 
 def _hinted(text: str) -> Markup:
     """Return a text as HTML, its known names with hover text; a number stays with its %."""
-    from evaluation.reporting.glossary import hinted  # noqa: PLC0415 - words alone need none
+    from evaluation.reporting.glossary import (  # noqa: PLC0415 - words alone need none
+        hinted,
+    )
 
     return hinted(text.replace(" %", "\u00a0%"))
 
@@ -71,13 +73,17 @@ def latex(tables: Iterable[Table]) -> str:
     template = _LATEX.get_template("table.tex.j2")
     parts = []
     for table in tables:
-        shown = [place for place, column in enumerate(table.columns) if not column.is_long]
+        shown = [
+            place for place, column in enumerate(table.columns) if not column.is_long
+        ]
         keys, others = shown[: table.n_keys], shown[table.n_keys :]
         groups = groupby(table.rows, key=itemgetter(slice(table.n_headings)))
         options = {"table": table, "groups": [list(rows) for _, rows in groups]}
         for start in range(0, max(1, len(others)), _MOST_COLUMNS):
             places = [*keys, *others[start : start + _MOST_COLUMNS]]
-            n_intervals = sum(any(row[place].low for row in table.rows) for place in places)
+            n_intervals = sum(
+                any(row[place].low for row in table.rows) for place in places
+            )
             is_below = n_intervals > _MOST_BESIDE
             parts.append(template.render(places=places, is_below=is_below, **options))
     return PREAMBLE + "\n".join(parts)

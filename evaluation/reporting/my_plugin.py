@@ -15,12 +15,15 @@ _NOUN: Final = {ATTACK: "attack", LINKER: "attack", PREDICTOR: "predictor"}
 def plugin_lines(run: Results) -> list[str]:
     """Return a sentence for each plug-in of the user's own in a run; none without one.
 
-    An attack, linker or predictor stands beside the strongest built-in of its kind, with the paired
-    difference and its 95 % interval over people; a mechanism has its row of numbers.
+    An attack, linker or predictor stands beside the strongest built-in of its kind,
+    with the paired difference and its 95 % interval over people; a mechanism has its
+    row of numbers.
     """
     records = run.verdict.get("plugins", ())
     rows = [_row(record) for record in records if record["kind"] == MECHANISM]
-    compared = [_comparison(record) for record in records if record["kind"] != MECHANISM]
+    compared = [
+        _comparison(record) for record in records if record["kind"] != MECHANISM
+    ]
     if len(rows) > _MOST_ROWS:
         more = f"{len(rows) - _MOST_ROWS} more levels of your mechanisms: tables.txt"
         rows = [*rows[:_MOST_ROWS], more]
@@ -41,7 +44,11 @@ def plugin_doubts(run: Results) -> list[str]:
 
 def _comparison(record: Mapping[str, Any]) -> str:
     """Return how a plug-in compares: `my_attack 65 %, strongest built-in ... 90 %, difference`."""
-    kind, name, own = record["kind"], _own_name(record["plugin"]), _percent(record["own"])
+    kind, name, own = (
+        record["kind"],
+        _own_name(record["plugin"]),
+        _percent(record["own"]),
+    )
     if kind == ATTACK:
         said = f"{name} rebuilds {own} of positions to epsilon"
         rival = attack_name(record["rival"])
@@ -54,7 +61,10 @@ def _comparison(record: Mapping[str, Any]) -> str:
     if not record["rival"]:
         return f"Yours: {said}; no built-in {_NOUN[kind]} to compare with."
     said += f", strongest built-in ({rival}) {_percent(record['other'])}"
-    said += f", difference {_points(record['difference'])}, mean of {record['levels']} levels"
+    said += (
+        f", difference {_points(record['difference'])}, mean of {record['levels']}"
+        " levels"
+    )
     if kind == PREDICTOR:
         said += f"; false alarms {_percent(record['alarms'])}"
         said += f" against {_percent(record['rival_alarms'])}"
@@ -67,7 +77,9 @@ def _own_name(spec: str) -> str:
     if "." not in place:
         return spec
     file, (class_name, colon, values) = place.rpartition(".")[2], rest.partition(":")
-    is_named_alike = class_name == "".join(part.capitalize() for part in file.split("_"))
+    is_named_alike = class_name == "".join(
+        part.capitalize() for part in file.split("_")
+    )
     return f"{file if is_named_alike else class_name}{colon}{values}"
 
 
@@ -79,12 +91,17 @@ def _row(record: Mapping[str, Any]) -> str:
         missed = f"{_percent(record['missed'])} of future conflicts{_ahead(record)}"
         said.append(f"a robot ({robot_name(record['robot'])}) misses {missed}")
     if record["as_sent"]["value"] is not None:
-        known = f"{_percent(record['as_sent'])} of positions are known to epsilon as sent"
+        known = (
+            f"{_percent(record['as_sent'])} of positions are known to epsilon as sent"
+        )
         if record["attacked"]["value"] is not None:
             known += f", {_percent(record['attacked'])} after attack"
         said.append(known)
     if record["linked"]["value"] is not None:
-        linked = f"{_percent(record['linked'])} are re-identified {task_phrase(record['task'])}"
+        linked = (
+            f"{_percent(record['linked'])} are re-identified"
+            f" {task_phrase(record['task'])}"
+        )
         said.append(linked)
     return f"Yours: {name}: {'; '.join(said) or 'nothing was measured'}."
 

@@ -1,6 +1,7 @@
 """Plain names of mechanisms, robots, attacks and tasks: one home for screen, page and figures.
 
-Files, columns and options keep the SPEC (`fid:1,adding=independent`); a person reads these names.
+Files, columns and options keep the SPEC (`fid:1,adding=independent`); a person reads
+these names.
 """
 
 from collections.abc import Mapping, Sequence
@@ -139,7 +140,9 @@ def family_name(family: Family) -> str:
 
 def short_family_name(family: Family) -> str:
     """Return the same where room is short: a mark says that noise is independent."""
-    name = family_name(family).replace(" (independent)", "").replace(", independent)", ")")
+    name = (
+        family_name(family).replace(" (independent)", "").replace(", independent)", ")")
+    )
     return f"{name}{INDEPENDENT_MARK}" if is_independent(family) else name
 
 
@@ -155,8 +158,8 @@ def spec_text(family: Family, level: float | None) -> str:
 def mechanism_name(family: Family, level: float | None) -> str:
     """Return what a level of a mechanism is called.
 
-    Parameters that are not the default follow in brackets, the adding rule last if it is not the
-    paper's: `FID noise, eta 1 (independent)`.
+    Parameters that are not the default follow in brackets, the adding rule last if it
+    is not the paper's: `FID noise, eta 1 (independent)`.
     """
     return _with_details(_plain_name(family, level), _details(family))
 
@@ -202,7 +205,11 @@ def _plain_name(family: Family, level: float | None) -> str:
 def _other_parameters(family: Family) -> list[str]:
     """Return parameters that neither the name nor the adding rule tells."""
     given = [text for text in family.parameters.split(",") if text]
-    return given if family.family not in _MECHANISMS else [x for x in given if x != _ISOTROPIC]
+    return (
+        given
+        if family.family not in _MECHANISMS
+        else [x for x in given if x != _ISOTROPIC]
+    )
 
 
 def robot_name(consumer: str) -> str:

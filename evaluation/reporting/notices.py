@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
     from evaluation.experiment.plan import Plan
 
-USUAL_DISTANCE_M: Final = (20.0, 40.0)  # From the station: the constants were fitted at 30 m.
+USUAL_DISTANCE_M: Final = (
+    20.0,
+    40.0,
+)  # From the station: the constants were fitted at 30 m.
 USUAL_AT_CAP: Final = 0.3  # At most, of the tracks: there 13 %.
 _WHOLE_DETAILS: Final = ("header", "unit", "frame-clock", "crs", "doubt")
 """Repairs that a notice gives in full, instead of their number."""
@@ -37,10 +40,19 @@ _REPAIRS: Final = {
         "rows with a second place at one time (--on-duplicate)",
     ),
     "jump": ("track cut at a jump", "tracks cut at a jump"),
-    "clock": ("track cut where the clock runs back", "tracks cut where the clock runs back"),
-    "id-reuse": ("id used again for another person", "ids used again for another person"),
+    "clock": (
+        "track cut where the clock runs back",
+        "tracks cut where the clock runs back",
+    ),
+    "id-reuse": (
+        "id used again for another person",
+        "ids used again for another person",
+    ),
     "lost": ("box marked as lost, dropped", "boxes marked as lost, dropped"),
-    "other-label": ("box without a pedestrian, dropped", "boxes without a pedestrian, dropped"),
+    "other-label": (
+        "box without a pedestrian, dropped",
+        "boxes without a pedestrian, dropped",
+    ),
     "frozen": (
         "frozen stretch kept (--drop-frozen S drops it)",
         "frozen stretches kept (--drop-frozen S drops them)",
@@ -51,7 +63,10 @@ _REPAIRS: Final = {
         "pieces of walks made straight where a spline overshoots",
     ),
     "fast-step": ("step above 12 m/s kept", "steps above 12 m/s kept"),
-    "fast-piece": ("track with a step above 4 m/s kept", "tracks with a step above 4 m/s kept"),
+    "fast-piece": (
+        "track with a step above 4 m/s kept",
+        "tracks with a step above 4 m/s kept",
+    ),
     "ignored-column": ("column not used", "columns not used"),
     "too-short": ("track too short for a scene", "tracks too short for a scene"),
 }
@@ -65,10 +80,14 @@ def data_notices(dataset: Mapping[str, Any]) -> list[str]:
         counts[repair["kind"]] += repair["count"]
     counts["too-short"] = dataset["too_short"] + dataset["no_future"]
     details = [
-        repair["detail"] for repair in dataset["repairs"] if repair["kind"] in _WHOLE_DETAILS
+        repair["detail"]
+        for repair in dataset["repairs"]
+        if repair["kind"] in _WHOLE_DETAILS
     ]
     repairs = [
-        counted(counts[kind], *words) for kind, words in _REPAIRS.items() if counts[kind] > 0
+        counted(counts[kind], *words)
+        for kind, words in _REPAIRS.items()
+        if counts[kind] > 0
     ]
     told = [f"{dataset['name']}: {listed(repairs)}."] if repairs else []
     return [*filter(None, [few_people(dataset)]), *details, *told]
@@ -82,21 +101,27 @@ def few_people(dataset: Mapping[str, Any]) -> str:
     return f"{tracks}: too few to decide anything ({way_out})."
 
 
-def plan_notices(ready: Plan, *, slow_costs: Sequence[tuple[str, int, float]]) -> list[str]:
+def plan_notices(
+    ready: Plan, *, slow_costs: Sequence[tuple[str, int, float]]
+) -> list[str]:
     """Return what a plan leaves out, and what may take long.
 
-    `slow_costs` has an entry for each slow attack: its SPEC, the number of its adversaries, and
-    the time that it takes in one process, s, NaN if it does not say.
+    `slow_costs` has an entry for each slow attack: its SPEC, the number of its
+    adversaries, and the time that it takes in one process, s, NaN if it does not say.
     """
-    from evaluation.runs.manifest import about_data  # noqa: PLC0415 - names alone need none
-    from isac_track.datasets.registry import KNOWN  # noqa: PLC0415 - names alone need none
+    from evaluation.runs.manifest import (  # noqa: PLC0415 - names alone need none
+        about_data,
+    )
+    from isac_track.datasets.registry import (  # noqa: PLC0415 - names alone need none
+        KNOWN,
+    )
 
     texts = []
     settings, dataset = ready.settings, ready.dataset
     if settings.pilot_half_width is not None:
         texts.append(
-            f"Missed conflicts are wanted to ±{settings.precision:g}. A pilot of {BLOCK_SCENES} "
-            f"scenes has ±{settings.pilot_half_width:.3f}."
+            f"Missed conflicts are wanted to ±{settings.precision:g}. A pilot of"
+            f" {BLOCK_SCENES} scenes has ±{settings.pilot_half_width:.3f}."
         )
     if dataset.notice:
         texts.append(f"notice: {dataset.notice}")
@@ -105,9 +130,9 @@ def plan_notices(ready: Plan, *, slow_costs: Sequence[tuple[str, int, float]]) -
     texts += [f"notice: left out: {why}" for why in ready.axes.skipped.values()]
     texts += _gallery_notices(ready)
     texts += [
-        f"notice: the attack {spec} is slow: {cost_text(cost_s)} for "
-        f"{counted(n, 'adversary', 'adversaries')} at {len(ready.axes.mechanisms)} levels in one "
-        "process. It runs on one release of each source track."
+        f"notice: the attack {spec} is slow: {cost_text(cost_s)} for"
+        f" {counted(n, 'adversary', 'adversaries')} at {len(ready.axes.mechanisms)}"
+        " levels in one process. It runs on one release of each source track."
         for spec, n, cost_s in slow_costs
     ]
     return texts
@@ -116,15 +141,18 @@ def plan_notices(ready: Plan, *, slow_costs: Sequence[tuple[str, int, float]]) -
 def _gallery_notices(ready: Plan) -> list[str]:
     """Return which tasks have so many people that all pairs take long."""
     sizes = {
-        session.task.name: max(Counter(session.gallery.search.tolist()).values(), default=0)
+        session.task.name: max(
+            Counter(session.gallery.search.tolist()).values(), default=0
+        )
         for session in ready.sessions
     }
     large = [name for name, size in sizes.items() if size > _LARGE_GALLERY]
     if not large or ready.settings.stages.linkage.candidates:
         return []
     text = (
-        f"notice: {listed(large)}: galleries of up to {max(sizes.values()):,} people. Time and "
-        "memory grow with the square. --set linkage.candidates=100 scores the likeliest 100 alone."
+        f"notice: {listed(large)}: galleries of up to {max(sizes.values()):,} people."
+        " Time and memory grow with the square. --set linkage.candidates=100 scores"
+        " the likeliest 100 alone."
     )
     return [text]
 
@@ -157,7 +185,8 @@ def notices(manifest: Mapping[str, Any]) -> list[str]:
         texts.append(f"{counted(dropped, 'cell')} of another code version dropped.")
     if damaged := manifest.get("damaged_cells"):
         texts.append(
-            f"{counted(len(damaged), 'damaged cell')} computed again, such as {damaged[0]}."
+            f"{counted(len(damaged), 'damaged cell')} computed again, such as"
+            f" {damaged[0]}."
         )
     if redraws := manifest.get("exhausted_redraws"):
         texts.append(_redraw_text(redraws))
@@ -170,7 +199,10 @@ def notices(manifest: Mapping[str, Any]) -> list[str]:
     ]
     lost = {task: approximation(manifest, task) for task in linked}
     texts += [f"{task}: {text}" for task, text in lost.items() if text]
-    texts += [f"The gallery of tracks lacks {why}." for why in manifest.get("gallery_without", ())]
+    texts += [
+        f"The gallery of tracks lacks {why}."
+        for why in manifest.get("gallery_without", ())
+    ]
     return texts
 
 
@@ -179,11 +211,14 @@ def _horizon_notices(seconds: Any, horizon: Mapping[str, Any]) -> list[str]:  # 
     texts = []
     if not horizon["tracks_used"]:
         texts.append(
-            f"No conflicts {seconds} s ahead: too few recordings last so long after the history."
+            f"No conflicts {seconds} s ahead: too few recordings last so long after the"
+            " history."
         )
     elif horizon["no_future"]:
         tracks = counted(horizon["no_future"], "track ends", "tracks end")
-        texts.append(f"{seconds} s ahead: {tracks} before that and cannot be used there.")
+        texts.append(
+            f"{seconds} s ahead: {tracks} before that and cannot be used there."
+        )
     if redraws := horizon.get("exhausted_redraws"):
         texts.append(f"{seconds} s ahead: {_redraw_text(redraws)}")
     return texts
@@ -200,13 +235,16 @@ def used_are_slower(manifest: Mapping[str, Any], *, least: float = 0.0) -> str:
     `least` is a share of the mean speed of all.
     """
     speeds = manifest["dataset"].get("speed_mps")
-    if speeds is None or not abs(speeds["used"] - speeds["recorded"]) > least * speeds["recorded"]:
+    if (
+        speeds is None
+        or not abs(speeds["used"] - speeds["recorded"]) > least * speeds["recorded"]
+    ):
         return ""
     min_s = manifest["settings"]["stages"]["resample.min_duration_s"]
     slower = "slower" if speeds["used"] < speeds["recorded"] else "faster"
     return (
-        f"tracks of at least {min_s:g} s are {slower} than all: {speeds['used']:.2f} m/s against "
-        f"{speeds['recorded']:.2f} m/s on average"
+        f"tracks of at least {min_s:g} s are {slower} than all: {speeds['used']:.2f}"
+        f" m/s against {speeds['recorded']:.2f} m/s on average"
     )
 
 
@@ -220,7 +258,9 @@ def unusual_geometry(manifest: Mapping[str, Any]) -> list[str]:
     if not is_far and known["at_cap"] <= USUAL_AT_CAP:
         return []
     usual = f"usual: {low_m:.0f} to {high_m:.0f} m" if is_far else "median"
-    text = f"Geometry: people are {known['distance_m']:.4g} m from the station ({usual})"
+    text = (
+        f"Geometry: people are {known['distance_m']:.4g} m from the station ({usual})"
+    )
     if known["at_cap"] > USUAL_AT_CAP:
         text += f"; {100.0 * known['at_cap']:.0f} % have the largest error"
     return [f"{text}."]
@@ -238,15 +278,16 @@ def geometry(manifest: Mapping[str, Any]) -> list[str]:
     is_capped = known["at_cap"] > USUAL_AT_CAP
     usual_share = f" (usual: up to {100.0 * USUAL_AT_CAP:.0f} %)" if is_capped else ""
     text = (
-        f"Geometry: the median distance to the base station is {known['distance_m']:.0f} m"
-        f"{usual_m}; the median raw error is {known['sigma_raw_m']:.2f} m. "
-        f"{100.0 * known['at_cap']:.0f} % of tracks have the largest error, "
-        f"{stages['sensing.sigma_cap_m']:g} m{usual_share}."
+        "Geometry: the median distance to the base station is"
+        f" {known['distance_m']:.0f} m{usual_m}; the median raw error is"
+        f" {known['sigma_raw_m']:.2f} m. {100.0 * known['at_cap']:.0f} % of tracks have"
+        f" the largest error, {stages['sensing.sigma_cap_m']:g} m{usual_share}."
     )
     if is_far and stages["sensing.place"] == "file":
         text += (
-            " The coordinates are those of the file (sensing.place=file). --set sensing.bs_x_m "
-            "and bs_y_m move the station; sensing.place=centred moves the recording."
+            " The coordinates are those of the file (sensing.place=file). --set"
+            " sensing.bs_x_m and bs_y_m move the station; sensing.place=centred moves"
+            " the recording."
         )
     return [text]
 
@@ -274,8 +315,8 @@ def approximation(manifest: Mapping[str, Any], task: str) -> str:
     linker = lost["consumer"].partition("/")[2]
     mean, most = (round(100.0 * lost[name], 1) + 0.0 for name in ("loss", "most"))
     return (
-        f"Linkers scored {per_probe} candidates of each probe. That cost {mean:.1f} points of "
-        f"rank 1 on average, and at most {most:.1f} ({linker} at {lost['spec']}). "
-        f"{lost['probes']} probes in each of {lost['cells']} cells were searched in full, too. "
-        "Metrics of all pairs are refused."
+        f"Linkers scored {per_probe} candidates of each probe. That cost {mean:.1f}"
+        f" points of rank 1 on average, and at most {most:.1f} ({linker} at"
+        f" {lost['spec']}). {lost['probes']} probes in each of {lost['cells']} cells"
+        " were searched in full, too. Metrics of all pairs are refused."
     )

@@ -77,8 +77,9 @@ def caption(walk: Walk, *, level_name: str) -> str:
     sent = PERCENT * float(walk.leaks_shared.mean())
     rebuilt = PERCENT * float(walk.leaks_rebuilt.mean())
     return (
-        f"{level_name}: {sent:.0f} % of the shared positions are within {walk.epsilon_m:g} m "
-        f"of the walk; after a {attack_name(walk.attack)}, {rebuilt:.0f} % are."
+        f"{level_name}: {sent:.0f} % of the shared positions are within"
+        f" {walk.epsilon_m:g} m of the walk; after a {attack_name(walk.attack)},"
+        f" {rebuilt:.0f} % are."
     )
 
 
@@ -90,7 +91,9 @@ def one_walk(walk: Walk, *, level_name: str) -> str:
         at: Floats = (points - corner) * unit * [1.0, -1.0] + [0.0, PANEL[1]]
         return at
 
-    bar_m = max((m for m in _BAR_M if m * unit < _WIDEST_BAR * PANEL[0]), default=_BAR_M[0])
+    bar_m = max(
+        (m for m in _BAR_M if m * unit < _WIDEST_BAR * PANEL[0]), default=_BAR_M[0]
+    )
     shared = placed(walk.shared)
     return HTML.get_template("one_walk.svg.j2").render(
         caption=caption(walk, level_name=level_name),

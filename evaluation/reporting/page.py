@@ -48,7 +48,9 @@ def render(run: Results, *, figures: Sequence[Figure] = ()) -> str:
         gallery=walks,
         walks_caption=walks_takeaway(walks),
         level_names=level_names(table),
-        rebuilt_by="" if run.gallery is None else attack_name(run.gallery.iloc[0]["attack"]),
+        rebuilt_by=(
+            "" if run.gallery is None else attack_name(run.gallery.iloc[0]["attack"])
+        ),
         epsilon_m=f"{table.epsilon_m:g}",
         decision=decision,
         figures=figures,
@@ -56,7 +58,9 @@ def render(run: Results, *, figures: Sequence[Figure] = ()) -> str:
         glossary=GLOSSARY,
         plain_name=plain_name,
         known_tasks=TASKS,
-        flag_lines=[line.removeprefix("flag: ").removesuffix(": flags.json") for line in flags],
+        flag_lines=[
+            line.removeprefix("flag: ").removesuffix(": flags.json") for line in flags
+        ],
         failed_lines=failed_lines(run.failed),
         command=command(run.manifest),
         scenes=scenes_text(run.manifest["identity"]),
@@ -65,7 +69,9 @@ def render(run: Results, *, figures: Sequence[Figure] = ()) -> str:
         changed=changed_settings(run.manifest),
         geometry=geometry(run.manifest),
     )
-    return re.sub(r">\n+<", "><", text)  # a line's end between two elements would be a node
+    return re.sub(
+        r">\n+<", "><", text
+    )  # a line's end between two elements would be a node
 
 
 def title(run: Results) -> str:
@@ -73,7 +79,9 @@ def title(run: Results) -> str:
     shared = run.ours[run.ours["consumer"] == SHARED]
     levels = len(shared[["mechanism", "level"]].drop_duplicates())
     consumers = run.summary.loc[is_attack(run.summary), "consumer"].unique()
-    attacks = {Source(name).attack.consumer.partition("@")[0] for name in consumers} - {IDENTITY}
+    attacks = {Source(name).attack.consumer.partition("@")[0] for name in consumers} - {
+        IDENTITY
+    }
     parts = [
         f"{counted(run.manifest['dataset']['tracks_used'], 'pedestrian track')}",
         f"shared with robots at {counted(levels, 'noise level')}",

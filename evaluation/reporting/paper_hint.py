@@ -13,7 +13,9 @@ PAPER: Final = "paper"
 _SCENES_S: Final = 27.9  # For each million samples in the scenes.
 _RERELEASE_S: Final = 703.0  # For each million pairs of the task `rerelease`.
 _HANDOVER_S: Final = 1650.0  # For each million pairs of the task `handover-1s`.
-_TRAVERSAL_S: Final = 7.5  # The people of the simulated sessions are the same in every run.
+_TRAVERSAL_S: Final = (
+    7.5  # The people of the simulated sessions are the same in every run.
+)
 """CPU seconds of all cells of `paper`. To lay out its cells would take seconds; these factors give
 the estimate of `--dry-run` to a twentieth on Students03, Zara01 and plaza."""
 _WITH_VALUE: Final = ("--preset", "--out")
@@ -31,8 +33,9 @@ class PaperHint(NamedTuple):
 def paper_hint(manifest: Mapping[str, Any]) -> PaperHint | None:
     """Return how to run preset `paper` on the same data; None for a run of another preset.
 
-    The time is that on idle cores, with as many workers as the run had. It goes by the sizes of
-    the run: samples in its scenes, and pairs that it linked. Plug-ins of a user's own cost more.
+    The time is that on idle cores, with as many workers as the run had. It goes by the
+    sizes of the run: samples in its scenes, and pairs that it linked. Plug-ins of a
+    user's own cost more.
     """
     if manifest["settings"]["preset"] != DEFAULT:
         return None
@@ -57,7 +60,10 @@ def _cells_cpu_s(manifest: Mapping[str, Any]) -> float:
     samples = float(scenes * identity["scenes.agents"] * manifest["history"]["points"])
     tasks = (manifest.get("linkage") or {}).get("tasks", {})
     cpu_s = _SCENES_S * samples / 1e6 + (_TRAVERSAL_S if tasks else 0.0)
-    for task, million_pairs_s in (("rerelease", _RERELEASE_S), ("handover-1s", _HANDOVER_S)):
+    for task, million_pairs_s in (
+        ("rerelease", _RERELEASE_S),
+        ("handover-1s", _HANDOVER_S),
+    ):
         sizes = tasks.get(task, {}).get("candidates", {}).values()
         cpu_s += million_pairs_s * sum(size**2 for size in sizes) / 1e6
     return cpu_s

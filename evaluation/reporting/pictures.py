@@ -94,7 +94,9 @@ def _telling(table: Headline) -> Picture | None:
         return None
     linked = table.linked[-1]
     curves = _curves(table, table.shared, linked)
-    title = f"Re-identified {task_phrase(linked.measure.source.task)}, over PLR as shared"
+    title = (
+        f"Re-identified {task_phrase(linked.measure.source.task)}, over PLR as shared"
+    )
     return _plane(
         table,
         curves,
@@ -116,7 +118,9 @@ def _chosen(table: Headline) -> Picture | None:
     return _plane(
         table,
         curves,
-        title=f"PLR after attack, over what {name} misses; dashed: {100 * MOST_PLR:g} %",
+        title=(
+            f"PLR after attack, over what {name} misses; dashed: {100 * MOST_PLR:g} %"
+        ),
         caption=takeaways.within_limit(noisy, MOST_PLR) if noisy else "",
         x_label=_MISSED,
         y_label=_ATTACKED,
@@ -126,7 +130,9 @@ def _chosen(table: Headline) -> Picture | None:
 
 def planes(table: Headline) -> dict[str, list[Picture]]:
     """Return missed conflicts against privacy, by the name of each robot: all levels of the run."""
-    robots = dict.fromkeys(key.consumer for key in table.numbers if key.metric == MISSED_RATE)
+    robots = dict.fromkeys(
+        key.consumer for key in table.numbers if key.metric == MISSED_RATE
+    )
     privacy = [shown for shown in (table.attacked, *table.linked[-1:]) if shown]
     return {
         robot_name(robot): drawn
@@ -141,7 +147,11 @@ def _front(table: Headline, robot: str, privacy: Shown) -> Picture | None:
     curves = _curves(table, Shown("", "", Measure(robot, MISSED_RATE)), privacy)
     points = _points(curves)
     noun = "share of re-identified people" if task else "PLR after attack"
-    title = f"Re-identified {task_phrase(task)}" if task else "PLR after the strongest attack"
+    title = (
+        f"Re-identified {task_phrase(task)}"
+        if task
+        else "PLR after the strongest attack"
+    )
     return _plane(
         table,
         curves,
@@ -164,13 +174,18 @@ def _levels(
 ) -> Picture | None:
     """Return the levels of the first table as rows, a mark for each number.
 
-    With `law` its number under the isotropic error law stands beside it, where the run has it.
+    With `law` its number under the isotropic error law stands beside it, where the run
+    has it.
     """
     every, _ = levels_of(table)
-    levels = [where for where in every if any(table.at(where, one) for one in shown.values())]
+    levels = [
+        where for where in every if any(table.at(where, one) for one in shown.values())
+    ]
     if not levels:
         return None
-    found = {name: [table.at(where, one) for where in levels] for name, one in shown.items()}
+    found = {
+        name: [table.at(where, one) for where in levels] for name, one in shown.items()
+    }
     if law and table.other_law:
         isotropic = [table.at(where, law, other_law=True) for where in levels]
         found["after attack, isotropic errors"] = isotropic
@@ -179,11 +194,16 @@ def _levels(
         [short_mechanism_name(table.known[where[0]], where[1]) for where in levels],
         {name: (look, found[name]) for name, look in looks.items()},
         x_label=x_label,
-        across=[(look, shown[name].chance) for name, look in looks.items() if name in shown],
+        across=[
+            (look, shown[name].chance) for name, look in looks.items() if name in shown
+        ],
     )
     families = {where: table.known[where[0]] for where in levels}
     chart.hints = {
-        text: f"{spec_text(families[where], where[1])}: {definition(families[where].family)}"
+        text: (
+            f"{spec_text(families[where], where[1])}:"
+            f" {definition(families[where].family)}"
+        )
         for (_, text), where in zip(chart.y_ticks, levels, strict=True)
     }
     is_marked = any(text.endswith(INDEPENDENT_MARK) for _, text in chart.y_ticks)
@@ -199,7 +219,9 @@ def _curves(
     curves = list[list[Point]]()
     for mechanism, look in looks_of(table.known.values()).items():
         of_mechanism = [where for where in ordered if where[0] == mechanism]
-        pairs = [(where, table.at(where, x), table.at(where, y)) for where in of_mechanism]
+        pairs = [
+            (where, table.at(where, x), table.at(where, y)) for where in of_mechanism
+        ]
         points = [
             Point(look, level_name(table, where), left, right)
             for where, left, right in pairs
@@ -228,7 +250,9 @@ def _plane(
     """Return the curves on two axes with their key; None without any."""
     if not curves:
         return None
-    chart = plane_chart(curves, x_label=x_label, y_label=y_label, has_front=has_front, limit=limit)
+    chart = plane_chart(
+        curves, x_label=x_label, y_label=y_label, has_front=has_front, limit=limit
+    )
     drawn = {curve[0].look for curve in curves}
     key = {
         family_name(table.known[mechanism]): look
@@ -245,7 +269,9 @@ class Panel(NamedTuple):
     mechanism: str
     shared: float
     rebuilt: float  # Shares of samples that leak.
-    paths: Sequence[tuple[str, Sequence[Floats]]]  # Class and lines, (L, 2) each, of each layer.
+    paths: Sequence[
+        tuple[str, Sequence[Floats]]
+    ]  # Class and lines, (L, 2) each, of each layer.
     bar: tuple[float, str]  # How long a metre or a few are.
 
 
@@ -256,7 +282,10 @@ def walks_takeaway(walks: Sequence[Panel]) -> str:
         return ""
     sent = PERCENT * float(np.mean([walk.shared for walk in noisy]))
     rebuilt = PERCENT * float(np.mean([walk.rebuilt for walk in noisy]))
-    return f"Under noise these walks leak {sent:.0f} % as sent and {rebuilt:.0f} % rebuilt."
+    return (
+        f"Under noise these walks leak {sent:.0f} % as sent and {rebuilt:.0f} %"
+        " rebuilt."
+    )
 
 
 def panels(rows: pd.DataFrame) -> list[Panel]:
@@ -264,7 +293,9 @@ def panels(rows: pd.DataFrame) -> list[Panel]:
     drawn = []
     for person, walks in rows.groupby("track", sort=False):
         low, unit = _window(walks)
-        length = max((bar for bar in _BAR_M if bar * unit < 0.3 * SIZE[0]), default=_BAR_M[0])
+        length = max(
+            (bar for bar in _BAR_M if bar * unit < 0.3 * SIZE[0]), default=_BAR_M[0]
+        )
         for mechanism, walk in walks.groupby("mechanism", sort=False):
             drawn.append(
                 Panel(
@@ -279,13 +310,18 @@ def panels(rows: pd.DataFrame) -> list[Panel]:
     return drawn
 
 
-def _paths(walk: pd.DataFrame, low: Floats, unit: float) -> list[tuple[str, Sequence[Floats]]]:
+def _paths(
+    walk: pd.DataFrame, low: Floats, unit: float
+) -> list[tuple[str, Sequence[Floats]]]:
     """Return the layers of a panel from below: the class of each, and its lines in its units."""
     true, shared, rebuilt = (
-        (walk[[f"x_{name}", f"y_{name}"]].to_numpy() - low) * unit * [1.0, -1.0] + [0.0, SIZE[1]]
+        (walk[[f"x_{name}", f"y_{name}"]].to_numpy() - low) * unit * [1.0, -1.0]
+        + [0.0, SIZE[1]]
         for name in ("true", "shared", "rec")
     )
-    leaks_shared, leaks_rebuilt = (walk[f"leaked_{name}"].to_numpy() for name in ("shared", "rec"))
+    leaks_shared, leaks_rebuilt = (
+        walk[f"leaked_{name}"].to_numpy() for name in ("shared", "rec")
+    )
     return [
         ("shared", [*shared[~leaks_shared, None]]),
         ("rebuilt leak", _runs(rebuilt, leaks_rebuilt)),
@@ -298,7 +334,9 @@ def _paths(walk: pd.DataFrame, low: Floats, unit: float) -> list[tuple[str, Sequ
 def _window(walks: pd.DataFrame) -> tuple[Floats, float]:
     """Return the lower left corner in m, and units of a panel in a metre."""
     # Not all shared samples: a few far ones would make the walk tiny.
-    ends = [np.percentile(walks[["x_shared", "y_shared"]].to_numpy(), [5.0, 95.0], axis=0)]
+    ends = [
+        np.percentile(walks[["x_shared", "y_shared"]].to_numpy(), [5.0, 95.0], axis=0)
+    ]
     for name in ("true", "rec"):
         walk = walks[[f"x_{name}", f"y_{name}"]].to_numpy()
         ends.append(np.stack([walk.min(axis=0), walk.max(axis=0)]))

@@ -8,9 +8,15 @@ from datetime import timedelta
 from importlib import import_module
 from typing import Final
 
-_REPORT: Final = 0.12  # What the report takes of the time of the cells, measured: 11 to 13 %.
+_REPORT: Final = (
+    0.12  # What the report takes of the time of the cells, measured: 11 to 13 %.
+)
 _LEAST_S, _LEAST_SHARE = 3.0, 0.03  # Before, nobody can say how long it will take.
-_MARKS: Final = (0.1, 0.5, 1.0)  # Shares at which a line is written where there is no terminal.
+_MARKS: Final = (
+    0.1,
+    0.5,
+    1.0,
+)  # Shares at which a line is written where there is no terminal.
 _DISPLAY_S: Final = 0.2  # Between two updates of a notebook's display.
 _BAR, _WHAT = 10, 34  # Characters: with the times they fill 80 columns.
 
@@ -25,15 +31,21 @@ class Clock:
     def text(self, done: int, total: int) -> str:
         """Return how long it took, and how long it will take if that can be said."""
         now = self._now()
-        if done and not self._first[1]:  # what comes before, compiling for one, happens once
+        if (
+            done and not self._first[1]
+        ):  # what comes before, compiling for one, happens once
             self._first = now, done
         since, n_first = self._first
-        is_known = now - since >= _LEAST_S and done - n_first >= _LEAST_SHARE * total > 0
+        is_known = (
+            now - since >= _LEAST_S and done - n_first >= _LEAST_SHARE * total > 0
+        )
         if is_known and done < total:
             rest = (now - since) * (total - done) / (done - n_first)
             self._end = now + rest + _REPORT * (now - self._begin + rest)
         left = self._end - now
-        return f"{_clock(now - self._begin)}" + f", about {_clock(left)} left" * (left >= 1.0)
+        return f"{_clock(now - self._begin)}" + f", about {_clock(left)} left" * (
+            left >= 1.0
+        )
 
 
 def _clock(seconds: float) -> str:
@@ -66,7 +78,9 @@ def is_notebook() -> bool:
 
 
 @contextlib.contextmanager
-def _display(heading: Sequence[str]) -> Iterator[Callable[[int, int | None, str], None]]:
+def _display(
+    heading: Sequence[str],
+) -> Iterator[Callable[[int, int | None, str], None]]:
     """Show how far a run is in an output of a notebook that is updated in place."""
     show = import_module("IPython.display").display
     clock, last_s = Clock(), float("-inf")
@@ -100,7 +114,11 @@ def _bar(said: list[str]) -> Iterator[Callable[[int, int | None, str], None]]:
     from rich import progress  # noqa: PLC0415 - the user knows sooner what is under way
     from rich.console import Console  # noqa: PLC0415 - as said
 
-    console, clock, marks = Console(stderr=True, force_jupyter=False), Clock(), list(_MARKS)
+    console, clock, marks = (
+        Console(stderr=True, force_jupyter=False),
+        Clock(),
+        list(_MARKS),
+    )
     with progress.Progress(
         progress.TextColumn("{task.description}", markup=False),
         progress.BarColumn(bar_width=_BAR),
@@ -116,11 +134,17 @@ def _bar(said: list[str]) -> Iterator[Callable[[int, int | None, str], None]]:
             told = f"{what:<{_WHAT}.{_WHAT}}"
             bar.update(task, completed=done, total=total, description=told, clock=text)
             share = done / total if total else 0.0
-            is_due = marks and share >= marks[0] and (share < 1.0 or what.startswith("report"))
+            is_due = (
+                marks
+                and share >= marks[0]
+                and (share < 1.0 or what.startswith("report"))
+            )
             if is_due and not console.is_terminal:
                 while marks and share >= marks[0]:
                     del marks[0]
-                said.append(f"{100 * share:.0f} % after {text} ({what.partition(':')[0]})")
+                said.append(
+                    f"{100 * share:.0f} % after {text} ({what.partition(':')[0]})"
+                )
                 sys.stderr.write(f"{said[-1]}\n")
 
         yield update

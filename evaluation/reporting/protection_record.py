@@ -1,7 +1,7 @@
 """The box for a data-protection record: a run in the words of the regulators of the EU.
 
-The three risks are those of the Article 29 Working Party, Opinion 05/2014 on anonymisation
-techniques (WP 216), section 2.2.
+The three risks are those of the Article 29 Working Party, Opinion 05/2014 on
+anonymisation techniques (WP 216), section 2.2.
 """
 
 from dataclasses import dataclass
@@ -20,9 +20,14 @@ from evaluation.reporting.names import adversary_name, family_name, task_phrase
 from evaluation.reporting.rows import Results
 from evaluation.reporting.takeaways import level_name
 
-OPINION: Final = "Article 29 Working Party, Opinion 05/2014 on anonymisation techniques (WP 216)"
+OPINION: Final = (
+    "Article 29 Working Party, Opinion 05/2014 on anonymisation techniques (WP 216)"
+)
 _RAW: Final[Where] = (RAW, None)
-_SAME_STEPS: Final = ("rerelease", "rerelease-framed")  # The second log isolates a known walk.
+_SAME_STEPS: Final = (
+    "rerelease",
+    "rerelease-framed",
+)  # The second log isolates a known walk.
 _MOST_NAMED: Final = 6
 
 
@@ -38,7 +43,8 @@ class Entry:
 def protection_record(run: Results, table: Headline) -> list[Entry]:
     """Return the entries of the record of a run.
 
-    Numbers are those of the level that the answers are about; raw positions stand beside them.
+    Numbers are those of the level that the answers are about; raw positions stand
+    beside them.
     """
     where = reference(table)
     singled = [task for task in table.linked if task.measure.source.task in _SAME_STEPS]
@@ -52,17 +58,20 @@ def protection_record(run: Results, table: Headline) -> list[Entry]:
                 "Not prevented: each released track is the record of a single person.",
                 *_reidentified(table, where, singled),
             ),
-            "the possibility to isolate some or all records which identify an individual",
+            "the possibility to isolate some or all records which identify an"
+            " individual",
         ),
         Entry(
             "Linkability",
             _reidentified(table, where, linked) or ("Not tested in this run.",),
-            "the ability to link, at least, two records concerning the same data subject",
+            "the ability to link, at least, two records concerning the same data"
+            " subject",
         ),
         Entry(
             "Inference",
             _inferred(table, where),
-            "the possibility to deduce, with significant probability, the value of an attribute",
+            "the possibility to deduce, with significant probability, the value of an"
+            " attribute",
         ),
         Entry("Limits", _limits(run)),
         Entry("Not tested", _untested(run)),
@@ -73,12 +82,17 @@ def _processed(run: Results, table: Headline) -> tuple[str, ...]:
     """Return what is recorded and what a release contains."""
     data = run.manifest["dataset"]
     people = "simulated people" if data.get("simulated") else "people"
-    names = list(dict.fromkeys(family_name(one) for one in table.known.values() if one.is_added))
+    names = list(
+        dict.fromkeys(family_name(one) for one in table.known.values() if one.is_added)
+    )
     rest = len(names) - _MOST_NAMED
     shown = [*names[:_MOST_NAMED], f"{rest} more"] if rest > 0 else names
     mechanisms = f"Mechanisms compared: {listed(shown)}." if names else ""
     sentences = (
-        f"Positions and times on {data['tracks_used']:,} of {data['tracks']:,} tracks of {people}.",
+        (
+            f"Positions and times on {data['tracks_used']:,} of {data['tracks']:,}"
+            f" tracks of {people}."
+        ),
         "A release holds positions, times and a fresh pseudonym for each track.",
         mechanisms,
     )
@@ -89,7 +103,10 @@ def _recipients(run: Results) -> tuple[str, ...]:
     """Return who gets a release, and with which knowledge attacks were run."""
     known = [name for name in run.summary["knowledge"].dropna().unique() if name]
     if not known:
-        return ("Every recipient of a release, robots among them.", "No attack was run.")
+        return (
+            "Every recipient of a release, robots among them.",
+            "No attack was run.",
+        )
     tried = listed([adversary_name(name) for name in known])
     return ("Every recipient of a release, robots among them.", f"Tried: {tried}.")
 
@@ -103,9 +120,14 @@ def _reidentified(table: Headline, where: Where, tasks: list[Shown]) -> tuple[st
             continue
         phrase = task_phrase(task.measure.source.task)
         among = f" among {task.candidates:.0f}" if np.isfinite(task.candidates) else ""
-        text = f"{level_name(table, where)}: {share(found)} of people linked {phrase}{among}"
+        text = (
+            f"{level_name(table, where)}: {share(found)} of people linked"
+            f" {phrase}{among}"
+        )
         beside = f"; raw positions {share(raw)}" if raw and where != _RAW else ""
-        sentences.append(f"{sentence_case(text)}{beside}. {_against_chance(task, found.ci_low)}")
+        sentences.append(
+            f"{sentence_case(text)}{beside}. {_against_chance(task, found.ci_low)}"
+        )
     return tuple(sentence.strip() for sentence in sentences)
 
 
@@ -127,10 +149,13 @@ def _inferred(table: Headline, where: Where) -> tuple[str, ...]:
     sentences = []
     if sent:
         sentences.append(
-            f"{sentence_case(name)}: {share(sent)} of positions are sent within {distance}."
+            f"{sentence_case(name)}: {share(sent)} of positions are sent within"
+            f" {distance}."
         )
     if attacked:
-        sentences.append(f"The strongest attack infers {share(attacked)} to {distance}.")
+        sentences.append(
+            f"The strongest attack infers {share(attacked)} to {distance}."
+        )
     return (*sentences, "Names, homes and habits of people are not inferred here.")
 
 
@@ -140,10 +165,15 @@ def _limits(run: Results) -> tuple[str, ...]:
     simulated = run.manifest["dataset"].get("simulated")
     return (
         "Each number is a lower bound: a better attack may reach more.",
-        f"Position errors are assumed {law.replace('_', ' ')}; brackets are 95 % intervals.",
-        "Simulated people say nothing about real people."
-        if simulated
-        else "Other places and crowds may differ.",
+        (
+            f"Position errors are assumed {law.replace('_', ' ')}; brackets are 95 %"
+            " intervals."
+        ),
+        (
+            "Simulated people say nothing about real people."
+            if simulated
+            else "Other places and crowds may differ."
+        ),
     )
 
 

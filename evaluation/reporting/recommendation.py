@@ -43,16 +43,22 @@ from isac_track.intervals import FEWEST_EFFECTIVE, Estimate
 from isac_track.privacy import WIDE_TIMES
 
 _MOST_NAMED: Final = 2  # Levels that a sentence names.
-_MANY_TIMES: Final = 9.5  # From here on, how many times as many is told without decimals.
+_MANY_TIMES: Final = (
+    9.5  # From here on, how many times as many is told without decimals.
+)
 _FEW_TIMES: Final = 1.1
 _FALSE_ALARMS: Final = "false_alarm"
 _WHY: Final[Mapping[Unknown, str]] = {
-    "no horizon": "conflicts within {horizon} were not judged: add "
-    "--set conflict.horizons_s={seconds:g}",
+    "no horizon": (
+        "conflicts within {horizon} were not judged: add "
+        "--set conflict.horizons_s={seconds:g}"
+    ),
     "no robot": "no robot predicts conflicts: add --predictor kalman_cv",
     "no attack": "no attack ran at this level: add --attack ou_rts",
-    "no handover": "linkage after a silence was not tried: add --task handover-1s "
-    "--attack kinematic --attack kinematic@radial_rts",
+    "no handover": (
+        "linkage after a silence was not tried: add --task handover-1s "
+        "--attack kinematic --attack kinematic@radial_rts"
+    ),
     "no task": "linkage was not tried: add --task rerelease --attack shape@radial_rts",
     "adversary not tried": "{adversary} was not tried: add --adversary {option}",
     "shortcut": "a shortcut gives people away, so the attack itself is not measured",
@@ -120,8 +126,9 @@ def _share_text(run: Results) -> str:
     known = [check for check in nearest.failing if not check.unknown]
     failing = [reason(check, answer, epsilon_m=epsilon) for check in known]
     failing = failing or failures(nearest, answer, epsilon_m=epsilon)
+    name = level_name(nearest)
     sentences = [
-        f"No level keeps within the limits. The nearest is {level_name(nearest)}: {failing[0]}."
+        f"No level keeps within the limits. The nearest is {name}: {failing[0]}."
     ]
     if answer.robot:
         sentences.append(_brief_cost(answer, nearest))
@@ -130,7 +137,9 @@ def _share_text(run: Results) -> str:
 
 def _short_limits(answer: Recommendation) -> list[str]:
     """Return the limits of the first screen: those that are asked where nobody names others."""
-    known, linked = (answer.question.limits.get(name, 1.0) for name in (EXPOSURE, LINKED))
+    known, linked = (
+        answer.question.limits.get(name, 1.0) for name in (EXPOSURE, LINKED)
+    )
     return [
         f"at most {PERCENT * known:.4g} % of positions known",
         f"{PERCENT * linked:.4g} % of the raw re-identification",
@@ -172,7 +181,11 @@ def share_details(run: Results) -> tuple[str, ...]:
 
 
 def answer_text(
-    answer: Recommendation, *, simulated: bool, epsilon_m: float, most_failures: int | None = None
+    answer: Recommendation,
+    *,
+    simulated: bool,
+    epsilon_m: float,
+    most_failures: int | None = None,
 ) -> str:
     """Return the answer of `design`: yes, no or why the run cannot say, and against whom.
 
@@ -216,7 +229,10 @@ def _against(answer: Recommendation) -> str:
     )
     if not broken:
         return held
-    return f"{held}, but not {listed([adversary_name(name) for name in sorted(broken)], 'or')}"
+    return (
+        f"{held}, but not"
+        f" {listed([adversary_name(name) for name in sorted(broken)], 'or')}"
+    )
 
 
 def _break_sentences(answer: Recommendation) -> list[str]:
@@ -227,8 +243,9 @@ def _break_sentences(answer: Recommendation) -> list[str]:
             if side.breaks(_plr_limit(answer)):
                 known = percent(_worse(side, _plr_limit(answer)))
                 sentences.append(
-                    f"With {level_name(offer)}, {adversary_name(side.adversary)} knows {known} of "
-                    f"positions; to make it count: --against {side.adversary}."
+                    f"With {level_name(offer)}, {adversary_name(side.adversary)} knows"
+                    f" {known} of positions; to make it count: --against"
+                    f" {side.adversary}."
                 )
     return sentences
 
@@ -242,14 +259,18 @@ def cost_sentence(answer: Recommendation, offer: Offer) -> str:
     is_future = answer.question.criterion.conflicts == "missed_future"
     conflicts = "future conflicts" if is_future else "all conflicts"
     return (
-        f"At the false alarms of raw positions, {subject} misses {percent(offer.cost)} of "
-        f"{conflicts}{raw}."
+        f"At the false alarms of raw positions, {subject} misses {percent(offer.cost)}"
+        f" of {conflicts}{raw}."
     )
 
 
 def conflicts_text(criterion: Criterion) -> str:
     """Return which conflicts levels are chosen by."""
-    conflicts = "future conflicts" if criterion.conflicts == "missed_future" else "all conflicts"
+    conflicts = (
+        "future conflicts"
+        if criterion.conflicts == "missed_future"
+        else "all conflicts"
+    )
     seconds = criterion.horizon_s
     return conflicts if seconds is None else f"{conflicts} within {seconds:g} s"
 
@@ -280,7 +301,10 @@ def untried_text(answer: Recommendation) -> str:
     """Return which adversaries the shown levels were not tried against; empty if against all."""
     shown = answer.proposals or answer.unsettled or answer.refused[:1]
     untried = dict.fromkeys(
-        side.adversary for offer in shown for side in offer.beyond if side.source is None
+        side.adversary
+        for offer in shown
+        for side in offer.beyond
+        if side.source is None
     )
     return f"Not tried: --adversary {listed(list(untried), 'or')}. " if untried else ""
 
@@ -311,7 +335,9 @@ def offer_text(offer: Offer, answer: Recommendation, *, epsilon_m: float) -> str
     if offer.linked and math.isfinite(offer.linked.share.value):
         phrase = sentence_case(task_phrase(offer.linked.task))
         rank1, share = percent(offer.linked.rank1), percent(offer.linked.share)
-        sentences.append(f"{phrase} it re-identifies {rank1}: {share} of the raw share.")
+        sentences.append(
+            f"{phrase} it re-identifies {rank1}: {share} of the raw share."
+        )
     return " ".join([*sentences, *standing_sentences(offer, answer)])
 
 
@@ -358,7 +384,9 @@ def failures(offer: Offer, answer: Recommendation, *, epsilon_m: float) -> list[
     """Return which limits a level exceeds, and by how much."""
     texts = [reason(check, answer, epsilon_m=epsilon_m) for check in offer.failing]
     if offer.lacks_rule:
-        texts.append(f"no level of its mechanism holds with {adding_phrase(offer.lacks_rule)}")
+        texts.append(
+            f"no level of its mechanism holds with {adding_phrase(offer.lacks_rule)}"
+        )
     return texts
 
 
@@ -382,7 +410,10 @@ def _excess(check: Check, answer: Recommendation, epsilon_m: float) -> str:
     is_close = rounded == whole(PERCENT * check.limit)
     share = f"just over {rounded} %" if is_close else f"up to {rounded} %"
     if name == LINKED:
-        return f"an attack may keep {share} of the raw re-identification {task_phrase(answer.task)}"
+        return (
+            f"an attack may keep {share} of the raw re-identification"
+            f" {task_phrase(answer.task)}"
+        )
     if name == SUCCESS:
         return f"an attack re-identifies {share} of people {task_phrase(task)}"
     if name == MISSED:
@@ -393,7 +424,9 @@ def _excess(check: Check, answer: Recommendation, epsilon_m: float) -> str:
     if name in (EXPOSURE, WIDE):
         reach_m = WIDE_TIMES * epsilon_m if name == WIDE else epsilon_m
         return f"{_adversary(check)} knows {share} of positions to {reach_m:.4g} m"
-    return f"{_adversary(check)} leaves a {descriptor_name(name)} of up to {upper:.2f} s"
+    return (
+        f"{_adversary(check)} leaves a {descriptor_name(name)} of up to {upper:.2f} s"
+    )
 
 
 def _adversary(check: Check) -> str:
@@ -458,6 +491,12 @@ def _subject(check: Check, answer: Recommendation) -> str:
 def missing_texts(answer: Recommendation) -> list[str]:
     """Return what the run cannot say of any level, each with the option that adds it."""
     checks = (check for offer in answer.refused for check in offer.failing)
-    by_code = {(check.unknown, check.adversary): check for check in checks if check.unknown}
-    texts = [cause(check, answer) for (code, _), check in by_code.items() if code in answer.missing]
+    by_code = {
+        (check.unknown, check.adversary): check for check in checks if check.unknown
+    }
+    texts = [
+        cause(check, answer)
+        for (code, _), check in by_code.items()
+        if code in answer.missing
+    ]
     return list(dict.fromkeys(texts))

@@ -11,7 +11,14 @@ import pandas as pd
 
 from attacks.tasks.controls import CONTROLS
 from evaluation.analysis.families import CLEAN, LEVEL_UNITS, families_in
-from evaluation.analysis.keys import AS_SHARED, Source, is_attack, rows_of, where_text, worlds_of
+from evaluation.analysis.keys import (
+    AS_SHARED,
+    Source,
+    is_attack,
+    rows_of,
+    where_text,
+    worlds_of,
+)
 from evaluation.analysis.linkability import INVALID, REMARKS, LinkedTask, remarks
 from evaluation.analysis.metrics import (
     DESCRIPTORS,
@@ -42,8 +49,13 @@ MEANING = {mark: REMARKS[remark] for remark, mark in MARKS.items()}
 TOO_WEAK = "attack too weak"
 _USUAL = "informed"
 _LABEL_WIDTH = 30
-_FUTURE = "Missed future: of conflicts in which nobody is inside the safety radius at step 0."
-_STILL = "Standing still: constant_position, which expects nobody to move; each interval by itself."
+_FUTURE = (
+    "Missed future: of conflicts in which nobody is inside the safety radius at step 0."
+)
+_STILL = (
+    "Standing still: constant_position, which expects nobody to move; each interval by"
+    " itself."
+)
 
 
 def laplace_notes(rows: pd.DataFrame, *, n_reports: int = PAPER_REPORTS) -> list[str]:
@@ -54,24 +66,30 @@ def laplace_notes(rows: pd.DataFrame, *, n_reports: int = PAPER_REPORTS) -> list
     levels = rows.loc[rows["family"] == "laplace", "level"].dropna().unique()
     known = [Laplace(float(level)) for level in sorted(levels) if level > 0]
     return [
-        f"{where_text('laplace', one.std_m)}: epsilon {one.epsilon_per_m:.2f} 1/m a report, "
-        f"{one.epsilon_over(n_reports):.0f} 1/m over {n_reports}."
+        f"{where_text('laplace', one.std_m)}: epsilon {one.epsilon_per_m:.2f} 1/m a"
+        f" report, {one.epsilon_over(n_reports):.0f} 1/m over {n_reports}."
         for one in known
     ]
 
 
-def sweep_tables(summary: pd.DataFrame, *, n_reports: int = PAPER_REPORTS) -> list[Table]:
+def sweep_tables(
+    summary: pd.DataFrame, *, n_reports: int = PAPER_REPORTS
+) -> list[Table]:
     """Return every level: descriptors as shared with the first predictor, then the others'.
 
     A track has `n_reports` samples on average.
     """
-    is_shown = summary["metric"].isin([*UTILITY, *DESCRIPTORS])  # a control of linkage has neither
+    is_shown = summary["metric"].isin(
+        [*UTILITY, *DESCRIPTORS]
+    )  # a control of linkage has neither
     others = summary[is_shown & ~is_attack(summary)]
     predictors = list(others.loc[others["consumer"] != SHARED, "consumer"].unique())
     found = []
     for place, predictor in enumerate(predictors or [SHARED]):
         # As shared stands beside the first.
-        drawn = {Source(predictor): UTILITY} | ({} if place else {AS_SHARED: DESCRIPTORS})
+        drawn = {Source(predictor): UTILITY} | (
+            {} if place else {AS_SHARED: DESCRIPTORS}
+        )
         rows = others[others["consumer"].isin([one.consumer for one in drawn])]
         columns = [
             Column(
@@ -86,7 +104,11 @@ def sweep_tables(summary: pd.DataFrame, *, n_reports: int = PAPER_REPORTS) -> li
         name, title = (f"sweep-{place}", "") if place else ("sweep", " as shared")
         title += f", predictor {predictor}" if predictor != SHARED else ""
         units = "; ".join(f"{family}: {unit}" for family, unit in LEVEL_UNITS.items())
-        notes = [] if place else [f"Levels: {units}.", *laplace_notes(rows, n_reports=n_reports)]
+        notes = (
+            []
+            if place
+            else [f"Levels: {units}.", *laplace_notes(rows, n_reports=n_reports)]
+        )
         found.append(_by_level(name, f"All levels{title}", rows, columns, notes=notes))
     return [one for one in found if one.rows]
 
@@ -99,11 +121,18 @@ def horizon_tables(summary: pd.DataFrame) -> list[Table]:
             continue
         rows = summary[worlds == world]
         columns = [
-            Column(f"{METRICS[metric].head}, {robot}", partial(_cell, Source(robot), metric), "%")
+            Column(
+                f"{METRICS[metric].head}, {robot}",
+                partial(_cell, Source(robot), metric),
+                "%",
+            )
             for robot in rows["consumer"].unique()
             for metric in (MISSED_RATE, MISSED_FUTURE, "false_alarm_rate")
         ]
-        name, title = f"horizon-{horizon_s:g}s", f"Conflicts made for {horizon_s:g} s ahead"
+        name, title = (
+            f"horizon-{horizon_s:g}s",
+            f"Conflicts made for {horizon_s:g} s ahead",
+        )
         tables.append(_by_level(name, title, rows, columns, notes=[_FUTURE]))
     return tables
 
@@ -125,7 +154,9 @@ def standing_table(robots: Iterable[Mapping[str, Any]]) -> Table:
         make.counted("more", "points", *ends, scale=100.0, digits=1, sign="+"),
     ]
     title = "Robots that miss more than standing still; 95 % intervals, paired"
-    return make.built("standing-still", title, records, columns, notes=[_STILL], n_keys=3)
+    return make.built(
+        "standing-still", title, records, columns, notes=[_STILL], n_keys=3
+    )
 
 
 def _horizon_text(row: Mapping[str, Any]) -> str:
@@ -133,7 +164,12 @@ def _horizon_text(row: Mapping[str, Any]) -> str:
 
 
 def _by_level(
-    name: str, title: str, rows: pd.DataFrame, columns: list[Column], *, notes: list[str]
+    name: str,
+    title: str,
+    rows: pd.DataFrame,
+    columns: list[Column],
+    *,
+    notes: list[str],
 ) -> Table:
     records = [
         {"mechanism": mechanism, "level": at, "of": of}
@@ -141,7 +177,9 @@ def _by_level(
     ]
     columns = [*picked.mechanism_columns(families_in(rows)), *columns]
     title = f"{title}; 95 % intervals"
-    return make.built(name, title, records, columns, notes=notes, n_headings=2, n_keys=3)
+    return make.built(
+        name, title, records, columns, notes=notes, n_headings=2, n_keys=3
+    )
 
 
 def _cell(source: Source, metric: str, level: Mapping[str, Any]) -> Cell:
@@ -167,13 +205,21 @@ def exposure_table(summary: pd.DataFrame, *, slow: Collection[str] = ()) -> Tabl
     rows = after_attack(summary)
     rows = rows[rows["metric"] == EXPOSURE]
     shown = most_knowing(sources_of(rows))
-    columns = [Column(source.label, partial(_cell, source, EXPOSURE)) for source in shown]
-    oracle = "The oracle is a reference: it stands where nobody less can run the attack."
+    columns = [
+        Column(source.label, partial(_cell, source, EXPOSURE)) for source in shown
+    ]
+    oracle = (
+        "The oracle is a reference: it stands where nobody less can run the attack."
+    )
     notes = [oracle] * any(source.knowledge == ORACLE for source in shown)
     ran = [source.consumer for source in shown if source.consumer in slow]
-    notes += [f"{name} saw only the first release of each source track." for name in ran]
+    notes += [
+        f"{name} saw only the first release of each source track." for name in ran
+    ]
     title = "After attack: PLR in % at all levels"
-    return _by_level("exposure", title, rows if len(shown) > 1 else rows[:0], columns, notes=notes)
+    return _by_level(
+        "exposure", title, rows if len(shown) > 1 else rows[:0], columns, notes=notes
+    )
 
 
 def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
@@ -190,12 +236,19 @@ def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
     columns = [
         *picked.mechanism_columns(known),
         *map(make.said, ("positions", "adversary")),
-        *(make.held(METRICS[name].head, name, unit=METRICS[name].unit) for name in measured),
+        *(
+            make.held(METRICS[name].head, name, unit=METRICS[name].unit)
+            for name in measured
+        ),
     ]
-    return make.built("attacks", f"{title}; 95 % intervals", told, columns, n_headings=3, n_keys=5)
+    return make.built(
+        "attacks", f"{title}; 95 % intervals", told, columns, n_headings=3, n_keys=5
+    )
 
 
-def _merged(name: str, at: float | None, found: Mapping[Source, Any]) -> list[dict[str, Any]]:
+def _merged(
+    name: str, at: float | None, found: Mapping[Source, Any]
+) -> list[dict[str, Any]]:
     """Return the rows of a level; one for adversaries whose numbers are the same."""
     cells = {
         source: {one: make.estimated(one, of.get(one)) for one in RECONSTRUCTION}
@@ -205,8 +258,11 @@ def _merged(name: str, at: float | None, found: Mapping[Source, Any]) -> list[di
     shared = cells.get(AS_SHARED, {})
     groups: dict[tuple[str, tuple[str, ...]], list[Source]] = {}
     for source, of in cells.items():
-        # Only an attack has a ratio to the benchmark. A control that says the same is left out.
-        is_same = all(of[one].text == cell.text for one, cell in shared.items() if cell.text)
+        # Only an attack has a ratio to the benchmark. A control that says the same is
+        # left out.
+        is_same = all(
+            of[one].text == cell.text for one, cell in shared.items() if cell.text
+        )
         if source.consumer != IDENTITY or not (shared and is_same):
             key = source.consumer, tuple(cell.full for cell in of.values())
             groups.setdefault(key, []).append(source)
@@ -228,14 +284,25 @@ def rank_table(run: picked.Results, task: LinkedTask) -> Table:
     columns = [make.said("attack", itemgetter(0))]
     for place, (name, at) in enumerate(wheres, start=1):
         one = family_of(known, name)
-        columns.append(Column(where_text(one.name, at), itemgetter(place), above=one.adding))
+        columns.append(
+            Column(where_text(one.name, at), itemgetter(place), above=one.adding)
+        )
     records = list[list[Any]]()
     for source in task.attacks:
-        label = make.shortened(source.label.removesuffix(f" ({_USUAL})"), room=_LABEL_WIDTH)
-        records.append([label, *(_rank(task.cells[where].get(source)) for where in wheres)])
+        label = make.shortened(
+            source.label.removesuffix(f" ({_USUAL})"), room=_LABEL_WIDTH
+        )
+        records.append(
+            [label, *(_rank(task.cells[where].get(source)) for where in wheres)]
+        )
     some = [next(iter(task.cells[where].values())) for where in wheres]
     records.append(["chance", *(make.amount(SUCCESS, row["chance"]) for row in some)])
-    people = (run.manifest.get("linkage") or {}).get("tasks", {}).get(task.name, {}).get("people")
+    people = (
+        (run.manifest.get("linkage") or {})
+        .get("tasks", {})
+        .get(task.name, {})
+        .get("people")
+    )
     notes = [
         _people_note(some[0], people),
         *filter(None, [approximation(run.manifest, task.name)]),
@@ -252,13 +319,15 @@ def rank_table(run: picked.Results, task: LinkedTask) -> Table:
 def _people_note(row: Mapping[str, Any], people: int | None) -> str:
     """Return how many people a task rests on, and how large its galleries are."""
     low, high = int(row["gallery_min"]), int(row["gallery_max"])
-    size = f"{low}" if low == high else f"{low} to {high} (mean {row['gallery_mean']:.1f})"
+    size = (
+        f"{low}" if low == high else f"{low} to {high} (mean {row['gallery_mean']:.1f})"
+    )
     n_probes, n_mated = int(row["n_probes"]), int(row["n_mated"])
     mated = f"all {n_probes}" if n_probes == n_mated else f"{n_mated} of {n_probes}"
     start = "" if people is None else f"{people} people; "
     return (
-        f"{start}{mated} releases have a mate among {size} candidates. The adversary is {_USUAL} "
-        "unless another is named."
+        f"{start}{mated} releases have a mate among {size} candidates. The adversary is"
+        f" {_USUAL} unless another is named."
     )
 
 
@@ -275,12 +344,18 @@ def _control_notes(task: LinkedTask) -> list[str]:
         ]
         expected = f"{LEVEL * len(outcomes):.1f} expected"
         texts.append(
-            f"Controls: {sum(outcomes)} of {len(outcomes)} beat chance at {100 * LEVEL:g} % "
-            f"({'; '.join([expected, *worst])})."
+            f"Controls: {sum(outcomes)} of {len(outcomes)} beat chance at"
+            f" {100 * LEVEL:g} % ({'; '.join([expected, *worst])})."
         )
-    cells = (",".join(row[INVALID] for row in block.values()) for block in task.cells.values())
+    cells = (
+        ",".join(row[INVALID] for row in block.values())
+        for block in task.cells.values()
+    )
     leaks = Counter(name for text in cells for name in {*re.split(", *", text)} if name)
-    told = [f"{name} at {n} of {len(task.cells)} levels" for name, n in sorted(leaks.items())]
+    told = [
+        f"{name} at {n} of {len(task.cells)} levels"
+        for name, n in sorted(leaks.items())
+    ]
     if outcomes or told:
         texts.append(f"Shortcuts that give people away: {', '.join(told) or 'none'}.")
     return texts
@@ -293,7 +368,9 @@ def strength_table(run: picked.Results) -> Table:
     for task, (consumer, knowledge) in run.strongest.items():
         source = Source(f"{task}/{consumer}", knowledge)
         found = picked.by_level(picked.of_source(run.ours, source)) if task else {}
-        for where in picked.telling(found, run.families, controls=False) if found else ():
+        for where in (
+            picked.telling(found, run.families, controls=False) if found else ()
+        ):
             of = found[where][source]
             row: dict[str, Any] = dict(zip(("mechanism", "level"), where, strict=True))
             row |= {name: make.estimated(name, of.get(name)) for name in ranks}
@@ -308,17 +385,26 @@ def strength_table(run: picked.Results) -> Table:
         *(make.held(METRICS[one].head, one, unit="%") for one in (*ranks, "chance")),
         make.held(told, unit=METRICS["cllr_min"].unit),
     ]
-    title = "What the headline linker of each task tells, by ranks and by scores; 95 % intervals"
-    notes = ["1 - Cllr_min: what its scores tell of a pair at best, 0 nothing, 1 bit all."]
+    title = (
+        "What the headline linker of each task tells, by ranks and by scores; 95 %"
+        " intervals"
+    )
+    notes = [
+        "1 - Cllr_min: what its scores tell of a pair at best, 0 nothing, 1 bit all."
+    ]
     notes.append("Rank 1 of 100 is empty with fewer candidates.")
-    return make.built("strength", title, records, columns, notes=notes, n_headings=2, n_keys=5)
+    return make.built(
+        "strength", title, records, columns, notes=notes, n_headings=2, n_keys=5
+    )
 
 
 def doubt_table(run: picked.Results) -> Table:
     """Return the linkage cells that measure nothing: invalid ones, and too weak attacks."""
     of = run.linkability[run.linkability["cohort"] == "all"]
     of = of.assign(**of[["knowledge", "outcome", "invalid"]].astype(object).fillna(""))
-    of = of[(of["knowledge"] != "") & ((of["invalid"] != "") | (of["outcome"] == TOO_WEAK))]
+    of = of[
+        (of["knowledge"] != "") & ((of["invalid"] != "") | (of["outcome"] == TOO_WEAK))
+    ]
 
     def why(row: Mapping[str, Any]) -> str:
         name = row["invalid"]

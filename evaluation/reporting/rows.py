@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.families import ADDING_RULES, FID, FIXED, LEVEL_UNITS, Family, families_in
+from evaluation.analysis.families import (
+    ADDING_RULES,
+    FID,
+    FIXED,
+    LEVEL_UNITS,
+    Family,
+    families_in,
+)
 from evaluation.analysis.keys import Source, Where, level_text
 from evaluation.analysis.metrics import METRICS, MISSED_RATE
 from evaluation.experiment.presets import DISSOCIATION, SHARED
@@ -35,7 +42,9 @@ if TYPE_CHECKING:
 
 CONTROLS: Final = frozenset(spec.partition(":")[0] for spec in DISSOCIATION)
 """Families that are there to tear a descriptor and linkability apart."""
-_LOG_SPAN = 30.0  # The axis of a mechanism that we do not know is logarithmic from there on.
+_LOG_SPAN = (
+    30.0  # The axis of a mechanism that we do not know is logarithmic from there on.
+)
 _LEVELS: Final = {FID: "eta {}", FIXED: "{} m"}
 _KNOWN: Final = {
     FID: ("FID noise", "eta (1/(m² s))", True),
@@ -43,7 +52,10 @@ _KNOWN: Final = {
 }
 STRONGEST: Final = "strongest"
 AFTER: Final = "_after"  # Ends the name of a descriptor after the strongest attack.
-SHORT: Final = {"missed": MISSED_RATE, "false_alarm": "false_alarm_rate"}  # Long to type.
+SHORT: Final = {
+    "missed": MISSED_RATE,
+    "false_alarm": "false_alarm_rate",
+}  # Long to type.
 _AT: Final = ["family", "level", "adding"]
 _CURVE = 3  # Levels that make one.
 
@@ -59,7 +71,9 @@ class Results:
     claims: pd.DataFrame
     matched: pd.DataFrame
     frontier: pd.DataFrame
-    levels: pd.DataFrame  # What a site gets and pays at each level that it could choose.
+    levels: (
+        pd.DataFrame
+    )  # What a site gets and pays at each level that it could choose.
     decisions: pd.DataFrame
     curves: pd.DataFrame
     flags: pd.DataFrame
@@ -67,7 +81,9 @@ class Results:
     galleries: pd.DataFrame  # Rank 1 and expected rank over the number of candidates.
     speeds: pd.DataFrame  # PLR over net speed.
     verdict: dict[str, Any]  # As in `verdict.json`.
-    failed: pd.DataFrame  # Cells that could not be computed, and why; no other table holds them.
+    failed: (
+        pd.DataFrame
+    )  # Cells that could not be computed, and why; no other table holds them.
     strongest: Mapping[str, Source] = field(default_factory=dict)
     """Of every linkage task the attack that the verdict is about; under "" the reconstruction."""
     conflict_times: pd.DataFrame = field(default_factory=pd.DataFrame)
@@ -76,7 +92,9 @@ class Results:
     """Numbers of the strongest attack against each mechanism, cross-fitted: `strongest.csv`."""
     first_table_of: Callable[[Results], Table] | None = None
     """What makes the table of the first screen, for a notebook."""
-    gallery: pd.DataFrame | None = None  # As in `gallery.parquet`; None without, and of `load`.
+    gallery: pd.DataFrame | None = (
+        None  # As in `gallery.parquet`; None without, and of `load`.
+    )
 
     @property
     def measured(self) -> pd.DataFrame:
@@ -104,7 +122,9 @@ class Results:
             for row in records
         )
         grid = f"<table><thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table>"
-        said = "".join(f"<li>{escape(str(one))}</li>" for one in self.verdict.get("answer", ()))
+        said = "".join(
+            f"<li>{escape(str(one))}</li>" for one in self.verdict.get("answer", ())
+        )
         return f"<p>{escape(self._title())}</p>{grid if rows else ''}<ul>{said}</ul>"
 
     def _title(self) -> str:
@@ -114,19 +134,27 @@ class Results:
         shared = self.ours[self.ours["consumer"] == SHARED]
         n_levels = len(shared[["mechanism", "level"]].drop_duplicates())
         failed = f", {len(self.failed)} cells failed" * bool(len(self.failed))
-        told = f"{what}, {scenes_text(identity)}, seed {identity['seed']}, {n_levels} levels"
+        told = (
+            f"{what}, {scenes_text(identity)}, seed {identity['seed']}, {n_levels}"
+            " levels"
+        )
         return f"Results {self.out}: {told}{failed}"
 
     def recommendation(self, question: Question | None = None) -> Recommendation:
         """Return which levels may be shared, by default as the first screen asks.
 
-        It is what `evaluation.design` answers: levels that hold, what each costs, who breaks it.
+        It is what `evaluation.design` answers: levels that hold, what each costs, who
+        breaks it.
         """
-        from evaluation.verdict.what_to_share import recommend  # noqa: PLC0415 - see `load`
+        from evaluation.verdict.what_to_share import (  # noqa: PLC0415 - see `load`
+            recommend,
+        )
 
         if question is None:
             return self._usual_recommendation
-        return recommend(self.levels, question, dataset=self.dataset, scenes=self._n_scenes)
+        return recommend(
+            self.levels, question, dataset=self.dataset, scenes=self._n_scenes
+        )
 
     @cached_property
     def _usual_recommendation(self) -> Recommendation:
@@ -134,7 +162,9 @@ class Results:
 
         Like the other cached properties it lives as long as these results do.
         """
-        from evaluation.verdict.what_to_share import default_question  # noqa: PLC0415 - see `load`
+        from evaluation.verdict.what_to_share import (  # noqa: PLC0415 - see `load`
+            default_question,
+        )
 
         return self.recommendation(default_question(self.families))
 
@@ -154,15 +184,16 @@ class Results:
         metric : str
             As in `summary.csv`, in its unit; `missed` and `false_alarm` for short.
         after : str
-            Of a descriptor: empty as shared, `strongest` after the attack that the verdict is
-            about, or an attack's name, then with every adversary. Of linkage: `strongest` (or
-            empty), or a linker's name.
+            Of a descriptor: empty as shared, `strongest` after the attack that the
+            verdict is about, or an attack's name, then with every adversary. Of
+            linkage: `strongest` (or empty), or a linker's name.
         task : str
             Of linkage; by default the first of the run.
         robot : str
             Predictor whose utility it is; by default the first of the run.
 
-        What adds nothing (raw, clean) has level 0. SettingsError for what the run does not have.
+        What adds nothing (raw, clean) has level 0. SettingsError for what the run does
+        not have.
         """
         name = SHORT.get(metric, metric)
         if name not in METRICS:
@@ -188,14 +219,24 @@ class Results:
         found = rows[rows["consumer"] == who]
         if found.empty:
             has = ", ".join(dict.fromkeys(rows["consumer"])) or "nobody in this task"
-            raise SettingsError(f"the run has no {name} of {who or after!r}; it has that of {has}")
+            raise SettingsError(
+                f"the run has no {name} of {who or after!r}; it has that of {has}"
+            )
         known = found["mechanism"].map(self.families)
         levels = found["level"].where(known.map(lambda one: one.is_added), 0.0)
         adding = [one.adding for one in known]
-        columns = {"family": [one.name for one in known], "level": levels, "adding": adding}
+        columns = {
+            "family": [one.name for one in known],
+            "level": levels,
+            "adding": adding,
+        }
         is_attack = found["knowledge"] != ""
-        columns["attack"] = found["consumer"].where(is_attack, "").str.removeprefix(f"{task}/")
-        table = pd.DataFrame(columns | {one: found[one] for one in ("knowledge", *ENDS)})
+        columns["attack"] = (
+            found["consumer"].where(is_attack, "").str.removeprefix(f"{task}/")
+        )
+        table = pd.DataFrame(
+            columns | {one: found[one] for one in ("knowledge", *ENDS)}
+        )
         knowledge = found["knowledge"].unique()
         label = Source(who, knowledge[0] if len(knowledge) == 1 else "").label
         if who == SHARED:
@@ -210,13 +251,20 @@ class Results:
     ) -> Axes:
         """Draw one metric over another, with 95 % intervals, and return the axes.
 
-        `x` and `y` are metrics as in `frame`, or `plr_after`: after the strongest attack; `x` may
-        be `level`, on a logarithmic axis, where raw is a line in its interval. A mechanism looks as
-        on the page. `ax` are the axes to draw on, else new ones.
+        `x` and `y` are metrics as in `frame`, or `plr_after`: after the strongest
+        attack; `x` may be `level`, on a logarithmic axis, where raw is a line in its
+        interval. A mechanism looks as on the page. `ax` are the axes to draw on, else
+        new ones.
         """
-        from matplotlib import pyplot as plt  # noqa: PLC0415 - slow to import, and seldom needed
+        from matplotlib import (  # noqa: PLC0415 - slow to import, and seldom needed
+            pyplot as plt,
+        )
 
-        from evaluation.reporting.charts import INKS, MARKERS, looks_of  # noqa: PLC0415 - see `load`
+        from evaluation.reporting.charts import (  # noqa: PLC0415 - see `load`
+            INKS,
+            MARKERS,
+            looks_of,
+        )
 
         of_y = self._scaled(y, task=task, robot=robot)
         of_x = of_y.assign(value=of_y["level"], ci_low=math.nan, ci_high=math.nan)
@@ -229,7 +277,9 @@ class Results:
             ax = plt.subplots(figsize=(8.0, 4.5), layout="constrained")[1]
         if x == "level":
             ax.set_xscale("log")
-        known = {(one.name, one.adding): one.mechanism for one in self.families.values()}
+        known = {
+            (one.name, one.adding): one.mechanism for one in self.families.values()
+        }
         looks = looks_of(self.families.values())
         for (family, adding), rows in both.groupby(["family", "adding"], sort=False):
             ordered = rows.sort_values("level")
@@ -241,11 +291,19 @@ class Results:
             if x == "level" and not x_at.any():  # raw has none
                 ax.axhline(y_at[0], linestyle="--" if look.hollow else ":", **ink)
                 (below,), (above,) = y_error
-                ax.axhspan(y_at[0] - below, y_at[0] + above, color=ink["color"], alpha=0.1)
+                ax.axhspan(
+                    y_at[0] - below, y_at[0] + above, color=ink["color"], alpha=0.1
+                )
                 continue
-            shape: dict[str, Any] = {"marker": MARKERS[look.shape], "capsize": 2, "linewidth": 0.8}
+            shape: dict[str, Any] = {
+                "marker": MARKERS[look.shape],
+                "capsize": 2,
+                "linewidth": 0.8,
+            }
             face = "none" if look.hollow else ink["color"]
-            ax.errorbar(x_at, y_at, y_error, x_error, markerfacecolor=face, **shape, **ink)
+            ax.errorbar(
+                x_at, y_at, y_error, x_error, markerfacecolor=face, **shape, **ink
+            )
         ax.set(xlabel=of_x.attrs["title"], ylabel=of_y.attrs["title"])
         ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
         return ax
@@ -299,9 +357,14 @@ class Results:
     @cached_property
     def tasks(self) -> list[LinkedTask]:
         """The tasks in which somebody links, of the run's data set or of their own."""
-        from evaluation.analysis.linkability import dataset_of, linked_tasks  # noqa: PLC0415 - see `load`
+        from evaluation.analysis.linkability import (  # noqa: PLC0415 - see `load`
+            dataset_of,
+            linked_tasks,
+        )
 
-        expected = self.linkability["consumer"].map(partial(dataset_of, dataset=self.dataset))
+        expected = self.linkability["consumer"].map(
+            partial(dataset_of, dataset=self.dataset)
+        )
         return linked_tasks(self.linkability[self.linkability["dataset"] == expected])
 
 
@@ -333,7 +396,9 @@ def by_level(frame: pd.DataFrame) -> dict[Where, dict[Source, dict[str, Estimate
     found: dict[Where, dict[Source, dict[str, Estimate]]] = {}
     ordered = frame.sort_values("level", kind="stable", na_position="first")
     for key, one in estimates(ordered).items():
-        found.setdefault(key.where, {}).setdefault(key.measure.source, {})[key.metric] = one
+        found.setdefault(key.where, {}).setdefault(key.measure.source, {})[
+            key.metric
+        ] = one
     place = {name: n for n, name in enumerate(frame["mechanism"].unique())}
     return dict(sorted(found.items(), key=lambda one: place[one[0][0]]))
 
@@ -349,15 +414,17 @@ def telling(
 ) -> list[Where]:
     """Return the levels that tell the story, all of them where a run has none of these.
 
-    Those are what has no level, the headline levels of FID and fixed noise, both ends of every
-    other mechanism, and all levels of the controls if these are wanted.
+    Those are what has no level, the headline levels of FID and fixed noise, both ends
+    of every other mechanism, and all levels of the controls if these are wanted.
     """
     levels: dict[str, list[float | None]] = {}
     for mechanism, at in wheres:
         levels.setdefault(mechanism, []).append(at)
     of = {mechanism: family_of(known, mechanism) for mechanism in levels}
     named = {name for name, _ in HEADLINE}
-    told = {name: list(dict.fromkeys([ats[0], ats[-1]])) for name, ats in levels.items()}
+    told = {
+        name: list(dict.fromkeys([ats[0], ats[-1]])) for name, ats in levels.items()
+    }
     for mechanism, ats in levels.items():
         if of[mechanism].name in named:
             told[mechanism] = [at for at in ats if (of[mechanism].name, at) in HEADLINE]
@@ -367,7 +434,9 @@ def telling(
         told = levels
     # What adds nothing comes first, what declares no rule last.
     rules = [*ADDING_RULES, ""]
-    order = sorted(told, key=lambda name: of[name].is_added and 1 + rules.index(of[name].adding))
+    order = sorted(
+        told, key=lambda name: of[name].is_added and 1 + rules.index(of[name].adding)
+    )
     return [(name, at) for name in order for at in told[name]]
 
 
@@ -377,7 +446,9 @@ class Scheme:
 
     mechanism: str
     name: str  # Family and parameters, without the adding rule.
-    rules: Sequence[str]  # Under which it is shown: its own, or all where it declares none.
+    rules: Sequence[
+        str
+    ]  # Under which it is shown: its own, or all where it declares none.
     title: str
     label: str  # Of the axis.
     log: bool
@@ -402,20 +473,24 @@ class Scheme:
 def schemes(summary: pd.DataFrame, *, as_points: bool = False) -> list[Scheme]:
     """Return what is swept in a run: every mechanism with levels but the controls.
 
-    Of others than FID and fixed noise a few levels, beside what has enough for a curve, are no
-    sweep: those are among them only `as_points`. FID and fixed noise come first, the others in the
-    order of the run; adding rules of one stand together.
+    Of others than FID and fixed noise a few levels, beside what has enough for a curve,
+    are no sweep: those are among them only `as_points`. FID and fixed noise come first,
+    the others in the order of the run; adding rules of one stand together.
     """
     by_mechanism = summary.dropna(subset="level").groupby("mechanism")
     levels = by_mechanism["level"].agg(["min", "max", "nunique"])
-    swept = [one for one in families_in(summary).values() if one.mechanism in levels.index]
+    swept = [
+        one for one in families_in(summary).values() if one.mechanism in levels.index
+    ]
     swept = [one for one in swept if one.is_added and one.family not in CONTROLS]
     most = min(_CURVE, levels["nunique"].max()) if swept else 0
     if not as_points:
         enough = set(levels.index[levels["nunique"] >= most])
         swept = [one for one in swept if one.name in _KNOWN or one.mechanism in enough]
     names = list(dict.fromkeys([*_KNOWN, *(one.name for one in swept)]))
-    swept.sort(key=lambda one: (names.index(one.name), ADDING_RULES.index(one.rules[0])))
+    swept.sort(
+        key=lambda one: (names.index(one.name), ADDING_RULES.index(one.rules[0]))
+    )
     found = []
     for one in swept:
         own = levels.loc[[other.mechanism for other in swept if other.name == one.name]]

@@ -10,7 +10,9 @@ from evaluation.reporting.charts import CHARACTER, PERCENT, Chart, Look, bar
 from evaluation.reporting.lookups import ENDS
 from evaluation.reporting.markup import HTML
 
-SET_CONSTANTS: Final = "students03"  # The constants of the sensing model were fitted on it.
+SET_CONSTANTS: Final = (
+    "students03"  # The constants of the sensing model were fitted on it.
+)
 _STEP: Final = 14.0
 _PREDICTED: Final = "a further recording"
 
@@ -23,7 +25,9 @@ class Forest(NamedTuple):
     chart: Chart
 
 
-def render(of: Sequence[Answered], *, simulated: frozenset[str], runs: Iterable[str]) -> str:
+def render(
+    of: Sequence[Answered], *, simulated: frozenset[str], runs: Iterable[str]
+) -> str:
     """Return the page; `runs` are the folders of the runs."""
     questions = {
         text: [_forest(one, simulated) for one in of if one.question == name]
@@ -36,7 +40,9 @@ def render(of: Sequence[Answered], *, simulated: frozenset[str], runs: Iterable[
         runs=list(runs),
         fewest=FEWEST,
         set_constants=SET_CONSTANTS,
-        settings="; ".join(dict.fromkeys(row["settings"] for row in rows if row["settings"])),
+        settings="; ".join(
+            dict.fromkeys(row["settings"] for row in rows if row["settings"])
+        ),
         distances={row["recording"]: row["distance_m"] for row in rows},
     )
 
@@ -59,7 +65,10 @@ def _forest(one: Answered, simulated: frozenset[str]) -> Forest:
     chart.lines.append(("across k6", [chart.down(at(0.0))]))
     for place, (name, of) in enumerate(zip(rows, values, strict=True)):
         y = 8.0 + _STEP * (place + 0.5)
-        look = Look(1 if name in ("pooled", _PREDICTED) else 0, hollow=name.endswith("(simulated)"))
+        look = Look(
+            1 if name in ("pooled", _PREDICTED) else 0,
+            hollow=name.endswith("(simulated)"),
+        )
         chart.y_ticks.append((y, name))
         x, *ends = at(of)
         chart.lines.append((f"bar k{look.place}", bar(ends, at=y)))

@@ -83,9 +83,13 @@ class Table:
     columns: Sequence[Column]
     rows: Sequence[Sequence[Cell]]
     notes: Sequence[str] = ()
-    marks: Mapping[str, str] | None = None  # Of every mark that may be used: what it means.
+    marks: Mapping[str, str] | None = (
+        None  # Of every mark that may be used: what it means.
+    )
     n_headings: int = 0  # Leading columns: LaTeX has a rule where they change.
-    n_keys: int = 1  # Leading columns that say what a row is of: repeated where a table is split.
+    n_keys: int = (
+        1  # Leading columns that say what a row is of: repeated where a table is split.
+    )
 
     @property
     def numeric(self) -> list[bool]:
@@ -131,17 +135,25 @@ def decided(name: str) -> Column:
 
 def counted(name: str, unit: str, *keys: str, **shown: Any) -> Column:  # noqa: ANN401 - see `number`
     """Return a column of numbers: keys of value and, if there is one, both ends of the interval."""
-    return Column(name, lambda record: number(*(record[key] for key in keys), **shown), unit)
+    return Column(
+        name, lambda record: number(*(record[key] for key in keys), **shown), unit
+    )
 
 
 def measured(name: str, *keys: str, sign: str = "-") -> Column:
     """Return a column of the metric that each record names, as it is shown."""
-    return Column(name, lambda one: amount(one["metric"], *(one[key] for key in keys), sign=sign))
+    return Column(
+        name, lambda one: amount(one["metric"], *(one[key] for key in keys), sign=sign)
+    )
 
 
 def word(text: object) -> Cell:
     """Return a cell of text; empty where it is missing."""
-    return Cell("" if text is None or (isinstance(text, float) and math.isnan(text)) else str(text))
+    return Cell(
+        ""
+        if text is None or (isinstance(text, float) and math.isnan(text))
+        else str(text)
+    )
 
 
 def decision(text: object) -> Cell:
@@ -161,7 +173,11 @@ def number(
     """Return a cell with a number and its interval times `scale`; `sign` is "+" of a difference."""
     if value is None or not math.isfinite(value):
         return Cell()
-    known = [scale * one for one in (value, *interval) if one is not None and math.isfinite(one)]
+    known = [
+        scale * one
+        for one in (value, *interval)
+        if one is not None and math.isfinite(one)
+    ]
     text, *ends = (f"{one:{sign}.{digits}f}" for one in known)
     low, high = ends if len(ends) > 1 else ("", "")
     return Cell(text, low, high, unit, mark, value=known[0])
@@ -175,7 +191,9 @@ def amount(metric: str, *values: float | None, sign: str = "-", mark: str = "") 
 
 def estimated(metric: str, one: Estimate | None, *, mark: str = "") -> Cell:
     """Return the cell of an estimate of a metric; empty without one."""
-    return amount(metric, one.value, one.ci_low, one.ci_high, mark=mark) if one else Cell()
+    return (
+        amount(metric, one.value, one.ci_low, one.ci_high, mark=mark) if one else Cell()
+    )
 
 
 def level(value: float | None) -> Cell:

@@ -1,7 +1,8 @@
 """Which tables of a run are shown where: terminal, text file, page, LaTeX, README and docs.
 
-In README and docs a block is ``<!-- table: NAME RUN -->`` ... ``<!-- end -->``: table NAME of
-`docs/results/RUN.csv`, the rows of a run's `summary.csv` that are shown, of the smoke run all.
+In README and docs a block is ``<!-- table: NAME RUN -->`` ... ``<!-- end -->``: table
+NAME of `docs/results/RUN.csv`, the rows of a run's `summary.csv` that are shown, of the
+smoke run all.
 """
 
 import contextlib
@@ -27,7 +28,13 @@ from evaluation.reporting import result_tables as measured
 from evaluation.reporting.announcements import changed_settings
 from evaluation.reporting.answers import answers, headline_of
 from evaluation.reporting.bounds import bound_table, linked_bound_table
-from evaluation.reporting.first_screen import TABLES, data_line, doubts, first_screen, short_table
+from evaluation.reporting.first_screen import (
+    TABLES,
+    data_line,
+    doubts,
+    first_screen,
+    short_table,
+)
 from evaluation.reporting.headline import Headline, headline, headline_table
 from evaluation.reporting.markup import latex, markdown
 from evaluation.reporting.my_plugin import plugin_lines
@@ -48,7 +55,9 @@ from isac_track.errors import DataError
 
 _BLOCK = re.compile(r"(<!-- table: (\S+) (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 _WIDE: Final = 160  # Columns of `tables.txt`.
-_REFERENCE: Final = "smoke"  # The preset whose numbers the tests hold a fresh run against.
+_REFERENCE: Final = (
+    "smoke"  # The preset whose numbers the tests hold a fresh run against.
+)
 _SHOWN: Final = (*UTILITY, *RECONSTRUCTION, SUCCESS, SUCCESS_OF_100, "chance")
 
 
@@ -78,7 +87,9 @@ def _everything(run: Results) -> Iterator[Part]:
     if slower := used_are_slower(run.manifest):
         yield slower
     data = run.manifest["dataset"]
-    for notice in filter(None, [data.get("notice"), *data_notices(data), *notices(run.manifest)]):
+    for notice in filter(
+        None, [data.get("notice"), *data_notices(data), *notices(run.manifest)]
+    ):
         yield f"NOTICE: {notice}", "yellow"
     yield from geometry(run.manifest)
     yield from who_is_linked(run.manifest)
@@ -87,7 +98,9 @@ def _everything(run: Results) -> Iterator[Part]:
     yield from measured.sweep_tables(run.ours, n_reports=run.n_reports)
     yield from measured.horizon_tables(run.summary)
     yield measured.standing_table(run.verdict.get("robots", ()))
-    yield measured.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest))
+    yield measured.exposure_table(
+        run.ours, slow=weak_attacks.slow_attacks(run.manifest)
+    )
     yield measured.attack_table(run.ours)
     yield from (bound_table(run), linked_bound_table(run))
     yield from (measured.rank_table(run, task) for task in run.tasks)
@@ -159,18 +172,34 @@ def write_tex(run: Results, *, folder: Path) -> None:
 
 def _linkage(summary: pd.DataFrame) -> Table:
     """Return rank 1 of every informed linker, a column for each level."""
-    rows = summary[summary["metric"].isin([SUCCESS, "chance"]) & (summary["knowledge"] == INFORMED)]
+    rows = summary[
+        summary["metric"].isin([SUCCESS, "chance"]) & (summary["knowledge"] == INFORMED)
+    ]
     known, numbers = families_in(rows), by_level(rows)
-    columns = [said("task"), replace(said("chance"), unit="%", align="right"), said("linker")]
+    columns = [
+        said("task"),
+        replace(said("chance"), unit="%", align="right"),
+        said("linker"),
+    ]
     records: dict[Source, dict[str, Any]] = {}
     for where in telling(numbers, known, controls=False):
         heading = mechanism_name(known[where[0]], where[1])
         columns.append(held(heading, f"{where}"))
         for source, metrics in numbers[where].items():
-            about: dict[str, Any] = {"task": source.task, "linker": source.attack.consumer}
+            about: dict[str, Any] = {
+                "task": source.task,
+                "linker": source.attack.consumer,
+            }
             about["chance"] = f"{100 * metrics['chance'].value:.1f}"
-            records.setdefault(source, about)[f"{where}"] = estimated(SUCCESS, metrics.get(SUCCESS))
-    return built("linkage", "Rank 1 (%) of every linker; 95 % intervals", records.values(), columns)
+            records.setdefault(source, about)[f"{where}"] = estimated(
+                SUCCESS, metrics.get(SUCCESS)
+            )
+    return built(
+        "linkage",
+        "Rank 1 (%) of every linker; 95 % intervals",
+        records.values(),
+        columns,
+    )
 
 
 _FIRST: Final[dict[str, Callable[[Headline], Table]]] = {
@@ -178,7 +207,9 @@ _FIRST: Final[dict[str, Callable[[Headline], Table]]] = {
     "screen": short_table,
 }
 """First tables of a run by the name in a block: they take all error laws and strongest attacks."""
-_STRONGEST: Final = "-strongest"  # Of the name of a file: the numbers of the strongest attacks.
+_STRONGEST: Final = (
+    "-strongest"  # Of the name of a file: the numbers of the strongest attacks.
+)
 DOCS: Final[dict[str, Callable[[pd.DataFrame], Table]]] = {  # By the name in a block.
     "sweep": lambda summary: measured.sweep_tables(summary)[0],
     "exposure": measured.exposure_table,
@@ -201,12 +232,14 @@ def published(run: Results) -> pd.DataFrame:
 def write_docs(run: Results, *, root: Path) -> list[Path]:
     """Write what is shown of a run into `docs/results`, and all blocks anew; return what changed.
 
-    `root` has README.md and docs/. Raises DataError if there is no README.md, a setting of the run
-    is not the usual one (the heads of these tables name the usual epsilon), a block names what is
-    not there, or a file cannot be written.
+    `root` has README.md and docs/. Raises DataError if there is no README.md, a setting
+    of the run is not the usual one (the heads of these tables name the usual epsilon),
+    a block names what is not there, or a file cannot be written.
     """
     if changed := changed_settings(run.manifest):
-        raise DataError(f"docs show runs of the usual settings; this one has {' '.join(changed)}")
+        raise DataError(
+            f"docs show runs of the usual settings; this one has {' '.join(changed)}"
+        )
     if not (root / "README.md").is_file():
         raise DataError(f"{root} has no README.md: run this in the repository")
     settings, results = run.manifest["settings"], root / "docs" / "results"

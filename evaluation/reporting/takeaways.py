@@ -33,7 +33,9 @@ def missed(table: Headline, where: Where) -> str:
     here, raw = table.at(where, robot), table.at(_RAW, robot)
     if here is None:
         return ""
-    beside = f", {bare_percent(raw)} with raw positions" if raw and where != _RAW else ""
+    beside = (
+        f", {bare_percent(raw)} with raw positions" if raw and where != _RAW else ""
+    )
     name = level_name(table, where)
     return f"With {name}, {subject} misses {bare_percent(here)} of conflicts{beside}."
 
@@ -46,7 +48,9 @@ def known(table: Headline, where: Where) -> str:
     name, distance = level_name(table, where), f"{table.epsilon_m:g} m"
     rebuilt = table.at(where, table.attacked) if table.attacked else None
     if rebuilt is None:
-        return f"With {name}, {bare_percent(sent)} of positions are known to {distance}."
+        return (
+            f"With {name}, {bare_percent(sent)} of positions are known to {distance}."
+        )
     verb = "raises" if rebuilt.value > sent.value else "lowers"
     return (
         f"With {name}, an attack {verb} the positions known to {distance} from "
@@ -65,15 +69,16 @@ def linked(table: Headline, where: Where) -> str:
     if np.isfinite(first.chance):
         beside = f"; chance is {whole(PERCENT * first.chance)} %"
     return (
-        f"With {level_name(table, where)}, an attack re-identifies {bare_percent(found)} "
-        f"of people {phrase}{beside}."
+        f"With {level_name(table, where)}, an attack re-identifies"
+        f" {bare_percent(found)} of people {phrase}{beside}."
     )
 
 
 def unequal_pair(points: Sequence[Point]) -> str:
     """Return by how much linkage (y) differs between two levels of nearly equal PLR (x).
 
-    Of all pairs whose PLR differs by at most two points it is the pair that differs most.
+    Of all pairs whose PLR differs by at most two points it is the pair that differs
+    most.
     """
     pairs = [
         (abs(one.y.value - other.y.value), one, other)
@@ -84,8 +89,8 @@ def unequal_pair(points: Sequence[Point]) -> str:
         return "No two levels of this picture have nearly the same PLR as shared."
     gap, one, other = max(pairs, key=lambda pair: pair[0])
     return (
-        f"At nearly equal PLR, re-identification differs by up to {PERCENT * gap:.0f} points: "
-        f"{one.name} against {other.name}."
+        f"At nearly equal PLR, re-identification differs by up to {PERCENT * gap:.0f}"
+        f" points: {one.name} against {other.name}."
     )
 
 
@@ -111,8 +116,10 @@ def on_the_front(points: Sequence[Point], noun: str) -> str:
     values = np.array([(point.x.value, point.y.value) for point in points])
     lowest = min(points, key=lambda point: point.y.value)
     on_front = int(front(*values.T).sum())
-    share = f"All {on_front}" if on_front == len(points) else f"{on_front} of {len(points)}"
+    share = (
+        f"All {on_front}" if on_front == len(points) else f"{on_front} of {len(points)}"
+    )
     return (
-        f"{share} levels are on the front; the lowest {noun} is {bare_percent(lowest.y)}, "
-        f"with {lowest.name}."
+        f"{share} levels are on the front; the lowest {noun} is"
+        f" {bare_percent(lowest.y)}, with {lowest.name}."
     )

@@ -12,8 +12,12 @@ from rich.text import Text
 
 from evaluation.reporting.table import Table, printable
 
-PIPE_WIDTH = 116  # Columns where there is no terminal: room for every interval of a sweep.
-Part: TypeAlias = "Table | str | tuple[str, str]"  # A table, or a text, which may have a style.
+PIPE_WIDTH = (
+    116  # Columns where there is no terminal: room for every interval of a sweep.
+)
+Part: TypeAlias = (
+    "Table | str | tuple[str, str]"  # A table, or a text, which may have a style.
+)
 _HEAD_WIDTH = 10
 
 
@@ -53,12 +57,16 @@ def literal(console: Console, text: str) -> str:
     return printable(text).encode(console.encoding, "replace").decode(console.encoding)
 
 
-def aligned(rows: Sequence[Sequence[str]], *, left: Collection[int] = frozenset()) -> list[str]:
+def aligned(
+    rows: Sequence[Sequence[str]], *, left: Collection[int] = frozenset()
+) -> list[str]:
     """Return the rows as lines whose columns line up, to the right of them except in `left`."""
     columns = []
     for n, column in enumerate(zip(*rows, strict=True)):
         width = max(map(len, column))
-        columns.append([one.ljust(width) if n in left else one.rjust(width) for one in column])
+        columns.append(
+            [one.ljust(width) if n in left else one.rjust(width) for one in column]
+        )
     return ["  ".join(row).rstrip() for row in zip(*columns, strict=True)]
 
 
@@ -69,12 +77,18 @@ def show_table(table: Table, *, console: Console) -> None:
     shown = [place for place, column in enumerate(table.columns) if not column.is_long]
     columns = {place: _column(table, place) for place in shown}
     height = max(map(len, columns.values()))
-    columns = {place: [""] * (height - len(one)) + one for place, one in columns.items()}
-    for part in _parts(shown[: table.n_keys], shown[table.n_keys :], columns, width=console.width):
+    columns = {
+        place: [""] * (height - len(one)) + one for place, one in columns.items()
+    }
+    for part in _parts(
+        shown[: table.n_keys], shown[table.n_keys :], columns, width=console.width
+    ):
         console.print()
         say(console, table.title, "bold", wrap=True)
         rows = list(zip(*(columns[place] for place in part), strict=True))
-        left = {n for n, place in enumerate(part) if table.columns[place].align == "left"}
+        left = {
+            n for n, place in enumerate(part) if table.columns[place].align == "left"
+        }
         for n, line in enumerate(aligned(rows, left=left)):
             style = "bold" if n < height - len(table.rows) else ""
             say(console, line, style, wrap=len(line) > console.width)
@@ -83,7 +97,11 @@ def show_table(table: Table, *, console: Console) -> None:
 
 
 def _parts(
-    keys: list[int], others: list[int], columns: Mapping[int, Sequence[str]], *, width: int
+    keys: list[int],
+    others: list[int],
+    columns: Mapping[int, Sequence[str]],
+    *,
+    width: int,
 ) -> list[list[int]]:
     """Return the columns in parts that fit, each beside the keys."""
     parts = [keys]

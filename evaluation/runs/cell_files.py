@@ -1,8 +1,9 @@
 """The cells of a run folder: a parquet file for each unit of work.
 
-A file holds the tables of several consumers, one below the other; a column that a table does not
-have is null there. Its metadata say which consumer's tables begin where, and by which code they
-were computed. A consumer that is added later has a further file: none is rewritten.
+A file holds the tables of several consumers, one below the other; a column that a table
+does not have is null there. Its metadata say which consumer's tables begin where, and
+by which code they were computed. A consumer that is added later has a further file:
+none is rewritten.
 """
 
 from __future__ import annotations
@@ -24,7 +25,14 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from evaluation.cells.link_scores import ABOUT, ASSIGNED, COMPANIONS, DERIVED, ESTIMATES, REPLICATES
+from evaluation.cells.link_scores import (
+    ABOUT,
+    ASSIGNED,
+    COMPANIONS,
+    DERIVED,
+    ESTIMATES,
+    REPLICATES,
+)
 from evaluation.cells.link_setup import linkage_weights
 from evaluation.cells.sample_tracks import COLUMNS as SAMPLE_COLUMNS
 from evaluation.cells.tables import DESCRIPTORS, ON_TRIAL, ROWS, Tables
@@ -50,7 +58,10 @@ if TYPE_CHECKING:
 _INDEX: Final = b"isac_track.cells"
 _SCORES: Final = "scores"
 _NAMES: Final = ("source", "group", "search", "side", "assigned", "metric", "about")
-_NAMED, _COUNTED = ("metric", "group", "assigned"), ("above", "tied", "chance", *COMPANIONS)
+_NAMED, _COUNTED = (
+    ("metric", "group", "assigned"),
+    ("above", "tied", "chance", *COMPANIONS),
+)
 _OUTCOME: Final = (*_NAMED, *_COUNTED, "about", "value", "ci_low", "ci_high", "n")
 """Columns of a linkage cell beside its replicates."""
 _PEOPLE: Final = ("source", "group")
@@ -64,7 +75,14 @@ _ALIKE: Final = {
 _SINGLE: Final = {
     *DESCRIPTORS,
     *ON_TRIAL,
-    *("mse_m2", "benchmark_mse_m2", "benchmark_plr", "plr_ceiling", "plr_optimum", "plr_gap"),
+    *(
+        "mse_m2",
+        "benchmark_mse_m2",
+        "benchmark_plr",
+        "plr_ceiling",
+        "plr_optimum",
+        "plr_gap",
+    ),
     *("plr_wide", "median_error_m"),
     *("duration_s", "speed_mps", "sigma_m"),
 }
@@ -93,7 +111,9 @@ class Summed(NamedTuple):
     sums: Floats  # (2, U) numerator and denominator within each cluster that has any
     weights: Floats  # (B, C) how often each cluster is drawn
     used: Ints | slice = slice(None)  # (U,) which of these it is
-    names: tuple[str, ...] = ()  # (C,) of the clusters; empty: they are called by their numbers
+    names: tuple[
+        str, ...
+    ] = ()  # (C,) of the clusters; empty: they are called by their numbers
 
     @property
     def clusters(self) -> tuple[str, ...]:
@@ -112,10 +132,14 @@ class LinkageOutcome:
     """What a linkage attack, or a control, achieves at one level."""
 
     estimates: Mapping[str, Estimate]  # By metric.
-    numbers: Mapping[str, Any]  # The rest of the `isac_track.linkability.Scorecard`, by its names.
+    numbers: Mapping[
+        str, Any
+    ]  # The rest of the `isac_track.linkability.Scorecard`, by its names.
     cohorts: Mapping[str, Mapping[str, Any]]
     """Without confounders: rank1, ci_low, ci_high, chance, p_rank1, n_mated, n_clusters."""
-    sums: Mapping[str, Summed] = field(default_factory=dict)  # Of an attack's rank metrics.
+    sums: Mapping[str, Summed] = field(
+        default_factory=dict
+    )  # Of an attack's rank metrics.
 
 
 def packed(
@@ -151,8 +175,12 @@ def packed(
         compression="zstd",
         compression_level=9,
         store_schema=False,
-        use_dictionary=[name for name in whole.column_names if name not in floats | {_SCORES}],
-        column_encoding=dict.fromkeys([*(floats - _ALIKE), *elements], "BYTE_STREAM_SPLIT"),
+        use_dictionary=[
+            name for name in whole.column_names if name not in floats | {_SCORES}
+        ],
+        column_encoding=dict.fromkeys(
+            [*(floats - _ALIKE), *elements], "BYTE_STREAM_SPLIT"
+        ),
     ) as writer:
         writer.write_table(whole)
         writer.add_key_value_metadata({_INDEX: json.dumps(index).encode()})
@@ -197,13 +225,17 @@ def _labelled(table: pa.Table, labels: Mapping[str, str]) -> pa.Table:
 
 def _of_precision(whole: pa.Table, kind: pa.DataType) -> pa.Table:
     """Return a table with the columns of `_SINGLE` as numbers of another kind."""
-    changed = (one.with_type(kind) if one.name in _SINGLE else one for one in whole.schema)
+    changed = (
+        one.with_type(kind) if one.name in _SINGLE else one for one in whole.schema
+    )
     return whole.cast(pa.schema(changed))
 
 
 def index_of(content: bytes | Path) -> Index | None:
     """Return what a file of cells holds, given its content or where it is; None if it is none."""
-    source = pa.BufferReader(content) if isinstance(content, bytes) else content.absolute()
+    source = (
+        pa.BufferReader(content) if isinstance(content, bytes) else content.absolute()
+    )
     try:
         return _index(pq.read_metadata(source).metadata)
     except (OSError, pa.ArrowException, KeyError, TypeError, ValueError):
@@ -216,7 +248,9 @@ def _index(metadata: Mapping[bytes, bytes]) -> Index:
     return Index(unit=told["unit"], code=told["code"], consumers=consumers)
 
 
-def sound_files(out: Path, names: Sequence[str] = ()) -> tuple[dict[str, Index], list[str]]:
+def sound_files(
+    out: Path, names: Sequence[str] = ()
+) -> tuple[dict[str, Index], list[str]]:
     """Return what the sound files of `names` and of the checksums hold, and which ones are not."""
     sound, damaged = {}, []
     for name, content in checked(out, sorted({*names, *written_down(out)})):
@@ -229,16 +263,25 @@ def sound_files(out: Path, names: Sequence[str] = ()) -> tuple[dict[str, Index],
 
 def places_of(files: Mapping[str, Index]) -> dict[tuple[str, str], str]:
     """Return the file of every cell, by the keys of its unit and of its consumer."""
-    return {(of.unit, one.key): name for name, of in files.items() for one in of.consumers.values()}
+    return {
+        (of.unit, one.key): name
+        for name, of in files.items()
+        for one in of.consumers.values()
+    }
 
 
 def read_rows(
-    out: Path, entry: Mapping[str, Any], *, columns: Sequence[str], beside: Collection[str] = ()
+    out: Path,
+    entry: Mapping[str, Any],
+    *,
+    columns: Sequence[str],
+    beside: Collection[str] = (),
 ) -> pa.Table:
     """Return the rows of one consumer at one level, an entry of a manifest: block by block.
 
-    Columns `beside` are read, too, for whoever is asked for next in the same files: once for all.
-    Raises DataError if a cell is missing or broken, or has no such column; the message names it.
+    Columns `beside` are read, too, for whoever is asked for next in the same files:
+    once for all. Raises DataError if a cell is missing or broken, or has no such
+    column; the message names it.
     """
     found = []
     for path, whole, index in _opened(out, entry, {*columns, *beside}):
@@ -247,21 +290,25 @@ def read_rows(
             is_there = column in rows.column_names
             if not is_there or rows[column].null_count == max(rows.num_rows, 1):
                 raise DataError(
-                    f"{path} has no column {column}: it is no cell of the kind that the manifest "
-                    "says; run the matrix again with --fresh"
+                    f"{path} has no column {column}: it is no cell of the kind that the"
+                    " manifest says; run the matrix again with --fresh"
                 )
         found.append(rows.select(list(columns)))
     return pa.concat_tables(found).unify_dictionaries()
 
 
 def read_outcomes(
-    out: Path, entries: Iterable[Mapping[str, Any]], *, drawn: Collection[str] | None = None
+    out: Path,
+    entries: Iterable[Mapping[str, Any]],
+    *,
+    drawn: Collection[str] | None = None,
 ) -> list[LinkageOutcome]:
     """Return what linkage attacks, or controls, achieve, each at one level.
 
-    Those of one file are read at once if they come one after the other. Replicates are in single
-    precision: those of a run would take half a gigabyte in double. Only metrics in `drawn` have
-    them, and of attacks alone; without it all have that can. DataError names a cell that is broken.
+    Those of one file are read at once if they come one after the other. Replicates are
+    in single precision: those of a run would take half a gigabyte in double. Only
+    metrics in `drawn` have them, and of attacks alone; without it all have that can.
+    DataError names a cell that is broken.
     """
     columns = None if drawn is None else (*_OUTCOME, *drawn)
     found: list[LinkageOutcome] = []
@@ -286,18 +333,29 @@ def _outcomes(
     (codes, metrics), groups, assigned = map(_coded, map(whole.column, _NAMED))
     above, tied, chance, *along = (whole[name].to_numpy() for name in _COUNTED)
     fields = [whole[name].to_numpy() for name in ("value", "ci_low", "ci_high", "n")]
-    is_mate = np.array([ASSIGNED.index(name) - 1 for name in assigned[1]], dtype=np.int64)
+    is_mate = np.array(
+        [ASSIGNED.index(name) - 1 for name in assigned[1]], dtype=np.int64
+    )
     stored = [name for name in whole.column_names if name not in _OUTCOME]
     stored = [name for name in stored if drawn is None or name in drawn]
-    wanted, texts = {*(RANK_METRICS if drawn is None else drawn)} - {*DERIVED}, whole["about"]
+    wanted, texts = (
+        {*(RANK_METRICS if drawn is None else drawn)} - {*DERIVED},
+        whole["about"],
+    )
     found: list[tuple[Any, slice, dict[str, Any], dict[str, Summed]]] = []
     probed: list[Ints] = []
     alike: defaultdict[tuple[Any, ...], list[int]] = defaultdict(list)
     for entry, tables in entries:
         at = {name: slice(first, first + n) for name, (first, n) in tables.items()}
         about = json.loads(texts[at[ABOUT].start].as_py())
-        of = {name: whole[name].slice(*tables[REPLICATES]) for name in stored if REPLICATES in at}
-        replicates = {name: one.to_numpy() for name, one in of.items() if one.null_count == 0}
+        of = {
+            name: whole[name].slice(*tables[REPLICATES])
+            for name in stored
+            if REPLICATES in at
+        }
+        replicates = {
+            name: one.to_numpy() for name, one in of.items() if one.null_count == 0
+        }
         if drawn is None or (drawn and (entry["knowledge"] or entry.get("world"))):
             task = entry["consumer"].partition("/")[0]
             drawn_as = tuple(about["drawn_as"]), about["n_groups"], task, about["seed"]
@@ -310,8 +368,13 @@ def _outcomes(
         n_clusters = weights.shape[1]
         rows = np.concatenate([probed[place] for place in of_draws])
         place_of = {name: place for place, name in enumerate(names)}
-        place = np.array([place_of.get(name, -n_clusters * n_cells) for name in groups[1]])
-        first = np.repeat(np.arange(n_cells), [probed[one].size for one in of_draws]) * n_clusters
+        place = np.array(
+            [place_of.get(name, -n_clusters * n_cells) for name in groups[1]]
+        )
+        first = (
+            np.repeat(np.arange(n_cells), [probed[one].size for one in of_draws])
+            * n_clusters
+        )
         probes = ProbeRanks(
             above=above[rows].astype(np.int64),
             tied=tied[rows].astype(np.int64),
@@ -319,7 +382,9 @@ def _outcomes(
             companions=np.stack([one[rows].astype(np.int64) for one in along], axis=1),
             assigned=is_mate[assigned[0][rows]],
             cluster=place[groups[0][rows]] + first,
-            n_gallery=max(found[one][0]["numbers"]["gallery_sizes"][1] for one in of_draws),
+            n_gallery=max(
+                found[one][0]["numbers"]["gallery_sizes"][1] for one in of_draws
+            ),
         )
         codes_of = (assigned[0][probed[one][0]] for one in of_draws)
         unknown = [assigned[1][code] == "unknown" for code in codes_of]
@@ -336,7 +401,9 @@ def _outcomes(
                     Summed(np.stack(sums), weights, names=names),
                 )
     for about, mine, replicates, summed in found:
-        effective = {name: effective_clusters(one.sums[1]) for name, one in summed.items()}
+        effective = {
+            name: effective_clusters(one.sums[1]) for name, one in summed.items()
+        }
         names = [metrics[code] for code in codes[mine]]
         numbers = zip(*(one[mine].tolist() for one in fields), strict=True)
         estimates = {
@@ -364,7 +431,9 @@ def _weights(drawn_as: tuple[int, ...], n_groups: int, task: str, seed: int) -> 
 def _held(path: Path, index: Index, entry: Mapping[str, Any]) -> Held:
     label = label_of(entry)
     if label not in index.consumers:
-        raise DataError(f"{path} has no rows of {label}; delete it and run the matrix again")
+        raise DataError(
+            f"{path} has no rows of {label}; delete it and run the matrix again"
+        )
     return index.consumers[label]
 
 
@@ -381,7 +450,9 @@ def _opened(
     return _content(tuple(stamped), None if columns is None else frozenset(columns))
 
 
-@lru_cache(maxsize=1)  # files are read once for all of their consumers, who come one after another
+@lru_cache(
+    maxsize=1
+)  # files are read once for all of their consumers, who come one after another
 def _content(
     stamped: tuple[tuple[Path, int, int], ...], columns: frozenset[str] | None
 ) -> list[tuple[Path, pa.Table, Index]]:
@@ -391,11 +462,18 @@ def _content(
         with _readable(path):
             about = pq.read_metadata(path.absolute())
             every = about.schema.to_arrow_schema().names
-            names = [name for name in every if name in (columns or {*every} - {_SCORES})]
+            names = [
+                name for name in every if name in (columns or {*every} - {_SCORES})
+            ]
             coded = [name for name in names if name in _NAMES]
-            # Not pq.read_table: its data set machinery costs more than reading such a file.
-            with pq.ParquetFile(path.absolute(), metadata=about, read_dictionary=coded) as file:
-                whole = _of_precision(file.read(columns=names, use_threads=False), pa.float64())
+            # Not pq.read_table: its data set machinery costs more than reading such a
+            # file.
+            with pq.ParquetFile(
+                path.absolute(), metadata=about, read_dictionary=coded
+            ) as file:
+                whole = _of_precision(
+                    file.read(columns=names, use_threads=False), pa.float64()
+                )
             labels = label_of_written(path.parent.parent)
             found.append((path, _labelled(whole, labels), _index(about.metadata)))
     return found
@@ -406,7 +484,9 @@ def _readable(path: Path) -> Iterator[None]:
     try:
         yield
     except FileNotFoundError:
-        raise DataError(f"{path} is missing; run the matrix again to compute it") from None
+        raise DataError(
+            f"{path} is missing; run the matrix again to compute it"
+        ) from None
     except (OSError, pa.ArrowException, KeyError, TypeError, ValueError) as error:
         check_limits(error)
         raise DataError(
@@ -430,7 +510,8 @@ def read_gallery(out: Path) -> pd.DataFrame | None:
     if not path.exists():
         return None
     with _readable(path):
-        # Not pq.read_table: a system that has no more threads to give would end the process.
+        # Not pq.read_table: a system that has no more threads to give would end the
+        # process.
         file = pq.ParquetFile(io.BytesIO(content_of(path)))
         # A column that is missing is not an error of `read`.
         table = file.read(use_threads=False).select(SAMPLE_COLUMNS)

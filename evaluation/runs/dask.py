@@ -1,7 +1,8 @@
 """The same cells on a Dask cluster, to the bit: the user's scheduler, the user's workers.
 
-A worker that is killed costs what it was at, which Dask gives to another. Work that has killed
-several is tried once more with nothing beside it, so that no innocent work is blamed.
+A worker that is killed costs what it was at, which Dask gives to another. Work that has
+killed several is tried once more with nothing beside it, so that no innocent work is
+blamed.
 """
 
 import contextlib
@@ -32,28 +33,43 @@ Task: TypeAlias = Any  # A future. Neither has types, and both are an extra.
 
 _CONNECT_S: Final = 5.0
 _FIRST_WORKER_S: Final = 10.0
-_NO_WORKER_S: Final = 60.0  # Longest time without any worker: those that died may be started again.
-_ANSWER_S: Final = 8.0  # Longest time that a scheduler may take to say how many threads there are.
+_NO_WORKER_S: Final = (
+    60.0  # Longest time without any worker: those that died may be started again.
+)
+_ANSWER_S: Final = (
+    8.0  # Longest time that a scheduler may take to say how many threads there are.
+)
 _ASK_S: Final = 2.0
 _LOOK_S: Final = 0.02
 _FETCH_S: Final = 10.0
-_AHEAD: Final = 2  # Works handed out per thread: no worker waits, and nobody holds many.
-_LARGE: Final = {"distributed.admin.large-graph-warning-threshold": "1GiB"}  # Ours holds tracks.
+_AHEAD: Final = (
+    2  # Works handed out per thread: no worker waits, and nobody holds many.
+)
+_LARGE: Final = {
+    "distributed.admin.large-graph-warning-threshold": "1GiB"
+}  # Ours holds tracks.
 _LIBRARIES: Final = ("numpy", "scipy", "numba")
 _LOADING: Final = threading.Lock()
-_FIRST_SEEN: Final[dict[str, str]] = {}  # Digests of the source as loaded: files may change later.
+_FIRST_SEEN: Final[
+    dict[str, str]
+] = {}  # Digests of the source as loaded: files may change later.
 
 
 def spread_on_cluster(
-    function: Callable[[W], Iterable[R]], works: deque[W], *, scheduler: str, modules: Iterable[str]
+    function: Callable[[W], Iterable[R]],
+    works: deque[W],
+    *,
+    scheduler: str,
+    modules: Iterable[str],
 ) -> Generator[tuple[W, list[R | Failed]]]:
     """Yield each work with what the function makes of it, as it is finished: `spread` on a cluster.
 
-    A work whose workers died again and again yields a `Failed` of unknown place. `scheduler` is an
-    address, such as ``tcp://host:8786``; workers must have the same of all `modules`.
+    A work whose workers died again and again yields a `Failed` of unknown place.
+    `scheduler` is an address, such as ``tcp://host:8786``; workers must have the same
+    of all `modules`.
 
-    Raises SettingsError if the scheduler cannot be reached or is gone, no worker is there, or a
-    worker would not compute the same.
+    Raises SettingsError if the scheduler cannot be reached or is gone, no worker is
+    there, or a worker would not compute the same.
     """
     strange = tuple(one for one in modules if one.partition(".")[0] not in OURS)
     with _connected(scheduler) as client:
@@ -69,8 +85,8 @@ def spread_on_cluster(
                 for work, items in cluster.ended():
                     known = len(works)
                     yield work, items
-                    # A death may be a neighbour's fault: what is added after one waits until
-                    # nothing else is left, and is tried one at a time.
+                    # A death may be a neighbour's fault: what is added after one waits
+                    # until nothing else is left, and is tried one at a time.
                     if any(isinstance(one, Failed) and one.died for one in items):
                         again = [works.pop() for _ in range(len(works) - known)]
                         suspects.extend(reversed(again))
@@ -105,8 +121,8 @@ class _Cluster(Generic[W, R]):
         while not self._ask_threads():
             if time.monotonic() > until:
                 raise SettingsError(
-                    f"the scheduler at {self._scheduler} has no workers; start some with "
-                    f"`dask worker {self._scheduler}`"
+                    f"the scheduler at {self._scheduler} has no workers; start some"
+                    f" with `dask worker {self._scheduler}`"
                 )
             time.sleep(_LOOK_S)
         try:
@@ -118,8 +134,8 @@ class _Cluster(Generic[W, R]):
                 raise SettingsError(f"worker {worker}: {answer}")
             if isinstance(answer, Exception):
                 raise SettingsError(
-                    f"worker {worker} lacks this isac-track ({type(answer).__name__}: {answer}); "
-                    "install it there"
+                    f"worker {worker} lacks this isac-track ({type(answer).__name__}:"
+                    f" {answer}); install it there"
                 )
             _check_alike(answer, self._expected, worker=worker)
 
@@ -128,7 +144,9 @@ class _Cluster(Generic[W, R]):
         self.under_way[self._submitted(_computed, *arguments)] = work
 
     def _submitted(self, function: Callable[..., Any], *arguments: object) -> Task:
-        return self._client.submit(function, *arguments, key=f"isac-track-{uuid.uuid4().hex}")
+        return self._client.submit(
+            function, *arguments, key=f"isac-track-{uuid.uuid4().hex}"
+        )
 
     def ended(self) -> Iterator[tuple[W, list[R | Failed]]]:
         """Yield what has ended; SettingsError if scheduler or workers are gone for long."""
@@ -141,7 +159,9 @@ class _Cluster(Generic[W, R]):
                 start = f"some (`dask worker {self._scheduler}`)"
                 raise self._gone(f"has had no worker for {_NO_WORKER_S:g} s", start)
         time.sleep(_LOOK_S)
-        for task in [one for one in self.under_way if one.status not in ("pending", "lost")]:
+        for task in [
+            one for one in self.under_way if one.status not in ("pending", "lost")
+        ]:
             if (items := self._items(task)) is not None:
                 work = self.under_way.pop(task)
                 task.release()
@@ -152,11 +172,16 @@ class _Cluster(Generic[W, R]):
         from distributed import CancelledError  # noqa: PLC0415 - an extra
         from distributed.scheduler import KilledWorker  # noqa: PLC0415 - an extra
 
-        found: list[R | Failed] | None = None  # whoever had it is gone, or it takes long
+        found: list[R | Failed] | None = (
+            None  # whoever had it is gone, or it takes long
+        )
         try:
             found = task.result(timeout=_FETCH_S)
         except KilledWorker:
-            why = "its worker died (killed, crashed or out of memory), and others before it"
+            why = (
+                "its worker died (killed, crashed or out of memory), and others"
+                " before it"
+            )
             found = [Failed((), why, died=True)]
         except CancelledError:
             raise self._gone() from None
@@ -173,8 +198,14 @@ class _Cluster(Generic[W, R]):
     def _ask_threads(self) -> int:
         """Ask for the threads of all workers; 0 without workers."""
         try:
-            threads = self._client.sync(self._client.scheduler.ncores, callback_timeout=_ANSWER_S)
-        except (OSError, TimeoutError, AttributeError):  # without a connection it is None
+            threads = self._client.sync(
+                self._client.scheduler.ncores, callback_timeout=_ANSWER_S
+            )
+        except (
+            OSError,
+            TimeoutError,
+            AttributeError,
+        ):  # without a connection it is None
             raise self._gone() from None
         self._asked_s = time.monotonic()
         n_threads: int = sum(threads.values())
@@ -183,8 +214,8 @@ class _Cluster(Generic[W, R]):
 
     def _gone(self, what: str = "is gone", start: str = "it") -> SettingsError:
         return SettingsError(
-            f"the scheduler at {self._scheduler} {what}; finished cells are kept; start {start} "
-            "and run the same command again"
+            f"the scheduler at {self._scheduler} {what}; finished cells are kept; start"
+            f" {start} and run the same command again"
         )
 
 
@@ -197,7 +228,11 @@ def _connected(scheduler: str) -> Iterator[Client]:
     except ImportError:
         raise SettingsError("--executor dask: pip install 'isac-track[dask]'") from None
     noisy = ("distributed", "tornado", "asyncio")
-    names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in noisy]
+    names = [
+        name
+        for name in logging.root.manager.loggerDict
+        if name.partition(".")[0] in noisy
+    ]
     with contextlib.ExitStack() as ends:
         for logger in map(logging.getLogger, {*names, "distributed", "asyncio"}):
             ends.callback(logger.setLevel, logger.level)
@@ -240,13 +275,17 @@ def _computed(
 
     _check_alike(_about(modules), expected, worker=get_worker().address)
     work: W = _loaded(packed)
-    threadpool_limits(limits=1)  # not lifted: of the whole process, where others may be computing
+    threadpool_limits(
+        limits=1
+    )  # not lifted: of the whole process, where others may be computing
     note()
     with given_back():
         return list(function(work))
 
 
-def _about(modules: tuple[str, ...], *, seen: dict[str, str] = _FIRST_SEEN) -> dict[str, str]:
+def _about(
+    modules: tuple[str, ...], *, seen: dict[str, str] = _FIRST_SEEN
+) -> dict[str, str]:
     """Return all that the bits of a result depend on in a process; `seen` is filled at sight."""
     with _LOADING:
         if "code" not in seen:
@@ -256,10 +295,14 @@ def _about(modules: tuple[str, ...], *, seen: dict[str, str] = _FIRST_SEEN) -> d
                 try:
                     import_module(name)
                     seen[f"module {name}"] = source_digest(name)[:16]
-                except (Exception, SystemExit) as error:  # noqa: BLE001 - it may do anything at all
+                except (
+                    Exception,  # noqa: BLE001 - it may do anything at all
+                    SystemExit,
+                ) as error:
                     raise SettingsError(
-                        f"cannot import {name!r} ({told(error)}), which a plug-in of the "
-                        "run needs; it must be importable on every worker, as by PYTHONPATH"
+                        f"cannot import {name!r} ({told(error)}), which a plug-in of"
+                        " the run needs; it must be importable on every worker, as by"
+                        " PYTHONPATH"
                     ) from None
     return {
         "code": seen["code"],
@@ -270,7 +313,9 @@ def _about(modules: tuple[str, ...], *, seen: dict[str, str] = _FIRST_SEEN) -> d
     }
 
 
-def _check_alike(answer: Mapping[str, str], expected: Mapping[str, str], *, worker: str) -> None:
+def _check_alike(
+    answer: Mapping[str, str], expected: Mapping[str, str], *, worker: str
+) -> None:
     """Raise SettingsError if a worker's results might not be the same to the bit."""
     different = [
         f"{key} {answer.get(key)} instead of {value}"

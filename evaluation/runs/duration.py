@@ -27,8 +27,8 @@ _REPORT_S: Final = 3.0  # Of the smallest run: tables, figures and page.
 def expected_s(ready: Plan) -> float:
     """Return how long a plan will take, s, on as many idle cores as it has workers.
 
-    Finished cells take no time. A plug-in of a user's own counts as the median of the built-in
-    ones of its kind. Loops that are still to be compiled are not counted.
+    Finished cells take no time. A plug-in of a user's own counts as the median of the
+    built-in ones of its kind. Loops that are still to be compiled are not counted.
     """
     return wall_s(cells_cpu_s(ready), jobs=ready.jobs)
 
@@ -69,7 +69,9 @@ def size_of(work: Block | LinkWork, ready: Plan) -> float:
     if isinstance(work, Block):
         return work.order.size * float(np.diff(ready.tracks.offsets).mean()) / 1e6
     sides = (work.sessions.probe.search, work.sessions.gallery.search)
-    probes, gallery = (np.bincount(side, minlength=len(work.sessions.searches)) for side in sides)
+    probes, gallery = (
+        np.bincount(side, minlength=len(work.sessions.searches)) for side in sides
+    )
     return float(probes @ gallery) / 1e6
 
 
@@ -98,7 +100,9 @@ def _rate(consumer: Consumer, rates: Mapping[str, float]) -> float:
     if name in rates:
         return rates[name]
     kind = f"{consumer.kind}/"
-    return median([rate for known, rate in rates.items() if known.startswith(kind)] or [0.0])
+    return median(
+        [rate for known, rate in rates.items() if known.startswith(kind)] or [0.0]
+    )
 
 
 def rates_path(root: Path) -> Path:

@@ -11,14 +11,27 @@ from typing import Any, Final
 
 import pyarrow as pa
 
-from evaluation.cells.loops import COMPILED, COMPILING, GAIN, LOADED, loops_of, prepare_loop
+from evaluation.cells.loops import (
+    COMPILED,
+    COMPILING,
+    GAIN,
+    LOADED,
+    loops_of,
+    prepare_loop,
+)
 from evaluation.cells.sample_tracks import chosen, gallery_rows
 from evaluation.cells.where import Failed, here, note
 from evaluation.experiment.constants import horizon_world
 from evaluation.experiment.fingerprint import has_strangers
 from evaluation.experiment.plan import Plan, Unit
 from evaluation.runs import pieces
-from evaluation.runs.cell_files import places_of, read_rows, renamed, sound_files, write_gallery
+from evaluation.runs.cell_files import (
+    places_of,
+    read_rows,
+    renamed,
+    sound_files,
+    write_gallery,
+)
 from evaluation.runs.files import FOLDER, label_of, locked, write_checked
 from evaluation.runs.folder import check_folder, check_preset, open_run
 from evaluation.runs.manifest import (
@@ -51,24 +64,29 @@ def execute(
 ) -> None:
     """Compute what a run's folder misses; the folder is locked by who calls.
 
-    The walks of a few people are kept to be drawn, unless `keeps_walks` is false or the recording's
-    licence forbids that they are passed on.
+    The walks of a few people are kept to be drawn, unless `keeps_walks` is false or the
+    recording's licence forbids that they are passed on.
 
-    `tell` is called with cells finished, cells to do, and what is under way. Raises IsacTrackError
-    for anything that a user can mend; finished cells are kept.
+    `tell` is called with cells finished, cells to do, and what is under way. Raises
+    IsacTrackError for anything that a user can mend; finished cells are kept.
     """
     started, out = time.monotonic(), ready.out
     given_up = try_plugins(ready)
     if not ready.settings.fresh:
         check_preset(out, preset=ready.settings.preset)
-    manifest, held, damaged = open_run(out, identity=ready.identity, fresh=ready.settings.fresh)
+    manifest, held, damaged = open_run(
+        out, identity=ready.identity, fresh=ready.settings.fresh
+    )
     deque(prepare_loop(GAIN), maxlen=0)
     names = names_to_write(ready, is_continued=bool(held))
     earlier_s = float(manifest.get("wall_time_s", 0.0))
     places = places_of(held)
     missing = pieces.missing_of(ready, places)
     earlier_plugins = manifest.get("own_plugins", {})
-    manifest |= describe(ready) | {"damaged_cells": damaged, "untried_plugins": given_up}
+    manifest |= describe(ready) | {
+        "damaged_cells": damaged,
+        "untried_plugins": given_up,
+    }
     manifest["own_plugins"] = merged_plugins(earlier_plugins, manifest["own_plugins"])
     # What failed when other axes were run, whose finished levels stay in the tables.
     failures = manifest.get("failed", []) if manifest["cells"] else []
@@ -80,7 +98,9 @@ def execute(
     tell(ready.n_cells, ready.n_cells, "report: intervals, verdict, figures")
     without = {str(one[name]) for one in failed for name in ("spec", "consumer")}
     keeps_walks = keeps_walks and NOT_PASSED_ON not in ready.dataset.licence
-    manifest["gallery_without"] = _write_gallery(ready, without, names) if keeps_walks else []
+    manifest["gallery_without"] = (
+        _write_gallery(ready, without, names) if keeps_walks else []
+    )
     if not keeps_walks:
         write_gallery([], out=out)
     manifest["exhausted_redraws"] = _exhausted(out, manifest["cells"], "")
@@ -110,12 +130,16 @@ def execute_trial(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
     manifest["failed"] = others(manifest.get("failed", []), than=ours)
     # In the order of before: results do not depend on who asked first.
     by_label = {(entry["spec"], label_of(entry)): entry for entry in ours}
-    cells = [by_label.pop((one["spec"], label_of(one)), one) for one in manifest["cells"]]
+    cells = [
+        by_label.pop((one["spec"], label_of(one)), one) for one in manifest["cells"]
+    ]
     manifest["cells"] = cells + list(by_label.values())
     write_manifest(out, manifest | {"state": "running"})
     _computed(missing, ready, manifest, tell, names)
     spent_s = float(manifest.get("wall_time_s", 0.0)) + time.monotonic() - started
-    write_manifest(out, manifest | {"state": "finished", "wall_time_s": round(spent_s, 3)})
+    write_manifest(
+        out, manifest | {"state": "finished", "wall_time_s": round(spent_s, 3)}
+    )
 
 
 def _computed(
@@ -130,10 +154,14 @@ def _computed(
     if ready.settings.scheduler is None:  # a cluster's workers compile for themselves
         total = sum(len(unit.consumers) for unit in missing)
         compiling_s = _prepare_loops(works, ready, partial(tell, 0, total))
-        manifest["compiling_s"] = round(manifest.get("compiling_s", 0.0) + compiling_s, 3)
+        manifest["compiling_s"] = round(
+            manifest.get("compiling_s", 0.0) + compiling_s, 3
+        )
     failed = [
         {**named(mechanism, consumer), "block": block, "why": why}
-        for (block, mechanism, consumer), why in _compute(missing, works, ready, tell, names)
+        for (block, mechanism, consumer), why in _compute(
+            missing, works, ready, tell, names
+        )
     ]
     if failed:
         manifest["failed"] += failed
@@ -156,15 +184,17 @@ def _exhausted(out: Path, cells: Iterable[dict[str, Any]], world: str) -> int | 
     entry = next(of_world, None)
     if entry is None:
         return None
-    return int(read_rows(out, entry, columns=["exhausted"])["exhausted"].to_numpy().sum())
+    return int(
+        read_rows(out, entry, columns=["exhausted"])["exhausted"].to_numpy().sum()
+    )
 
 
 def borrow(ready: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None:
     """Open the folder of a run and copy the cells into it that other runs have.
 
-    Each is taken from the first of the source folders that has it: what is keyed alike is the same.
-    Raises DataError if the folder cannot be written or another process runs in it, and
-    SettingsError if it holds another run, which `fresh` replaces.
+    Each is taken from the first of the source folders that has it: what is keyed alike
+    is the same. Raises DataError if the folder cannot be written or another process
+    runs in it, and SettingsError if it holds another run, which `fresh` replaces.
     """
     check_folder(ready.out)
     with locked(ready.out):
@@ -177,11 +207,15 @@ def borrow(ready: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None
             for name, index in sound_files(source)[0].items():
                 held = {(index.unit, one.key) for one in index.consumers.values()}
                 if wanted & held:
-                    write_checked(ready.out, name, (source / FOLDER / name).read_bytes())
+                    write_checked(
+                        ready.out, name, (source / FOLDER / name).read_bytes()
+                    )
                     wanted -= held
 
 
-def _write_gallery(ready: Plan, without: set[str], names: Mapping[str, str]) -> list[str]:
+def _write_gallery(
+    ready: Plan, without: set[str], names: Mapping[str, str]
+) -> list[str]:
     """Keep some tracks to look at, `without` some plug-ins; return what fails here."""
     compute = partial(
         _gallery_part,
@@ -190,13 +224,17 @@ def _write_gallery(ready: Plan, without: set[str], names: Mapping[str, str]) -> 
         stages=ready.settings.stages,
         seed=ready.settings.seed,
     )
-    mechanisms = chosen([one for one in ready.axes.mechanisms if one.spec not in without])
+    mechanisms = chosen(
+        [one for one in ready.axes.mechanisms if one.spec not in without]
+    )
     parts: list[pa.Table] = []
     failed = []
     # Where workers are they have loaded all that this takes.
     apart = ready.jobs > 1 or has_strangers(ready.axes)
     limit_s = ready.settings.cell_timeout_s
-    for plugin, found in spread(compute, deque(mechanisms), jobs=1, limit_s=limit_s, apart=apart):
+    for plugin, found in spread(
+        compute, deque(mechanisms), jobs=1, limit_s=limit_s, apart=apart
+    ):
         for part in found:
             if isinstance(part, Failed):
                 failed.append(f"{plugin.spec}: {part.why}")
@@ -211,7 +249,9 @@ def _gallery_part(mechanism: Plugin, **options: Any) -> Iterator[pa.Table | Fail
     try:
         yield gallery_rows(mechanism, **options)
     except Exception as error:  # noqa: BLE001 - the cells are finished: no picture may cost them
-        yield Failed(here.at, str(error) if isinstance(error, PluginError) else told(error))
+        yield Failed(
+            here.at, str(error) if isinstance(error, PluginError) else told(error)
+        )
 
 
 def _compute(
@@ -228,7 +268,11 @@ def _compute(
     total = sum(len(one.consumers) for one in missing)
     tell(0, total, _stage(pieces.place_of(next(pieces.cells_of(works[0])))))
     files = pieces.files_to_come(missing, ready.code_of)
-    own: dict[str, Any] = {"tracks": ready.tracks, "stages": settings.stages, "seed": settings.seed}
+    own: dict[str, Any] = {
+        "tracks": ready.tracks,
+        "stages": settings.stages,
+        "seed": settings.seed,
+    }
     compute = partial(pieces.in_files, files=files, names=names, **own)
     computed: Generator[tuple[pieces.Work, Iterable[pieces.Found]]]
     if settings.scheduler is None:
@@ -244,7 +288,9 @@ def _compute(
 
         pieces.cut_for_cluster(works)
         modules = ready.code_of.keys()
-        computed = spread_on_cluster(compute, works, scheduler=settings.scheduler, modules=modules)
+        computed = spread_on_cluster(
+            compute, works, scheduler=settings.scheduler, modules=modules
+        )
     finished: set[pieces.Place] = set()
     failures, gathered, n_failed = pieces.Failures(), pieces.Gathered(files, names), 0
     with closing(computed):
@@ -272,10 +318,14 @@ def _compute(
 def _stage(place: pieces.Place) -> str:
     """Return what is under way: of scenes or of linkage, whose consumers are called by a task."""
     _, spec, label = place
-    return f"{'linkage' if '/' in label.partition(':')[0] else 'scenes'}: {spec} > {label}"
+    return (
+        f"{'linkage' if '/' in label.partition(':')[0] else 'scenes'}: {spec} > {label}"
+    )
 
 
-def _prepare_loops(works: Iterable[pieces.Work], ready: Plan, tell: Callable[[str], None]) -> float:
+def _prepare_loops(
+    works: Iterable[pieces.Work], ready: Plan, tell: Callable[[str], None]
+) -> float:
     """Compile the loops that the cells call, or load them; return the seconds that compiling took.
 
     Workers that had to compile end here: each keeps half a gigabyte for it.
@@ -283,7 +333,9 @@ def _prepare_loops(works: Iterable[pieces.Work], ready: Plan, tell: Callable[[st
     loops = loops_of(cell[1:] for work in works for cell in pieces.cells_of(work))
     apart = has_strangers(ready.axes) or ready.settings.cell_timeout_s is not None
     started, states = time.monotonic(), dict[str, str]()
-    prepared = spread(prepare_loop, deque(loops), jobs=ready.jobs, limit_s=None, apart=apart)
+    prepared = spread(
+        prepare_loop, deque(loops), jobs=ready.jobs, limit_s=None, apart=apart
+    )
     with closing(prepared):
         for loop, some in prepared:
             for state in some:

@@ -1,8 +1,8 @@
 """The files of a run folder: their names; written whole or not at all, checked, and locked.
 
-A file of cells counts as finished when its checksum is written down in `SHA256SUMS`, which is in
-the format of `sha256sum`. What was cut short, garbled or put there by somebody else does not match,
-and is computed again.
+A file of cells counts as finished when its checksum is written down in `SHA256SUMS`,
+which is in the format of `sha256sum`. What was cut short, garbled or put there by
+somebody else does not match, and is computed again.
 """
 
 from __future__ import annotations
@@ -39,8 +39,12 @@ CHECKSUMS: Final = "SHA256SUMS"
 GALLERY: Final = "gallery.parquet"
 PAGE: Final = "report.html"
 LOCK: Final = ".lock"
-PEOPLE: Final = "people.json"  # Names in cells, and the labels by which readers know them.
-PRIVATE: Final = "private.json"  # Key of the pseudonyms, and where the recording lies; mode 0600.
+PEOPLE: Final = (
+    "people.json"  # Names in cells, and the labels by which readers know them.
+)
+PRIVATE: Final = (
+    "private.json"  # Key of the pseudonyms, and where the recording lies; mode 0600.
+)
 FRAMES: Final = {  # By the names of `Results`.
     "summary": "summary.csv",
     "paper_table": "paper_table.csv",
@@ -58,14 +62,44 @@ FRAMES: Final = {  # By the names of `Results`.
     "failed": "failed.csv",
 }
 PLUGIN_ERROR: Final = "plugin-error.txt"  # Why a plug-in failed before there is a run.
-WRITTEN: Final = (  # All that a run leaves beside its manifest, its cells, and its figures.
-    *(*FRAMES.values(), "flags.json", "verdict.json", "tables.txt", PAGE, GALLERY, CHECKSUMS),
+# All that a run leaves beside its manifest, its cells, and its figures.
+WRITTEN: Final = (
+    *(
+        *FRAMES.values(),
+        "flags.json",
+        "verdict.json",
+        "tables.txt",
+        PAGE,
+        GALLERY,
+        CHECKSUMS,
+    ),
     *(PEOPLE, PRIVATE),
-    *(f"tables/{name}.tex" for name in ("sweep", "attacks", "paper", "linkability", "verdict")),
+    *(
+        f"tables/{name}.tex"
+        for name in ("sweep", "attacks", "paper", "linkability", "verdict")
+    ),
 )
 _TEXTS: Final = {  # Columns of text; all others are numbers or truth values.
-    *("dataset", "mechanism", "family", "adding", "consumer", "knowledge", "metric", "unit"),
-    *("claim", "answer", "evidence", "criterion", "predictor", "robot", "score", "reference"),
+    *(
+        "dataset",
+        "mechanism",
+        "family",
+        "adding",
+        "consumer",
+        "knowledge",
+        "metric",
+        "unit",
+    ),
+    *(
+        "claim",
+        "answer",
+        "evidence",
+        "criterion",
+        "predictor",
+        "robot",
+        "score",
+        "reference",
+    ),
     *("cohort", "outcome", "invalid", "spec", "kind", "why"),
     *("task", "adversary", "first_choice", "second_choice"),
 }
@@ -77,8 +111,8 @@ _NOT_FOLLOWED = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file to a temporary name beside it, which nobody can foresee, and rename it.
 
-    What has the file's name, a link say, is replaced and not written to. Raises DataError if the
-    disk is full or the folder cannot be written.
+    What has the file's name, a link say, is replaced and not written to. Raises
+    DataError if the disk is full or the folder cannot be written.
     """
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}.tmp")
     try:
@@ -86,9 +120,13 @@ def write_whole(path: Path, content: bytes) -> None:
             file.write(content)
         os.replace(temporary, path)  # noqa: PTH105 - atomic on one file system
     except OSError as error:
-        with contextlib.suppress(OSError):  # where nothing can be written, nothing can be removed
+        with contextlib.suppress(
+            OSError
+        ):  # where nothing can be written, nothing can be removed
             temporary.unlink(missing_ok=True)
-        raise DataError(f"cannot write {path}: {error.strerror}; finished cells are kept") from None
+        raise DataError(
+            f"cannot write {path}: {error.strerror}; finished cells are kept"
+        ) from None
 
 
 def to_csv(frame: pd.DataFrame) -> bytes:
@@ -110,10 +148,16 @@ def from_csv(content: bytes) -> pd.DataFrame:
     texts = _TEXTS.intersection(content.partition(b"\n")[0].decode().split(","))
     kinds = dict.fromkeys(texts, str)
     # A name may be "NA".
-    frame = pd.read_csv(io.BytesIO(content), dtype=kinds, keep_default_na=False, na_values=[""])
+    frame = pd.read_csv(
+        io.BytesIO(content), dtype=kinds, keep_default_na=False, na_values=[""]
+    )
     for name in texts:
         column = frame[name].fillna("")
-        quoted = (one for one in column.unique() if one.startswith("'") and _safe(one[1:]) == one)
+        quoted = (
+            one
+            for one in column.unique()
+            if one.startswith("'") and _safe(one[1:]) == one
+        )
         frame[name] = column.replace({one: one[1:] for one in quoted})
     return frame
 
@@ -128,7 +172,9 @@ def made_of(out: Path, name: str, *, columns: Iterable[str] = ()) -> Any:  # noq
         frame = from_csv(content)
         return frame[list(columns or frame.columns)]
     except FileNotFoundError:
-        raise DataError(f"{out / name} is missing; {again} if the run has finished") from None
+        raise DataError(
+            f"{out / name} is missing; {again} if the run has finished"
+        ) from None
     except (OSError, ValueError, KeyError) as error:
         reason = str(error).partition("\n")[0]
         raise DataError(f"{out / name} cannot be read ({reason}); {again}") from None
@@ -154,7 +200,9 @@ def _field(value: object) -> str:
 
 def label_of(entry: Mapping[str, Any]) -> str:
     """Return the label of the consumer of an entry of a manifest."""
-    from evaluation.experiment.axes import consumer_label  # noqa: PLC0415 - a reader needs none
+    from evaluation.experiment.axes import (  # noqa: PLC0415 - a reader needs none
+        consumer_label,
+    )
 
     return consumer_label(entry["consumer"], entry["knowledge"], entry.get("world", ""))
 
@@ -184,23 +232,31 @@ def content_of(path: Path) -> bytes:
 
 def write_checked(out: Path, name: str, content: bytes) -> None:
     """Write a file of cells, and its checksum; DataError if that cannot be."""
-    # First the line: a kill in between leaves one without a cell, not a cell that looks damaged.
+    # First the line: a kill in between leaves one without a cell, not a cell that looks
+    # damaged.
     path = out / CHECKSUMS
     try:
-        with os.fdopen(opened(path, os.O_RDWR | os.O_CREAT | os.O_APPEND), "ab+") as file:
+        with os.fdopen(
+            opened(path, os.O_RDWR | os.O_CREAT | os.O_APPEND), "ab+"
+        ) as file:
             file.seek(max(file.tell() - 1, 0))
             # A line that was cut short, by a full disk say, must not spoil the next.
             start = "" if file.read(1) in (b"", b"\n") else "\n"
-            file.write(f"{start}{hashlib.sha256(content).hexdigest()}  {FOLDER}/{name}\n".encode())
+            file.write(
+                f"{start}{hashlib.sha256(content).hexdigest()}  {FOLDER}/{name}\n".encode()
+            )
     except OSError as error:
-        raise DataError(f"cannot write {path}: {error.strerror}; finished cells are kept") from None
+        raise DataError(
+            f"cannot write {path}: {error.strerror}; finished cells are kept"
+        ) from None
     write_whole(out / FOLDER / name, content)
 
 
 def written_down(out: Path) -> set[str]:
     """Return the files of cells that are there and have a checksum written down, theirs or not.
 
-    Raises DataError if the checksums cannot be read, and OSError if the folder of the cells cannot.
+    Raises DataError if the checksums cannot be read, and OSError if the folder of the
+    cells cannot.
     """
     return _present(out) & dict(_lines(out)).keys()
 
@@ -228,8 +284,8 @@ def check_sound(out: Path, names: Iterable[str]) -> None:
     if damaged:
         more = f" and {len(damaged) - 1} more" if len(damaged) > 1 else ""
         raise DataError(
-            f"{out / FOLDER / damaged[0]}{more}: not as the run wrote it (its checksum differs); "
-            "run the matrix again to compute it anew"
+            f"{out / FOLDER / damaged[0]}{more}: not as the run wrote it (its checksum"
+            " differs); run the matrix again to compute it anew"
         )
 
 
@@ -238,7 +294,9 @@ def forget_missing(out: Path) -> None:
     lines, there = _lines(out), _present(out)
     needed = {name: checksum for name, checksum in lines if name in there}
     if set(lines) != set(needed.items()):
-        text = "".join(f"{checksum}  {FOLDER}/{name}\n" for name, checksum in needed.items())
+        text = "".join(
+            f"{checksum}  {FOLDER}/{name}\n" for name, checksum in needed.items()
+        )
         write_whole(out / CHECKSUMS, text.encode())
 
 
@@ -267,11 +325,11 @@ def _lines(out: Path) -> list[tuple[str, str]]:
 def locked(out: Path) -> Iterator[None]:
     """Hold the lock of a run folder, which is made if it is missing: one run at a time writes.
 
-    The lock is the system's (flock): it ends with its process, however that ends. What killed runs
-    left half written is removed.
+    The lock is the system's (flock): it ends with its process, however that ends. What
+    killed runs left half written is removed.
 
-    Raises SettingsError if another process holds it, the folder cannot be written, or a folder in
-    it is a link to somewhere else.
+    Raises SettingsError if another process holds it, the folder cannot be written, or a
+    folder in it is a link to somewhere else.
     """
     if fcntl is None:  # pragma: no cover - as above
         raise SettingsError("runs need a system with flock (Linux, macOS, WSL)")
@@ -285,11 +343,15 @@ def locked(out: Path) -> Iterator[None]:
         for folder in (out, *(out / name for name in SUBFOLDERS)):
             if folder != out and folder.is_symlink():
                 raise SettingsError(
-                    f"{folder} is a link, and a run writes into folders of its own alone; "
-                    "remove it or choose another --out"
+                    f"{folder} is a link, and a run writes into folders of its own"
+                    " alone; remove it or choose another --out"
                 )
-            with contextlib.suppress(OSError):  # not there, or what cannot be removed may stay
-                for path in [path for path in folder.iterdir() if is_temporary(path.name)]:
+            with contextlib.suppress(
+                OSError
+            ):  # not there, or what cannot be removed may stay
+                for path in [
+                    path for path in folder.iterdir() if is_temporary(path.name)
+                ]:
                     path.unlink()
         yield
     finally:
@@ -316,7 +378,10 @@ def _locked(path: Path) -> int | None:
     except BlockingIOError:
         owner = os.pread(file, 32, 0).decode(errors="replace").strip()
         who = f" (process {owner})" if owner else ""
-        wrong = f"another run is writing to {path.parent}{who}; wait for it or choose another --out"
+        wrong = (
+            f"another run is writing to {path.parent}{who}; wait for it or choose"
+            " another --out"
+        )
     except OSError as error:  # some network file systems
         wrong = f"cannot lock {path}: {error.strerror}; choose --out on a local disk"
     os.close(file)

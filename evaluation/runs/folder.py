@@ -9,7 +9,13 @@ from evaluation.experiment.fingerprint import can_be_found, source_digest
 from evaluation.experiment.presets import DEFAULT
 from evaluation.runs import files
 from evaluation.runs.cell_files import Index, sound_files
-from evaluation.runs.manifest import CELL_NAME, parsed, read_manifest, undamaged, write_manifest
+from evaluation.runs.manifest import (
+    CELL_NAME,
+    parsed,
+    read_manifest,
+    undamaged,
+    write_manifest,
+)
 from isac_track.errors import DataError, SettingsError
 
 _SHOWN_DIFFERENCES = 3
@@ -20,12 +26,16 @@ def usable(out: Path) -> Iterator[None]:
     """Make one line, a SettingsError, of an impossible name, and of what the system says within."""
     name = str(out)
     if "\0" in name or name.encode(errors="ignore").decode() != name:
-        raise SettingsError(f"{name!a} cannot be the name of a folder; choose another --out")
+        raise SettingsError(
+            f"{name!a} cannot be the name of a folder; choose another --out"
+        )
     try:
         yield
     except OSError as error:
         where = error.filename or out
-        raise SettingsError(f"cannot use {where}: {error.strerror}; choose another --out") from None
+        raise SettingsError(
+            f"cannot use {where}: {error.strerror}; choose another --out"
+        ) from None
 
 
 def check_folder(out: Path) -> None:
@@ -37,20 +47,26 @@ def check_folder(out: Path) -> None:
             raise SettingsError(f"{what} is a file; choose another --out")
         if not out.exists() or (out / files.MANIFEST).exists():
             return
-        for path in out.iterdir():  # a run that is killed before its manifest is there leaves some
+        for path in (
+            out.iterdir()
+        ):  # a run that is killed before its manifest is there leaves some
             is_ours = path.name in {
                 *(files.LOCK, files.PLUGIN_ERROR, files.PEOPLE, files.PRIVATE)
             } or files.is_temporary(path.name)
-            is_empty = path.name == files.FOLDER and path.is_dir() and not any(path.iterdir())
+            is_empty = (
+                path.name == files.FOLDER and path.is_dir() and not any(path.iterdir())
+            )
             if not (is_ours or is_empty):
-                raise SettingsError(f"{out} is not empty and holds no run; choose another --out")
+                raise SettingsError(
+                    f"{out} is not empty and holds no run; choose another --out"
+                )
 
 
 def check_preset(out: Path, *, preset: str) -> None:
     """Raise SettingsError if a folder holds a run of another preset, and one of both is `quick`.
 
-    The levels of other presets would add up to a run that no command makes. A manifest that cannot
-    be read is left to `open_run`.
+    The levels of other presets would add up to a run that no command makes. A manifest
+    that cannot be read is left to `open_run`.
     """
     with contextlib.suppress(DataError):
         earlier = read_manifest(out)["settings"].get("preset", preset)
@@ -66,11 +82,12 @@ def open_run(
 ) -> tuple[dict[str, Any], dict[str, Index], list[str]]:
     """Return the manifest of a run folder, new or continued, and its files: sound ones, and others.
 
-    Cells that another version of the code computed are dropped and counted, and so are lines of
-    `SHA256SUMS` for which there is no cell.
+    Cells that another version of the code computed are dropped and counted, and so are
+    lines of `SHA256SUMS` for which there is no cell.
 
-    Raises SettingsError if the folder holds another run (what differs is named) or cannot be used,
-    and DataError if its manifest cannot be read, or is damaged and not to be replaced.
+    Raises SettingsError if the folder holds another run (what differs is named) or
+    cannot be used, and DataError if its manifest cannot be read, or is damaged and not
+    to be replaced.
     """
     manifest: dict[str, Any] = {"identity": identity, "cells": [], "dropped_cells": 0}
     with usable(out):
@@ -88,7 +105,9 @@ def open_run(
     return manifest, held, damaged
 
 
-def refuse_other_run(earlier: Mapping[str, Any], identity: Mapping[str, Any], *, out: Path) -> None:
+def refuse_other_run(
+    earlier: Mapping[str, Any], identity: Mapping[str, Any], *, out: Path
+) -> None:
     """Raise SettingsError, and name what differs, if a folder holds a run of another identity."""
     different = [
         f"{key} {earlier.get(key)!r} -> {value!r}"
@@ -98,12 +117,15 @@ def refuse_other_run(earlier: Mapping[str, Any], identity: Mapping[str, Any], *,
     if different:
         more = "; ..." if len(different) > _SHOWN_DIFFERENCES else ""
         raise SettingsError(
-            f"{out} holds another run ({'; '.join(different[:_SHOWN_DIFFERENCES])}{more}); "
-            "use --fresh to replace it or another --out"
+            f"{out} holds another run"
+            f" ({'; '.join(different[:_SHOWN_DIFFERENCES])}{more}); use --fresh to"
+            " replace it or another --out"
         )
 
 
-def _drop_other_code(out: Path, manifest: dict[str, Any], held: dict[str, Index]) -> None:
+def _drop_other_code(
+    out: Path, manifest: dict[str, Any], held: dict[str, Index]
+) -> None:
     """Drop cells whose code is here but another, and the files that hold no other cells."""
     modules = {
         module
@@ -116,14 +138,21 @@ def _drop_other_code(out: Path, manifest: dict[str, Any], held: dict[str, Index]
         (name, label)
         for name, index in held.items()
         for label, own in index.consumers.items()
-        if all(here.get(one, was) == was for one, was in {**index.code, **own.code}.items())
+        if all(
+            here.get(one, was) == was for one, was in {**index.code, **own.code}.items()
+        )
     }
     cells = [
         entry
         for entry in manifest["cells"]
-        if all((one, files.label_of(entry)) in current or one not in held for one in entry["files"])
+        if all(
+            (one, files.label_of(entry)) in current or one not in held
+            for one in entry["files"]
+        )
     ]
-    before, after = (sum(len(one["files"]) for one in of) for of in (manifest["cells"], cells))
+    before, after = (
+        sum(len(one["files"]) for one in of) for of in (manifest["cells"], cells)
+    )
     manifest["cells"] = cells
     manifest["dropped_cells"] = before - after or manifest["dropped_cells"]
     for name in held.keys() - {name for name, _ in current}:
@@ -168,23 +197,28 @@ def remove_figures(out: Path) -> None:
 def _figures(out: Path, manifest: Mapping[str, Any]) -> list[Path]:
     """Return every file that a report may have drawn: svg for screens, pdf for print."""
     names = [Path(name).name for name in manifest.get("figures", ())]
-    return [out / "figures" / f"{name}.{kind}" for name in names for kind in ("svg", "pdf")]
+    return [
+        out / "figures" / f"{name}.{kind}" for name in names for kind in ("svg", "pdf")
+    ]
 
 
 def copy_without_private(out: Path, to: Path) -> None:
     """Copy a finished run's manifest, cells and list of people: all that its report is made from.
 
-    Raises SettingsError if the copy exists or cannot be written, or the run keeps its ids, and
-    DataError if it is not finished, or not as it was written.
+    Raises SettingsError if the copy exists or cannot be written, or the run keeps its
+    ids, and DataError if it is not finished, or not as it was written.
     """
     manifest = read_manifest(out)
     if manifest.get("state") != "finished":
         raise DataError(f"the run in {out} is not finished; run the matrix again")
     if manifest["identity"].get("ids") == "kept" or not (out / files.PEOPLE).exists():
         raise SettingsError(
-            f"{out} keeps the recording's own ids; run the matrix without --keep-ids, anew"
+            f"{out} keeps the recording's own ids; run the matrix without --keep-ids,"
+            " anew"
         )
-    names = dict.fromkeys(name for entry in manifest["cells"] for name in entry["files"])
+    names = dict.fromkeys(
+        name for entry in manifest["cells"] for name in entry["files"]
+    )
     files.check_sound(out, names)
     try:
         to.mkdir(parents=True)
@@ -196,4 +230,6 @@ def copy_without_private(out: Path, to: Path) -> None:
     except FileExistsError:
         raise SettingsError(f"{to} exists; choose another --to") from None
     except OSError as error:
-        raise SettingsError(f"cannot write {to}: {error.strerror}; choose another --to") from None
+        raise SettingsError(
+            f"cannot write {to}: {error.strerror}; choose another --to"
+        ) from None

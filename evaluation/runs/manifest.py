@@ -1,9 +1,10 @@
 """The manifest of a run: what it was made from, its cells, and what failed.
 
-Within the program `cells` is a list of flat entries, one for each consumer at each level. In the
-file an entry stands for all consumers of a level that share their files, and sets of consumers that
-many levels have are written once, in `consumers`. A seal over all of it tells whether the file is
-as a run of this layout wrote it: its readers need not look at every value.
+Within the program `cells` is a list of flat entries, one for each consumer at each
+level. In the file an entry stands for all consumers of a level that share their files,
+and sets of consumers that many levels have are written once, in `consumers`. A seal
+over all of it tells whether the file is as a run of this layout wrote it: its readers
+need not look at every value.
 """
 
 from __future__ import annotations
@@ -30,7 +31,12 @@ from evaluation.experiment.choices import PLUS
 from evaluation.experiment.fingerprint import digest, strangers_in
 from evaluation.experiment.settings import AXES
 from evaluation.runs.files import MANIFEST, content_of, label_of, write_whole
-from evaluation.runs.people import labels_of_ids, shown_path, shown_words, without_folders
+from evaluation.runs.people import (
+    labels_of_ids,
+    shown_path,
+    shown_words,
+    without_folders,
+)
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
@@ -44,7 +50,15 @@ if TYPE_CHECKING:
 CELL_NAME: Final = re.compile(r"[A-Za-z0-9.=-]{1,80}_[0-9]{5}_[0-9a-f]{16}\.parquet")
 LAYOUT: Final = 4  # Another one wherever readers would miss or mistake a value.
 FAILED_COLUMNS: Final = ("spec", "kind", "consumer", "knowledge", "block", "why")
-_OF_LEVEL: Final = ("mechanism", "level", "family", "adding", "protects", "spec", "files")
+_OF_LEVEL: Final = (
+    "mechanism",
+    "level",
+    "family",
+    "adding",
+    "protects",
+    "spec",
+    "files",
+)
 _OF_CONSUMER: Final = ("kind", "consumer", "knowledge", "slow", "world")
 _LIBRARIES: Final = ("numpy", "scipy", "pandas", "pyarrow")
 
@@ -85,7 +99,9 @@ def parsed(out: Path) -> dict[str, Any]:
             "python -m evaluation.matrix --out DIR"
         ) from None
     except (OSError, ValueError, RecursionError) as error:
-        raise DataError(f"{path} cannot be read: {error}; choose another --out") from None
+        raise DataError(
+            f"{path} cannot be read: {error}; choose another --out"
+        ) from None
     match manifest:
         case {"identity": dict(), "cells": list()}:
             return manifest
@@ -98,7 +114,9 @@ def undamaged(found: dict[str, Any], *, out: Path) -> dict[str, Any]:
     is_sealed = found.get("seal") == digest([LAYOUT, content])
     # Files are deleted by these names: a seal is no proof of who wrote it.
     if not is_sealed or not all(
-        CELL_NAME.fullmatch(name) for level in content["cells"] for name in level["files"]
+        CELL_NAME.fullmatch(name)
+        for level in content["cells"]
+        for name in level["files"]
     ):
         raise DataError(
             f"{out} was written by another version, or its {MANIFEST} is damaged; "
@@ -124,8 +142,8 @@ def others(
 def with_ceiling(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the index without what is linked without a ceiling.
 
-    What an attack says when it finds nothing depends on it; in other worlds it is held against the
-    optimum instead.
+    What an attack says when it finds nothing depends on it; in other worlds it is held
+    against the optimum instead.
     """
     whose = itemgetter("consumer", "knowledge")
     ceilings = {whose(entry) for entry in entries if entry["spec"] == "clean"}
@@ -139,15 +157,18 @@ def with_ceiling(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
 def mean_speeds(recorded: Tracks, *, used: Sequence[str]) -> dict[str, float]:
     """Return the mean speed of the tracks that are `used` and of all recorded ones, m/s.
 
-    A track's speed is the length of its recorded path over its duration; each counts once, one of a
-    single sample not at all.
+    A track's speed is the length of its recorded path over its duration; each counts
+    once, one of a single sample not at all.
     """
     from isac_track.datasets import summarise  # noqa: PLC0415 - a reader needs none
 
     speeds = summarise(recorded)["speed_mean_mps"].to_numpy()
     is_used = np.isin(np.array(recorded.source), np.array(used))
     known = np.isfinite(speeds)
-    return {"used": float(speeds[is_used & known].mean()), "recorded": float(speeds[known].mean())}
+    return {
+        "used": float(speeds[is_used & known].mean()),
+        "recorded": float(speeds[known].mean()),
+    }
 
 
 def given_on(settings: Settings, axis: str) -> list[str] | None:
@@ -162,7 +183,11 @@ def given_on(settings: Settings, axis: str) -> list[str] | None:
     choice = settings.choice(axis)
     plus = "" if choice.replaces else PLUS
     texts = [
-        value if isinstance(value, str) else plugins_of(cast("Kind", axis), value)[0].spec
+        (
+            value
+            if isinstance(value, str)
+            else plugins_of(cast("Kind", axis), value)[0].spec
+        )
         for value in choice.named
     ]
     return [f"{plus}{text}" for text in texts]
@@ -170,7 +195,10 @@ def given_on(settings: Settings, axis: str) -> list[str] | None:
 
 def about_data(ready: Plan) -> dict[str, Any]:
     """Return what was read, mended and left out, and what would help if too little is left."""
-    from isac_track.scenes import FEW_PEOPLE, what_would_help  # noqa: PLC0415 - as below
+    from isac_track.scenes import (  # noqa: PLC0415 - as below
+        FEW_PEOPLE,
+        what_would_help,
+    )
 
     tracks, dataset = ready.tracks, ready.dataset
     own = ("name", "sha256", "format", "simulated")
@@ -191,30 +219,43 @@ def about_data(ready: Plan) -> dict[str, Any]:
     }
     if tracks.n_replaced:
         most_m = ready.settings.stages.resample.max_overshoot_m
-        detail = f"pieces where a spline leaves the chord by over {most_m:g} m or runs; straighter"
-        about["repairs"].append({"kind": "overshoot", "count": tracks.n_replaced, "detail": detail})
+        detail = (
+            f"pieces where a spline leaves the chord by over {most_m:g} m or runs;"
+            " straighter"
+        )
+        about["repairs"].append(
+            {"kind": "overshoot", "count": tracks.n_replaced, "detail": detail}
+        )
     if dataset.sessions:
         about["sessions"] = [shown_path(one) for one in dataset.sessions]
     if len(tracks) < FEW_PEOPLE:
         stages, used = ready.settings.stages, len(tracks)
-        about["would_help"] = what_would_help(dataset.tracks, settings=stages, used=used)
+        about["would_help"] = what_would_help(
+            dataset.tracks, settings=stages, used=used
+        )
     return about
 
 
 def describe(ready: Plan) -> dict[str, Any]:
     """Return what a run is made from: code, settings, data set, what is linked."""
     from isac_track.geometry import geometry  # noqa: PLC0415 - a reader needs none
-    from isac_track.privacy import mean_interval_s  # noqa: PLC0415 - a reader needs none
+    from isac_track.privacy import (  # noqa: PLC0415 - a reader needs none
+        mean_interval_s,
+    )
 
     tracks, settings, axes = ready.tracks, ready.settings, ready.axes
     labels = labels_of_ids(ready)
     linkers = dict.fromkeys(link.spec for _, link in axes.links)
     requires = {plugin.spec: plugin.instance.requires for plugin in axes.predictors}
     undeclared = (plugin for plugin in axes.mechanisms if not plugin.adding)
-    without_rule = {one.family for one in undeclared if getattr(one.instance, "adds_error", True)}
+    without_rule = {
+        one.family for one in undeclared if getattr(one.instance, "adds_error", True)
+    }
     tasks = {}
     for sessions in ready.sessions:
-        galleries = np.bincount(sessions.gallery.search, minlength=len(sessions.searches))
+        galleries = np.bincount(
+            sessions.gallery.search, minlength=len(sessions.searches)
+        )
         tasks[sessions.task.name] = {
             "about": sessions.task.about,
             "people": len(sessions.source),
@@ -253,21 +294,29 @@ def describe(ready: Plan) -> dict[str, Any]:
             "attacks": [*(plugin.spec for plugin in axes.attacks), *linkers],
             "tasks": [task.name for task in axes.tasks],
             "named": {
-                axis: given for axis in AXES if (given := given_on(settings, axis)) is not None
+                axis: given
+                for axis in AXES
+                if (given := given_on(settings, axis)) is not None
             },
             **({"adversaries": list(axes.adversaries)} if axes.adversaries else {}),
             "stages": settings.stages.flat(),
         },
         "own_plugins": strangers_in(axes),
-        "granted": {name: sorted(one.name for one in of) for name, of in requires.items() if of},
+        "granted": {
+            name: sorted(one.name for one in of) for name, of in requires.items() if of
+        },
         "without_rule": sorted(without_rule),
         "dataset": about_data(ready),
         "geometry": asdict(
-            geometry(ready.recorded, settings=settings.stages.sensing, seed=settings.seed)
+            geometry(
+                ready.recorded, settings=settings.stages.sensing, seed=settings.seed
+            )
         ),
         "history": {
             "points": float(np.diff(tracks.offsets).mean()),
-            "interval_s": float(mean_interval_s(t=tracks.t, offsets=tracks.offsets).mean()),
+            "interval_s": float(
+                mean_interval_s(t=tracks.t, offsets=tracks.offsets).mean()
+            ),
         },
         "groups": [labels[name] for name in sorted(set(tracks.group))],
         "horizons": {
@@ -275,7 +324,9 @@ def describe(ready: Plan) -> dict[str, Any]:
                 "tracks_used": len(tracks.further.get(horizon_s, ())),
                 "no_future": len(tracks) - len(tracks.further.get(horizon_s, ())),
             }
-            for horizon_s in (settings.stages.conflict.horizons_s if axes.utility else ())
+            for horizon_s in (
+                settings.stages.conflict.horizons_s if axes.utility else ()
+            )
         },
         "linkage": {"skipped": dict(axes.skipped), "tasks": tasks},
     }
@@ -284,17 +335,27 @@ def describe(ready: Plan) -> dict[str, Any]:
 def losses_of(out: Path, entries: Iterable[dict[str, Any]]) -> dict[str, Any]:
     """Return what rank 1 loses by `linkage.candidates`, by task, as the cells measured it.
 
-    Of each task the `cells` of attacks; how many `probes` of each (the fewest) were searched in
-    full as well; over the cells the mean `loss` of rank 1, a fraction, and the `most`, of which
-    `consumer` at which mechanism, `spec`, it was. A task whose pairs are all scored is not there.
+    Of each task the `cells` of attacks; how many `probes` of each (the fewest) were
+    searched in full as well; over the cells the mean `loss` of rank 1, a fraction, and
+    the `most`, of which `consumer` at which mechanism, `spec`, it was. A task whose
+    pairs are all scored is not there.
     """
-    from evaluation.runs.cell_files import read_outcomes  # noqa: PLC0415 - slow to import
+    from evaluation.runs.cell_files import (  # noqa: PLC0415 - slow to import
+        read_outcomes,
+    )
 
     found: dict[str, list[tuple[float, int, str, str]]] = defaultdict(list)
     linked = [entry for entry in entries if entry["kind"] == "linkage"]
-    for entry, outcome in zip(linked, read_outcomes(out, linked, drawn=()), strict=True):
+    for entry, outcome in zip(
+        linked, read_outcomes(out, linked, drawn=()), strict=True
+    ):
         if n_checked := outcome.numbers.get("n_checked"):
-            cell = outcome.numbers["rank1_loss"], n_checked, label_of(entry), entry["spec"]
+            cell = (
+                outcome.numbers["rank1_loss"],
+                n_checked,
+                label_of(entry),
+                entry["spec"],
+            )
             found[entry["consumer"].partition("/")[0]].append(cell)
     losses = {}
     for task, cells in found.items():
@@ -330,7 +391,9 @@ def entries_of(
     ready: Plan, places: Mapping[tuple[str, str], str], missing: Iterable[Unit]
 ) -> list[dict[str, Any]]:
     """Return the entries of a run's cells, whose files are in `places` or to come."""
-    of_cell = {(one.key, key): one.file for one in missing for key in one.consumers} | {**places}
+    of_cell = {(one.key, key): one.file for one in missing for key in one.consumers} | {
+        **places
+    }
     files: dict[tuple[str, str], list[str]] = defaultdict(list)
     for unit in ready.units:  # block by block
         for key, consumer in unit.consumers.items():
@@ -339,7 +402,8 @@ def entries_of(
         {
             "mechanism": mechanism.name,
             **{
-                name: getattr(mechanism, name) for name in ("level", "family", "adding", "protects")
+                name: getattr(mechanism, name)
+                for name in ("level", "family", "adding", "protects")
             },
             **named(mechanism, consumer),
             "slow": consumer.is_slow,
@@ -360,16 +424,22 @@ def merged_plugins(
 
 
 def merged_cells(
-    earlier: Iterable[dict[str, Any]], ours: list[dict[str, Any]], *, held: Mapping[str, Index]
+    earlier: Iterable[dict[str, Any]],
+    ours: list[dict[str, Any]],
+    *,
+    held: Mapping[str, Index],
 ) -> list[dict[str, Any]]:
     """Return the index of cells: those of this run, and finished ones of earlier axes.
 
-    An earlier level that was never finished (interrupted, or a plug-in that failed) is left out:
-    `held` has what the files hold that are there.
+    An earlier level that was never finished (interrupted, or a plug-in that failed) is
+    left out: `held` has what the files hold that are there.
     """
     finished = [
         entry
         for entry in earlier
-        if all(name in held and label_of(entry) in held[name].consumers for name in entry["files"])
+        if all(
+            name in held and label_of(entry) in held[name].consumers
+            for name in entry["files"]
+        )
     ]
     return with_ceiling(ours + others(finished, than=ours))

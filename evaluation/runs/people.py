@@ -1,8 +1,9 @@
 """What people are called in a run folder: by keyed pseudonyms, whose key never leaves the folder.
 
-`private.json` (mode 0600) holds the key and where the recording lies. `people.json` lists what is
-written in cells, each with the label that readers use instead: labels sort as the ids of the
-recording do and end in the person's half, so that no draw, order or fold depends on the key.
+`private.json` (mode 0600) holds the key and where the recording lies. `people.json`
+lists what is written in cells, each with the label that readers use instead: labels
+sort as the ids of the recording do and end in the person's half, so that no draw, order
+or fold depends on the key.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ if TYPE_CHECKING:
     from evaluation.experiment.plan import Plan
     from isac_track.datasets import Dataset
 
-_DIGITS: Final = 16  # Of a pseudonym: two of 100,000 people are called alike once in 10^9 runs.
+_DIGITS: Final = (
+    16  # Of a pseudonym: two of 100,000 people are called alike once in 10^9 runs.
+)
 _LABEL_DIGITS: Final = 6
 _HALVES: Final = "ab"
 
@@ -41,20 +44,28 @@ def in_first_half(name: str) -> bool:
 def labels_of_ids(ready: Plan) -> dict[str, str]:
     """Return the label of every id of a run: it sorts as the id does, whatever else is in the run.
 
-    Labels of the recording's own are its places in their order; simulated people of a crowd stand
-    between them, by name.
+    Labels of the recording's own are its places in their order; simulated people of a
+    crowd stand between them, by name.
     """
     tracks = ready.dataset.tracks
-    own = sorted({*tracks.source, *tracks.group, *ready.tracks.source, *ready.tracks.group})
+    own = sorted(
+        {*tracks.source, *tracks.group, *ready.tracks.source, *ready.tracks.group}
+    )
     place_of = {name: place for place, name in enumerate(own, start=1)}
-    crossed = {name for one in (*ready.sessions, *ready.model_sessions) for name in one.source}
-    crossed |= {name for one in (*ready.sessions, *ready.model_sessions) for name in one.group}
+    crossed = {
+        name for one in (*ready.sessions, *ready.model_sessions) for name in one.source
+    }
+    crossed |= {
+        name for one in (*ready.sessions, *ready.model_sessions) for name in one.group
+    }
     labels = {}
     for name in own:
         labels[name] = f"#{place_of[name]:0{_LABEL_DIGITS}d}{_half(name)}"
     for name in sorted(crossed - place_of.keys()):
         before = f"#{bisect_left(own, name):0{_LABEL_DIGITS}d}"
-        labels[name] = f"{before}~{name}!{_half(name)}"  # "!" sorts below what names go on with
+        labels[name] = (
+            f"{before}~{name}!{_half(name)}"  # "!" sorts below what names go on with
+        )
     return labels
 
 
@@ -65,14 +76,16 @@ def _half(name: str) -> str:
 def names_to_write(ready: Plan, *, is_continued: bool) -> dict[str, str]:
     """Return what every id is called in the files of a run, and write its two files of names.
 
-    Raises DataError for a run that is continued without its key, and if a file cannot be written.
+    Raises DataError for a run that is continued without its key, and if a file cannot
+    be written.
     """
     out, labels = ready.out, labels_of_ids(ready)
     private = _private(out)
     if is_continued and "key" not in private:
         raise DataError(
-            f"{out / PRIVATE} with the key of this run's pseudonyms is missing (a published copy "
-            "has none): the run cannot be continued; use --fresh or another --out"
+            f"{out / PRIVATE} with the key of this run's pseudonyms is missing (a"
+            " published copy has none): the run cannot be continued; use --fresh or"
+            " another --out"
         )
     key = str(private.get("key") or secrets.token_hex(32))
     paths = [str(Path(one).absolute()) for one in ready.dataset.sessions]
@@ -102,7 +115,9 @@ def share_key(out: Path, sources: Iterable[Path]) -> None:
 
 def with_paths(out: Path, manifest: dict[str, Any]) -> dict[str, Any]:
     """Return a manifest with the paths of its recording, where the folder still knows them."""
-    where = {name: path for name, path in _private(out).items() if name != "key" and path}
+    where = {
+        name: path for name, path in _private(out).items() if name != "key" and path
+    }
     return manifest | {"dataset": manifest["dataset"] | where}
 
 
@@ -128,8 +143,12 @@ def _people(out: Path) -> dict[str, str]:
     except FileNotFoundError:
         return {}
     except (OSError, ValueError, RecursionError) as error:
-        raise DataError(f"{path} cannot be read: {error}; run the matrix with --fresh") from None
-    if not isinstance(found, dict) or not all(isinstance(label, str) for label in found.values()):
+        raise DataError(
+            f"{path} cannot be read: {error}; run the matrix with --fresh"
+        ) from None
+    if not isinstance(found, dict) or not all(
+        isinstance(label, str) for label in found.values()
+    ):
         raise DataError(f"{path} is no list of people; run the matrix with --fresh")
     return found
 
@@ -142,7 +161,9 @@ def _private(out: Path) -> dict[str, Any]:
     except FileNotFoundError:
         return {}
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise DataError(f"{path} cannot be read: {error}; run the matrix with --fresh") from None
+        raise DataError(
+            f"{path} cannot be read: {error}; run the matrix with --fresh"
+        ) from None
     return dict(found)
 
 
@@ -174,7 +195,10 @@ def without_folders(text: str, dataset: Dataset) -> str:
 
     So are the folders in which data sets are looked for.
     """
-    from isac_track.datasets.registry import searched_folders, shown  # noqa: PLC0415 - of a run alone
+    from isac_track.datasets.registry import (  # noqa: PLC0415 - of a run alone
+        searched_folders,
+        shown,
+    )
 
     paths = [dataset.path, *map(shown, dataset.sessions), *searched_folders()]
     for path in sorted(paths, key=len, reverse=True):  # files before their folders

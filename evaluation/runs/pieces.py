@@ -31,12 +31,18 @@ if TYPE_CHECKING:
     from isac_track.plugins import Plugin
 
 Work: TypeAlias = "Block | LinkWork"
-Cell: TypeAlias = "tuple[int, Plugin, Consumer]"  # Block (0: what is linked), mechanism, consumer.
-Place: TypeAlias = "tuple[int, str, str]"  # Block, SPEC of the mechanism, label of the consumer.
+Cell: TypeAlias = (
+    "tuple[int, Plugin, Consumer]"  # Block (0: what is linked), mechanism, consumer.
+)
+Place: TypeAlias = (
+    "tuple[int, str, str]"  # Block, SPEC of the mechanism, label of the consumer.
+)
 Found: TypeAlias = "WholeFile | Item | Failed"  # What comes of work.
 _TASKS_PER_WORKER = 2
 _LEVELS_PER_TASK = 12  # Of what is linked.
-_BLOCKS_WITHIN = 0.75  # The share of the work with which the last block begins, for it takes long.
+_BLOCKS_WITHIN = (
+    0.75  # The share of the work with which the last block begins, for it takes long.
+)
 _CLUSTER_TASKS = 64  # At least so many, where there are as many levels and blocks.
 _MOST_NAMED = 3
 
@@ -45,7 +51,11 @@ def missing_of(ready: Plan, places: Mapping[tuple[str, str], str]) -> list[Unit]
     """Return the units of a run that lack consumers, with these; `places` are as of `places_of`."""
     units = []
     for unit in ready.units:
-        who = {key: one for key, one in unit.consumers.items() if (unit.key, key) not in places}
+        who = {
+            key: one
+            for key, one in unit.consumers.items()
+            if (unit.key, key) not in places
+        }
         if who:
             units.append(replace(unit, consumers=who))
     return units
@@ -58,8 +68,12 @@ def n_finished(ready: Plan) -> int:
 
 def unfinished(ready: Plan) -> list[Unit]:
     """Return what a run lacks by the checksums of its folder; raises as `written_down`."""
-    indices = ((name, index_of(ready.out / FOLDER / name)) for name in written_down(ready.out))
-    return missing_of(ready, places_of({name: one for name, one in indices if one is not None}))
+    indices = (
+        (name, index_of(ready.out / FOLDER / name)) for name in written_down(ready.out)
+    )
+    return missing_of(
+        ready, places_of({name: one for name, one in indices if one is not None})
+    )
 
 
 def pieces_of(missing: Sequence[Unit], ready: Plan) -> list[Work]:
@@ -77,10 +91,12 @@ def pieces_of(missing: Sequence[Unit], ready: Plan) -> list[Work]:
     tasks = {sessions.task.name for sessions in ready.sessions}
     groups = tuple(sorted(set(ready.tracks.group)))
     starts = range(0, settings.n_utility_scenes, BLOCK_SCENES)
-    # Split where few blocks are attacked by the workers; each piece senses the block again, so that
-    # there are no more than an even load takes.
+    # Split where few blocks are attacked by the workers; each piece senses the block
+    # again, so that there are no more than an even load takes.
     n_attacked = -(-settings.n_scenes // BLOCK_SCENES)
-    n_pieces = 1 if ready.jobs == 1 else -(-_TASKS_PER_WORKER * ready.jobs // n_attacked)
+    n_pieces = (
+        1 if ready.jobs == 1 else -(-_TASKS_PER_WORKER * ready.jobs // n_attacked)
+    )
     blocks = [
         Block(number, first, rows[first : first + BLOCK_SCENES], piece, world)
         for number, first in enumerate(starts)
@@ -96,18 +112,22 @@ def pieces_of(missing: Sequence[Unit], ready: Plan) -> list[Work]:
     ]
     links: list[LinkWork] = []
     walked = [(one, "") for one in ready.sessions]
-    walked += [(one, world) for world in ready.axes.linked_in for one in ready.model_sessions]
+    walked += [
+        (one, world) for world in ready.axes.linked_in for one in ready.model_sessions
+    ]
     for sessions, world in walked:
         name = sessions.task.name
-        levels = _levels(one for one in missing if one.stage == name and one.world == world)
+        levels = _levels(
+            one for one in missing if one.stage == name and one.world == world
+        )
         # Each piece senses the sessions again, which takes less than one level.
         for first in range(0, len(levels), _LEVELS_PER_TASK):
             piece = levels[first : first + _LEVELS_PER_TASK]
             links.append(LinkWork(sessions, groups, piece, settings.keep_scores, world))
     # The longest first: at the end no worker waits for long.
     links.sort(key=_n_pairs, reverse=True)
-    # A block takes the most memory, and the longer the more consumers it has: with workers, most of
-    # the time one alone is under way.
+    # A block takes the most memory, and the longer the more consumers it has: with
+    # workers, most of the time one alone is under way.
     share = _BLOCKS_WITHIN if ready.jobs > 1 else 0.0
     n_cells = [sum(len(consumers) for _, consumers in one.levels) for one in blocks]
     due = [share * sum(n_cells[:n]) / sum(n_cells) for n in range(len(blocks))]
@@ -122,13 +142,17 @@ def _levels(units: Iterable[Unit]) -> Levels:
     for one in units:
         found = levels.setdefault(one.mechanism.spec, (one.mechanism, []))
         found[1].extend(one.consumers.values())
-    return tuple((mechanism, tuple(consumers)) for mechanism, consumers in levels.values())
+    return tuple(
+        (mechanism, tuple(consumers)) for mechanism, consumers in levels.values()
+    )
 
 
 def _n_pairs(work: LinkWork) -> int:
     """Return how many pairs are compared: what a linker takes goes by it."""
     sides = (work.sessions.probe.search, work.sessions.gallery.search)
-    probes, gallery = (np.bincount(side, minlength=len(work.sessions.searches)) for side in sides)
+    probes, gallery = (
+        np.bincount(side, minlength=len(work.sessions.searches)) for side in sides
+    )
     return len(work.levels) * int((probes * gallery).sum())
 
 
@@ -140,12 +164,15 @@ def _shared_out(levels: Levels, n_pieces: int) -> list[Levels]:
 def cut_for_cluster(works: deque[Work]) -> None:
     """Cut work into pieces for some dozen threads, in place: workers come and go.
 
-    Who links behind one reconstruction is in a piece: what others make of theirs is not beside it.
+    Who links behind one reconstruction is in a piece: what others make of theirs is not
+    beside it.
     """
     n_pieces = -(-_CLUSTER_TASKS // len(works))
     for _ in range(len(works)):
         work = works.popleft()
-        for part in (replace(work, levels=one) for one in _shared_out(work.levels, n_pieces)):
+        for part in (
+            replace(work, levels=one) for one in _shared_out(work.levels, n_pieces)
+        ):
             cells = list(cells_of(part))
             for sees in sorted({who_sees_alike(one) for *_, one in cells}):
                 alike = [cell for cell in cells if who_sees_alike(cell[2]) == sees]
@@ -172,7 +199,9 @@ class Failures:
         self.cells: list[tuple[Cell, str]] = []
         self._died_at: set[tuple[Place, ...]] = set()
 
-    def rest(self, work: Work, failure: Failed, *, finished: Container[Place]) -> list[Work]:
+    def rest(
+        self, work: Work, failure: Failed, *, finished: Container[Place]
+    ) -> list[Work]:
         """Return what is left of a work in which something failed; a death is tried once more."""
         spec, label = failure.at or ("", "")
 
@@ -182,10 +211,19 @@ class Failures:
         left = _only(work, lambda cell: place_of(cell) not in finished)
         if not left.levels:
             return []
-        culprits, innocent = _only(left, is_at), _only(left, lambda cell: not is_at(cell))
-        if not culprits.levels:  # none is there: it cannot be told, and must not go on for ever
+        culprits, innocent = (
+            _only(left, is_at),
+            _only(left, lambda cell: not is_at(cell)),
+        )
+        if (
+            not culprits.levels
+        ):  # none is there: it cannot be told, and must not go on for ever
             culprits, innocent = innocent, culprits
-        again = self._once_more(culprits, place_is_known=bool(failure.at)) if failure.died else []
+        again = (
+            self._once_more(culprits, place_is_known=bool(failure.at))
+            if failure.died
+            else []
+        )
         if not again:
             self.cells += [(cell, failure.why) for cell in cells_of(culprits)]
         return [*again, *([innocent] if innocent.levels else ())]
@@ -193,7 +231,9 @@ class Failures:
     def _once_more(self, culprits: Work, *, place_is_known: bool) -> list[Work]:
         """Return the work at which a worker died, to be tried again; none if it was its second."""
         key = tuple(map(place_of, cells_of(culprits)))
-        if not place_is_known and len(key) > 1:  # nobody knows which it was: each by itself, once
+        if (
+            not place_is_known and len(key) > 1
+        ):  # nobody knows which it was: each by itself, once
             self._died_at.update((one,) for one in key)
             return [
                 replace(culprits, levels=((mechanism, (one,)),))
@@ -222,7 +262,9 @@ class ToCome(NamedTuple):
     name: str
     unit: str  # Key of the unit of work.
     code: Mapping[str, str]
-    consumers: Mapping[str, tuple[str, Mapping[str, str]]]  # Key and code of each, by its label.
+    consumers: Mapping[
+        str, tuple[str, Mapping[str, str]]
+    ]  # Key and code of each, by its label.
 
 
 class WholeFile(NamedTuple):
@@ -233,12 +275,17 @@ class WholeFile(NamedTuple):
     places: tuple[Place, ...]
 
 
-def files_to_come(units: Iterable[Unit], code_of: Mapping[str, str]) -> dict[Place, ToCome]:
+def files_to_come(
+    units: Iterable[Unit], code_of: Mapping[str, str]
+) -> dict[Place, ToCome]:
     """Return the file of every cell of some units; `code_of` has the digest of every module."""
     found: dict[Place, ToCome] = {}
     for unit in units:
         consumers = {
-            one.label: (key, {name: code_of[name] for name in sources("", *one.plugins)})
+            one.label: (
+                key,
+                {name: code_of[name] for name in sources("", *one.plugins)},
+            )
             for key, one in unit.consumers.items()
         }
         file = ToCome(unit.file, unit.key, unit.code, consumers)
@@ -298,9 +345,16 @@ def in_files(
 def failed_lines(rows: pd.DataFrame) -> list[str]:
     """Return what failed, by `failed.csv`: for each consumer and reason the levels left out."""
     lines = []
-    for (consumer, knows, why), part in rows.groupby(["consumer", "knowledge", "why"], sort=False):
+    for (consumer, knows, why), part in rows.groupby(
+        ["consumer", "knowledge", "why"], sort=False
+    ):
         who = f"{consumer} ({knows})" if str(knows) else consumer
         specs = list(part["spec"].unique())
-        more = f" and {len(specs) - _MOST_NAMED} more" if len(specs) > _MOST_NAMED else ""
-        lines.append(f"{who} at {', '.join(specs[:_MOST_NAMED])}{more}: {why}; left out everywhere")
+        more = (
+            f" and {len(specs) - _MOST_NAMED} more" if len(specs) > _MOST_NAMED else ""
+        )
+        lines.append(
+            f"{who} at {', '.join(specs[:_MOST_NAMED])}{more}: {why}; left out"
+            " everywhere"
+        )
     return lines

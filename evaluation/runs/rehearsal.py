@@ -15,8 +15,9 @@ from isac_track.errors import SettingsError
 def rehearse(ready: Plan) -> list[str]:
     """Try what a run does before it computes; return notices.
 
-    The folder must be writable, and hold no other run. Every plug-in of a user's own is called once
-    on a few made-up people. Raises SettingsError, DataError or PluginError as the run would.
+    The folder must be writable, and hold no other run. Every plug-in of a user's own is
+    called once on a few made-up people. Raises SettingsError, DataError or PluginError
+    as the run would.
     """
     check_folder(ready.out)
     with usable(ready.out):
@@ -26,7 +27,9 @@ def rehearse(ready: Plan) -> list[str]:
             refuse_other_run(manifest["identity"], ready.identity, out=ready.out)
     with tempfile.TemporaryDirectory() as folder:
         given_up = try_plugins(replace(ready, out=Path(folder)), keeps_traceback=False)
-    return [f"{spec} took more than a minute for a few made-up people" for spec in given_up]
+    return [
+        f"{spec} took more than a minute for a few made-up people" for spec in given_up
+    ]
 
 
 def _check_writable(out: Path) -> None:

@@ -1,7 +1,8 @@
 """Works handed out to worker processes of this machine, and what comes back of them.
 
-Each worker is in a lane of its own, at the other end of a pipe: one that dies takes nobody along.
-It tells where it is before each cell, which names the culprit and times it.
+Each worker is in a lane of its own, at the other end of a pipe: one that dies takes
+nobody along. It tells where it is before each cell, which names the culprit and times
+it.
 """
 
 import contextlib
@@ -32,10 +33,14 @@ from isac_track.errors import told
 W = TypeVar("W")
 R = TypeVar("R")
 _ONE_THREAD: Final = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"),
+    "1",
 )
 """More would fight over the cores; and a sum depends on how many share it."""
-_FREED_STAYS: Final = {"MALLOC_TRIM_THRESHOLD_": str(2**26), "MALLOC_MMAP_THRESHOLD_": str(2**25)}
+_FREED_STAYS: Final = {
+    "MALLOC_TRIM_THRESHOLD_": str(2**26),
+    "MALLOC_MMAP_THRESHOLD_": str(2**25),
+}
 """Of glibc's malloc, which else gives every larger array back to the system, page by page."""
 _LOOK_S: Final = 0.25  # How often running cells are held against their limit.
 _WORKER: Final = """
@@ -51,8 +56,14 @@ except (EOFError, OSError):  # the parent was killed meanwhile
 from evaluation.runs.workers import serve
 serve(pipe, parent=int(sys.argv[2]))
 """
-_waiting: Final["list[_Worker]"] = []  # With nothing to do: who spreads work takes them first.
-_CELLS_NEED: Final = ("evaluation.runs.pieces", "evaluation.cells.sample_tracks", "numba")
+_waiting: Final[
+    "list[_Worker]"
+] = []  # With nothing to do: who spreads work takes them first.
+_CELLS_NEED: Final = (
+    "evaluation.runs.pieces",
+    "evaluation.cells.sample_tracks",
+    "numba",
+)
 _heard: Final[dict[int, int]] = {}  # Output and errors of this process, as it began.
 _M_ARENA_MAX: Final = -8  # Of glibc's malloc.h.
 
@@ -68,13 +79,15 @@ def spread(
 ) -> Generator[tuple[W, Iterable[R | Failed]]]:
     """Yield each work with what the function makes of it, again and again as it comes.
 
-    The function notes with `note` where it is. Works may be added while this runs. With one job and
-    no limit, all is computed in this process and while what is yielded is read, unless it is to be
-    kept `apart`; else by workers, of which one that takes longer than `limit_s` between two notes
-    is killed: what it has sent stays. What is left of many still gets one: it may kill its process.
+    The function notes with `note` where it is. Works may be added while this runs. With
+    one job and no limit, all is computed in this process and while what is yielded is
+    read, unless it is to be kept `apart`; else by workers, of which one that takes
+    longer than `limit_s` between two notes is killed: what it has sent stays. What is
+    left of many still gets one: it may kill its process.
 
-    Workers that are done wait for other work until `ahead` ends; if this goes on `alone`, before
-    other work, those do that nobody took. Raises what the function raises.
+    Workers that are done wait for other work until `ahead` ends; if this goes on
+    `alone`, before other work, those do that nobody took. Raises what the function
+    raises.
     """
     if limit_s is None and jobs == 1 and not apart:
         with threadpool_limits(limits=1):
@@ -94,7 +107,9 @@ def spread(
             for lane in lanes:
                 if works and not lane.is_busy:
                     lane.start(works.popleft())
-            connection.wait([lane.pipe for lane in lanes if lane.is_busy], timeout=_LOOK_S)
+            connection.wait(
+                [lane.pipe for lane in lanes if lane.is_busy], timeout=_LOOK_S
+            )
             for lane in lanes:
                 if lane.is_busy and (items := lane.items()):
                     yield lane.work, items
@@ -116,8 +131,8 @@ def ahead(n_workers: int = 0, needed: Sequence[str] = _CELLS_NEED) -> Iterator[N
 def aside(call: Callable[[], R]) -> Iterator[Callable[[], R]]:
     """Let a worker that waits call something meanwhile; entered is what waits for the result.
 
-    Without a worker, or if it dies over it, the call is made here, once the result is asked for:
-    that raises what the call does.
+    Without a worker, or if it dies over it, the call is made here, once the result is
+    asked for: that raises what the call does.
     """
     if not _waiting:
         yield call
@@ -149,9 +164,10 @@ def dismiss(but: int = 0) -> None:
 def given_back() -> Iterator[None]:
     """Give back to the system what was freed while this was open: one process may run many.
 
-    glibc gives threads arenas of their own, whose ends ``malloc_trim`` cannot reach, and pyarrow's
-    pools keep pieces that the next run does not quite fill. So threads share an arena from now on,
-    and pyarrow takes its memory from malloc meanwhile. Another C library's malloc is left as it is.
+    glibc gives threads arenas of their own, whose ends ``malloc_trim`` cannot reach,
+    and pyarrow's pools keep pieces that the next run does not quite fill. So threads
+    share an arena from now on, and pyarrow takes its memory from malloc meanwhile.
+    Another C library's malloc is left as it is.
     """
     pool, libc = pa.default_memory_pool(), _glibc()
     if libc is not None:
@@ -165,7 +181,9 @@ def given_back() -> Iterator[None]:
 
 
 def _glibc() -> Any | None:  # noqa: ANN401 - untyped
-    with contextlib.suppress(OSError, TypeError):  # Windows: there is no name for "this process"
+    with contextlib.suppress(
+        OSError, TypeError
+    ):  # Windows: there is no name for "this process"
         libc = ctypes.CDLL(None)
         return libc if hasattr(libc, "malloc_trim") else None
     return None
@@ -184,7 +202,9 @@ class _Worker(NamedTuple):
     pipe: Any
 
     def tell(self, kind: str, content: object) -> None:
-        with contextlib.suppress(OSError):  # it is gone: who waits for an answer finds that
+        with contextlib.suppress(
+            OSError
+        ):  # it is gone: who waits for an answer finds that
             self.pipe.send_bytes(dumps((kind, content)))
 
     def is_alive(self) -> bool:
@@ -223,7 +243,9 @@ class _Lane(Generic[W, R]):
     work: W
     _worker: _Worker | None = None
 
-    def __init__(self, function: Callable[[W], Iterable[R]], limit_s: float | None) -> None:
+    def __init__(
+        self, function: Callable[[W], Iterable[R]], limit_s: float | None
+    ) -> None:
         self._function, self._limit_s = function, limit_s
         self.is_busy = False
 
@@ -264,7 +286,9 @@ class _Lane(Generic[W, R]):
                     raise said
                 else:
                     self.is_busy = False
-                    if kind == "raised":  # KeyboardInterrupt, say: no Ctrl-C reaches a worker
+                    if (
+                        kind == "raised"
+                    ):  # KeyboardInterrupt, say: no Ctrl-C reaches a worker
                         return [Failed(self._at, f"it raised {type(said).__name__}")]
         except (EOFError, ConnectionError):
             is_gone = True
@@ -272,8 +296,15 @@ class _Lane(Generic[W, R]):
             self.stop()
             self.is_busy = False
             why = self._overdue or "its worker died (killed, crashed or out of memory)"
-            return [Failed(self._at, why, died=not self._overdue, is_late=bool(self._overdue))]
-        is_late = self._limit_s is not None and time.monotonic() - self._since_s > self._limit_s
+            return [
+                Failed(
+                    self._at, why, died=not self._overdue, is_late=bool(self._overdue)
+                )
+            ]
+        is_late = (
+            self._limit_s is not None
+            and time.monotonic() - self._since_s > self._limit_s
+        )
         if self.is_busy and self._at and is_late and not self._overdue:
             self._overdue = f"it ran for longer than {self._limit_s:g} s"
             if self._worker is not None:
@@ -295,10 +326,13 @@ class _Lane(Generic[W, R]):
 
 def serve(pipe: Any, *, parent: int) -> None:  # noqa: ANN401 - a connection, untyped
     """Do what comes through a pipe, and tell where that is and what came of it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # one here is a plug-in's: the user's goes above
+    signal.signal(
+        signal.SIGINT, signal.SIG_IGN
+    )  # one here is a plug-in's: the user's goes above
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     here.tell = lambda at: pipe.send_bytes(*_packed("at", at))
-    # What was imported stays, and arrays form no circles: to look for them takes one second of 20.
+    # What was imported stays, and arrays form no circles: to look for them takes one
+    # second of 20.
     gc.disable()
     libc = _glibc()
     function: Any = None
@@ -360,7 +394,9 @@ def _received(pipe: Any) -> Any:  # noqa: ANN401 - a connection, untyped
 def _as_it_is() -> Callable[[], None]:
     """Return what undoes that a plug-in changes its process: how deep calls go, who hears it."""
     limit = sys.getrecursionlimit()
-    np.seterr(all="warn", under="ignore")  # as numpy begins, whatever a plug-in's module set
+    np.seterr(
+        all="warn", under="ignore"
+    )  # as numpy begins, whatever a plug-in's module set
     if not _heard:
         with contextlib.suppress(OSError):  # nobody listens
             _heard.update({number: os.dup(number) for number in (1, 2)})

@@ -1,7 +1,7 @@
 """Section c of the verdict: the paper's claim that FID has the advantage over fixed noise.
 
-At equal missed rate: descriptors as shared, the same after attack, and who is linked. Of FID, and
-of any other mechanism of the run that has levels.
+At equal missed rate: descriptors as shared, the same after attack, and who is linked.
+Of FID, and of any other mechanism of the run that has levels.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -48,16 +48,19 @@ def claims(
 ) -> Iterator[Draft]:
     """Yield an item for everything that is compared where `predictor` misses as many more.
 
-    Of FID, and of any other mechanism of the run that has levels. The rises over raw, which is one
-    for both mechanisms, are fixed beforehand; those that either does not reach are listed.
-    `horizon_s` is the further horizon, if it is one, that the robots of `sweeps` are judged at.
+    Of FID, and of any other mechanism of the run that has levels. The rises over raw,
+    which is one for both mechanisms, are fixed beforehand; those that either does not
+    reach are listed. `horizon_s` is the further horizon, if it is one, that the robots
+    of `sweeps` are judged at.
     """
     wanted = {AS_SHARED.measure(descriptor): AS_IS for descriptor in DESCRIPTORS}
     for task, source in strongest.items():
         by_rank = (success_of(sweeps.found, source),)
         metrics, of = (by_rank, LINKED) if task else (DESCRIPTORS, AFTER)
         wanted |= dict.fromkeys(map(source.measure, metrics), of)
-    costs = {Measure(predictor, metric): criterion for criterion, metric in CRITERIA.items()}
+    costs = {
+        Measure(predictor, metric): criterion for criterion, metric in CRITERIA.items()
+    }
     costs = {by: criterion for by, criterion in costs.items() if criterion in criteria}
     for adding in ADDING_RULES:
         fixed = sweeps.named(FIXED, adding=adding)
@@ -122,7 +125,9 @@ def _claim(
     ]
     source = measure.source
     descriptor = "" if about.compared == LINKED else measure.metric
-    gallery = "100" if measure.metric == SUCCESS_OF_100 else "the candidates of this run"
+    gallery = (
+        "100" if measure.metric == SUCCESS_OF_100 else "the candidates of this run"
+    )
     where = about.where
     who = mechanism or "FID"
     what = {
@@ -130,7 +135,9 @@ def _claim(
         AFTER: f"{NAME.get(descriptor, '')} after {source.consumer}",
         LINKED: f"the share of people found among {gallery} in {source.task}",
     }[about.compared]
-    share = f", {100 * relative:+.0f} % of fixed noise's" if np.isfinite(relative) else ""
+    share = (
+        f", {100 * relative:+.0f} % of fixed noise's" if np.isfinite(relative) else ""
+    )
     than = f"under {who} than under fixed noise: {{}}{share}."
     least = f"{100 * targets[0]:g} points"
     return Draft(
@@ -150,12 +157,18 @@ def _claim(
             rules.BETWEEN: f"{where}, {who} less fixed noise in {what} is {{}}.",
             "": f"{where}, {what} cannot be compared.",
         },
-        untestable="" if reached.any() else f"not both surely miss {least} more than raw",
+        untestable=(
+            "" if reached.any() else f"not both surely miss {least} more than raw"
+        ),
         details={
             "of": about.compared,
             **({"metric": measure.metric} if about.compared == LINKED else {}),
             "relative": known(relative),
-            "range": [float(targets[reached][place]) for place in (0, -1)] if points else None,
+            "range": (
+                [float(targets[reached][place]) for place in (0, -1)]
+                if points
+                else None
+            ),
             "unreached": targets[~reached].tolist(),
             "points": points,
             **({"mechanism": mechanism} if mechanism else {}),

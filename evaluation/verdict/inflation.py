@@ -47,9 +47,14 @@ def _inflated(
         below=rules.DEFLATED,
         unit="ratio",
         sentences={
-            "": f"After {attack.label} {NAME[descriptor]} under {name} ({adding} adding) is {{}} "
-            "what it was as shared (geometric mean over the levels)."
+            "": (
+                f"After {attack.label} {NAME[descriptor]} under {name} ({adding}"
+                " adding) is {} what it was as shared (geometric mean over the"
+                " levels)."
+            )
         },
-        untestable="" if np.isfinite(mean[0]) else f"{NAME[descriptor]} is 0 at a level",
+        untestable=(
+            "" if np.isfinite(mean[0]) else f"{NAME[descriptor]} is 0 at a level"
+        ),
         details={"of": name, "levels": len(levels)},
     )

@@ -1,10 +1,10 @@
 """Items of a section that are decided at once, by simultaneous bands: `verdict.json`.
 
-Each item has an effect theta with its standard error s and replicates that share their draws of
-people with all others. The bands theta +- q s of a section hold the truth of all its items at once
-in `rules.BAND_COVERAGE` of studies, q being that quantile over replicates of max |theta* - theta|
-/ s (max-t); where tails are heavy s is larger (`scale`). An item is decided if its band is on one
-side of what parts its two answers.
+Each item has an effect theta with its standard error s and replicates that share their
+draws of people with all others. The bands theta +- q s of a section hold the truth of
+all its items at once in `rules.BAND_COVERAGE` of studies, q being that quantile over
+replicates of max |theta* - theta| / s (max-t); where tails are heavy s is larger
+(`scale`). An item is decided if its band is on one side of what parts its two answers.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -37,7 +37,9 @@ class Draft:
     unit: str
     sentences: Mapping[str, str]  # By decision, "" all others; ``{}`` is the effect.
     subject: str = ""  # The attack that it is about, if it is about one.
-    untestable: str = ""  # Why nothing can be decided, where more than people is lacking.
+    untestable: str = (
+        ""  # Why nothing can be decided, where more than people is lacking.
+    )
     descriptor: str = ""
     task: str = ""
     criterion: str = ""
@@ -51,10 +53,20 @@ class Draft:
     @property
     def names(self) -> list[str]:
         """What identifies the item in its section, the same in every run."""
-        of, mechanism = (str(self.details.get(name, "")) for name in ("of", "mechanism"))
+        of, mechanism = (
+            str(self.details.get(name, "")) for name in ("of", "mechanism")
+        )
         horizon_s = self.details.get("horizon_s")
         horizon = "" if horizon_s is None else horizon_world(horizon_s)
-        every = (self.adding, self.criterion, horizon, of, self.descriptor, self.task, mechanism)
+        every = (
+            self.adding,
+            self.criterion,
+            horizon,
+            of,
+            self.descriptor,
+            self.task,
+            mechanism,
+        )
         return [name for name in every if name]
 
     @property
@@ -68,7 +80,11 @@ class Draft:
         if effective < FEWEST_EFFECTIVE:
             fewest = f"a decision takes {FEWEST_EFFECTIVE}"
             return f"it rests on {effective:.0f} effective clusters of people, {fewest}"
-        return "" if error > rules.NO_SPREAD else "the people of the run do not differ: no spread"
+        return (
+            ""
+            if error > rules.NO_SPREAD
+            else "the people of the run do not differ: no spread"
+        )
 
 
 def decided(section: str, drafts: Iterable[Draft]) -> list[dict[str, Any]]:
@@ -78,10 +94,13 @@ def decided(section: str, drafts: Iterable[Draft]) -> list[dict[str, Any]]:
     return [_item(section, one, q) for one in drafts]
 
 
-def critical(effects: Sequence[Estimate], coverage: float = rules.BAND_COVERAGE) -> float:
+def critical(
+    effects: Sequence[Estimate], coverage: float = rules.BAND_COVERAGE
+) -> float:
     """Return the quantile over replicates of the largest deviation over its scale; 0 without any.
 
-    Replicates of all effects share their draws, row by row; what an effect lacks is not counted.
+    Replicates of all effects share their draws, row by row; what an effect lacks is not
+    counted.
     """
     n_rows = min((one.replicates.size for one in effects), default=0)
     largest = np.zeros(max(n_rows, 1))
@@ -94,11 +113,16 @@ def critical(effects: Sequence[Estimate], coverage: float = rules.BAND_COVERAGE)
 def scale(effect: Estimate) -> float:
     """Return the unit of a deviation: the standard error, or more where tails are heavier.
 
-    Of a normal law both are the same. An effect that is read where a curve is steep has a few wild
-    replicates; with its standard error as the unit, these would widen the bands of all others.
+    Of a normal law both are the same. An effect that is read where a curve is steep has
+    a few wild replicates; with its standard error as the unit, these would widen the
+    bands of all others.
     """
     away = np.abs(effect.replicates - effect.value)
-    far = float(np.quantile(away[np.isfinite(away)], _FAR)) if np.isfinite(away).any() else 0.0
+    far = (
+        float(np.quantile(away[np.isfinite(away)], _FAR))
+        if np.isfinite(away).any()
+        else 0.0
+    )
     return max(effect.standard_error, far / float(ndtri(0.5 + _FAR / 2)))
 
 
@@ -118,7 +142,9 @@ def _item(section: str, draft: Draft, q: float) -> dict[str, Any]:
     decision = draft.above if band_low > draft.parted_at else decision
     decision = draft.below if band_high < draft.parted_at else decision
     told = [effect.value, low, high, band_low, band_high]
-    value, low, high, band_low, band_high = map(float, np.exp(told) if is_ratio else told)
+    value, low, high, band_low, band_high = map(
+        float, np.exp(told) if is_ratio else told
+    )
     if decision == BETWEEN:
         ends = (rules.written(one, draft.unit) for one in (band_low, band_high))
         why = f"the band, over all items of the section, is from {' to '.join(ends)}"

@@ -1,7 +1,8 @@
 """Which mechanisms are compared with fixed noise at equal descriptor value, and how they differ.
 
-The panel is fixed by the preset: FID at three places, and every level of its other mechanisms under
-an adding rule. What a user adds is listed beside it. `contrasts` makes what `spread` decides on.
+The panel is fixed by the preset: FID at three places, and every level of its other
+mechanisms under an adding rule. What a user adds is listed beside it. `contrasts` makes
+what `spread` decides on.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,7 +30,9 @@ from isac_track.intervals import (
 from isac_track.types import Floats, Ints
 
 N_REPLICATES: Final = 1000
-OFFSET: Final = "offset"  # Moves a whole walk: who links where the frame is hidden cannot notice.
+OFFSET: Final = (
+    "offset"  # Moves a whole walk: who links where the frame is hidden cannot notice.
+)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -65,12 +68,16 @@ class Panel:
     fid: list[int]  # Alike; empty without a sweep.
     others: list[int]  # Of the preset.
     beside: list[int]  # Of the user, or a protection.
-    missing: str  # What the panel lacks; empty if it is whole, with a dissociation control.
+    missing: (
+        str  # What the panel lacks; empty if it is whole, with a dissociation control.
+    )
 
     def is_hidden(self, place: int) -> bool:
         """Return whether a level changes only what the task hides: a difference by construction."""
         task = TASKS.get(self.task.task)
-        return self.families[place] == OFFSET and task is not None and not task.shows_scene
+        return (
+            self.families[place] == OFFSET and task is not None and not task.shows_scene
+        )
 
     @property
     def compared(self) -> list[int]:
@@ -91,13 +98,21 @@ def panel(
     plain: dict[str, list[int]] = {}
     for family in (FIXED, FID):
         alike = family, adding, ""
-        same = [n for n, one in enumerate(of) if (one.family, one.adding, one.parameters) == alike]
-        same.sort(key=lambda place: task.levels[place].level or 0.0, reverse=family == FIXED)
+        same = [
+            n
+            for n, one in enumerate(of)
+            if (one.family, one.adding, one.parameters) == alike
+        ]
+        same.sort(
+            key=lambda place: task.levels[place].level or 0.0, reverse=family == FIXED
+        )
         plain[family] = same + raw if len(same) >= FEWEST_LEVELS else []
     if not raw or not plain[FIXED]:
         return None
     swept = {*plain[FIXED], *plain[FID]}
-    added = [place for place, one in enumerate(of) if one.is_added and adding in one.rules]
+    added = [
+        place for place, one in enumerate(of) if one.is_added and adding in one.rules
+    ]
     judged = [place for place in added if place not in swept]
     where = [(level.mechanism, level.level) for level in task.levels]
     others = [place for place in judged if where[place] in wanted]
@@ -119,11 +134,15 @@ def panel(
         fid=plain[FID],
         others=others,
         beside=[place for place in judged if place not in others],
-        missing=missing if others or missing else "the panel has no dissociation control",
+        missing=(
+            missing if others or missing else "the panel has no dissociation control"
+        ),
     )
 
 
-def drawn_weights(task: LinkedTask, every: Sequence[LinkedTask], dataset: str, seed: int) -> Floats:
+def drawn_weights(
+    task: LinkedTask, every: Sequence[LinkedTask], dataset: str, seed: int
+) -> Floats:
     """Return the weights of a task's clusters: all, bootstrap draws, and each left out in turn.
 
     (1 + B + C, C). People of one recording are drawn alike in all of its tasks.
@@ -151,16 +170,26 @@ def contrasts(
     """Return the contrasts of FID at quartiles and of others; `rates` are `Sums.drawn` of all."""
     (success, shows), fixed = rates, of.fixed
     others = list(others)
-    at, reached, own = shows[:, others], success[:, others], np.eye(len(sums.probes))[others]
+    at, reached, own = (
+        shows[:, others],
+        success[:, others],
+        np.eye(len(sums.probes))[others],
+    )
     if fid:
         swept = list(fid)
-        *both, where = spread.at_quartiles(shows[:, swept], success[:, swept], shows[:, fixed])
+        *both, where = spread.at_quartiles(
+            shows[:, swept], success[:, swept], shows[:, fixed]
+        )
         at, reached = np.hstack([both[0], at]), np.hstack([both[1], reached])
         own = np.vstack([_over(swept, where, own.shape[1]), own])
-    gaps, side, where = spread.beside_fixed(at, reached, (shows[:, fixed], success[:, fixed]))
+    gaps, side, where = spread.beside_fixed(
+        at, reached, (shows[:, fixed], success[:, fixed])
+    )
     n_drawn = 1 + N_REPLICATES
     # Of few replicates nothing is known, say where nobody with a value was drawn.
-    is_known = np.isfinite(gaps[0]) & (np.isfinite(gaps[:n_drawn]).mean(axis=0) >= MIN_DEFINED)
+    is_known = np.isfinite(gaps[0]) & (
+        np.isfinite(gaps[:n_drawn]).mean(axis=0) >= MIN_DEFINED
+    )
     gaps = _filled(gaps)
     errors = spread.standard_error(gaps[1:n_drawn], gaps[n_drawn:])
     effective, people = sums.sizes
@@ -177,10 +206,16 @@ def contrasts(
     is_shown = is_known & (degrees + 1.0 >= LEAST_CLUSTERS) & ~is_still
     is_known = is_shown & (degrees + 1.0 >= FEWEST_EFFECTIVE)
     least, raw = fixed[0], fixed[-1]
-    floor = np.maximum(spread.LEAST_SHARE * np.nan_to_num(shows[0, raw]), rules.NO_SPREAD)
-    ratio = np.log(np.maximum(shows[:, raw], floor) / np.maximum(shows[:, least], floor))
+    floor = np.maximum(
+        spread.LEAST_SHARE * np.nan_to_num(shows[0, raw]), rules.NO_SPREAD
+    )
+    ratio = np.log(
+        np.maximum(shows[:, raw], floor) / np.maximum(shows[:, least], floor)
+    )
     whole_range = _filled(np.column_stack([success[:, raw] - success[:, least], ratio]))
-    fall_error, span_error = spread.standard_error(whole_range[1:n_drawn], whole_range[n_drawn:])
+    fall_error, span_error = spread.standard_error(
+        whole_range[1:n_drawn], whole_range[n_drawn:]
+    )
     return Contrasts(
         gaps=gaps[:n_drawn],
         errors=np.where(is_shown, errors, np.nan),
@@ -189,7 +224,8 @@ def contrasts(
         people=np.where(rests_on, people, people.max()).min(axis=1),
         discordant=discordant,
         decides=np.array(
-            [True] * (len(side) - len(others)) + [not of.is_hidden(place) for place in others],
+            [True] * (len(side) - len(others))
+            + [not of.is_hidden(place) for place in others],
             dtype=np.bool_,
         ),
         fall=whole_range[:n_drawn, 0],

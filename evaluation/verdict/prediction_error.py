@@ -1,9 +1,9 @@
 """How well a descriptor foretells who is linked under a kind of noise that it was not fitted to.
 
-It decides nothing. One kind of mechanism is left out at a time; the others give the curve from
-descriptor to linkage (isotonic, interpolated), which is read at the levels left out. PE^2 is the
-mean of e^2 - s^2, e the error and s its standard error: what sampling alone would give is taken
-off. Kinds weigh alike, and so do the levels of one.
+It decides nothing. One kind of mechanism is left out at a time; the others give the
+curve from descriptor to linkage (isotonic, interpolated), which is read at the levels
+left out. PE^2 is the mean of e^2 - s^2, e the error and s its standard error: what
+sampling alone would give is taken off. Kinds weigh alike, and so do the levels of one.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,8 @@ WHITE: Final = (RAW, FIXED, FID, "laplace")  # Families that are one kind.
 class Squared:
     """A squared error; those of one task may be subtracted, since people are drawn alike."""
 
-    drawn: Floats  # (1 + B,) estimate and replicates; below 0 where sampling alone explains more
+    # (1 + B,) estimate and replicates; below 0 where sampling alone explains more
+    drawn: Floats
     centre: float  # What the replicates are of: nothing is taken off.
 
     @property
@@ -36,7 +37,9 @@ class Squared:
     @property
     def roots(self) -> tuple[float, float, float]:
         """Return the error and its interval as fractions of people, at least 0."""
-        value, low, high = np.sqrt(np.maximum([self.drawn[0], *self.ends], 0.0)).tolist()
+        value, low, high = np.sqrt(
+            np.maximum([self.drawn[0], *self.ends], 0.0)
+        ).tolist()
         return value, low, high
 
     def less(self, other: "Squared") -> "Squared":
@@ -49,8 +52,9 @@ def prediction_errors(
 ) -> tuple[Squared, Squared] | None:
     """Return the squared error of a descriptor, and that of the mean of the other kinds.
 
-    None if fewer than two of the `kinds`, (L,), have a descriptor. `descriptor` and `success`,
-    (1 + B, L), are at all levels, raw among them; it rises with what is left of a track.
+    None if fewer than two of the `kinds`, (L,), have a descriptor. `descriptor` and
+    `success`, (1 + B, L), are at all levels, raw among them; it rises with what is left
+    of a track.
     """
     has_value = np.isfinite(descriptor).all(axis=0) & np.isfinite(success).all(axis=0)
     told = np.array(kinds)[has_value]
@@ -64,7 +68,9 @@ def prediction_errors(
         out = told == name
         # A curve through the levels of all others; flat beyond its ends.
         order = np.argsort(scale[:, ~out], axis=1, kind="stable")
-        x, y = (np.take_along_axis(one[:, ~out], order, axis=1) for one in (scale, reached))
+        x, y = (
+            np.take_along_axis(one[:, ~out], order, axis=1) for one in (scale, reached)
+        )
         foretold = interpolated(nearest_places(scale[:, out], x), rising(y), log=False)
         null = np.delete(means, place, axis=0).mean(axis=0)[:, None]
         rows.append([_squares(reached[:, out] - one) for one in (foretold, null)])

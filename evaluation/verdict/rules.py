@@ -1,7 +1,8 @@
 """What counts as decided: margins, the least of people, and the names of decisions.
 
-All was set before looking. How an item of the verdict is told, in words and in JSON, is here, too;
-what decides it is in `spread` (validity) and `items` (all else), in words in docs/verdict.md.
+All was set before looking. How an item of the verdict is told, in words and in JSON, is
+here, too; what decides it is in `spread` (validity) and `items` (all else), in words in
+docs/verdict.md.
 """
 
 from typing import Any, Final
@@ -25,15 +26,27 @@ SIGN: Final = {  # Of a decision.
 
 VALIDITY, WITHIN, CLAIM, INFLATION = "validity", "within", "claim", "inflation"
 SECTIONS: Final = (VALIDITY, WITHIN, CLAIM, INFLATION)
-BAND_COVERAGE: Final = 0.992  # Share of studies in which the bands of a section hold all truths.
-SUCCESS_MARGIN: Final = 0.05  # Difference in rank 1 that counts as none: five people in a hundred.
-LEAST_SPAN: Final = 1.25  # Of a descriptor, raw over the strongest fixed error: less says nothing.
+BAND_COVERAGE: Final = (
+    0.992  # Share of studies in which the bands of a section hold all truths.
+)
+SUCCESS_MARGIN: Final = (
+    0.05  # Difference in rank 1 that counts as none: five people in a hundred.
+)
+LEAST_SPAN: Final = (
+    1.25  # Of a descriptor, raw over the strongest fixed error: less says nothing.
+)
 LEAST_CORRELATION: Final = 0.10  # Partial, of ranks: less tells nothing of a track.
-LEAST_FALL: Final = 0.20  # Of linkage, raw to the strongest fixed error: else anything would track.
-FEWEST_DISCORDANT: Final = 10  # People linked under one of two only; fewer: interval of counts.
+LEAST_FALL: Final = (
+    0.20  # Of linkage, raw to the strongest fixed error: else anything would track.
+)
+FEWEST_DISCORDANT: Final = (
+    10  # People linked under one of two only; fewer: interval of counts.
+)
 NO_SPREAD: Final = 1e-9  # Standard error below which replicates say nothing.
 MOST_PEOPLE: Final = 100_000  # Or times as many: nobody records more.
-REACH: Final = 0.02  # Share of its span by which a point may lie beyond the fixed sweep.
+REACH: Final = (
+    0.02  # Share of its span by which a point may lie beyond the fixed sweep.
+)
 
 
 def numbers(one: Estimate) -> dict[str, Any]:
@@ -47,11 +60,13 @@ def known(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def with_interval(one: Estimate, unit: str, *, signed: bool = False, absolute: bool = False) -> str:
+def with_interval(
+    one: Estimate, unit: str, *, signed: bool = False, absolute: bool = False
+) -> str:
     """Return an effect with its interval as people write it: +3.1 points [+1.0, +5.2].
 
-    `unit` is `fraction` in points of a hundred, `share` the same as a bare number, `s`, `ratio` or
-    `correlation`; `absolute` turns it so that the effect is positive.
+    `unit` is `fraction` in points of a hundred, `share` the same as a bare number, `s`,
+    `ratio` or `correlation`; `absolute` turns it so that the effect is positive.
     """
     scale, digits = (100.0, 1) if unit in {"fraction", "share"} else (1.0, 2)
     found = [scale * number for number in (one.value, one.ci_low, one.ci_high)]
@@ -59,9 +74,15 @@ def with_interval(one: Estimate, unit: str, *, signed: bool = False, absolute: b
         found = [-found[0], -found[2], -found[1]]
     if not np.isfinite(found[0]):
         return "unknown"
-    value, low, high = (f"{number:{'+' if signed else ''}.{digits}f}" for number in found)
+    value, low, high = (
+        f"{number:{'+' if signed else ''}.{digits}f}" for number in found
+    )
     word = {"fraction": " points", "s": " s", "ratio": " times"}.get(unit, "")
-    return f"{value}{word} [{low}, {high}]" if np.isfinite(found[1:]).all() else f"{value}{word}"
+    return (
+        f"{value}{word} [{low}, {high}]"
+        if np.isfinite(found[1:]).all()
+        else f"{value}{word}"
+    )
 
 
 def written(value: float, unit: str) -> str:

@@ -1,9 +1,10 @@
 """The verdict: do PLR, AEL and MEL track real linkability? `verdict.json`.
 
-Four sections, each under both adding rules: *validity* across mechanisms, validity *within* a
-level, the paper's *claim* that FID has the advantage over fixed noise at equal missed rate, and
-*inflation*: how much higher each descriptor is after the strongest attack than as shared. What
-decides is in `rules`, in words in docs/verdict.md.
+Four sections, each under both adding rules: *validity* across mechanisms, validity
+*within* a level, the paper's *claim* that FID has the advantage over fixed noise at
+equal missed rate, and *inflation*: how much higher each descriptor is after the
+strongest attack than as shared. What decides is in `rules`, in words in
+docs/verdict.md.
 """
 
 import json
@@ -31,8 +32,8 @@ def of_people(
 ) -> dict[str, list[dict[str, Any]]]:
     """Return the parts of a verdict that rest on who is linked: both of validity.
 
-    `levels` are by task who is linked at each level by its strongest linker, which `strongest`
-    names. Of `sweeps` the levels are asked for, no estimate.
+    `levels` are by task who is linked at each level by its strongest linker, which
+    `strongest` names. Of `sweeps` the levels are asked for, no estimate.
     """
     success = {task: linker for task, linker in strongest.items() if task}
     seed = manifest["identity"]["seed"]
@@ -43,7 +44,9 @@ def of_people(
         dataset=manifest["dataset"]["name"],
         seed=seed,
     )
-    found["items"] += decided(rules.WITHIN, within(levels, sweeps, success=success, seed=seed))
+    found["items"] += decided(
+        rules.WITHIN, within(levels, sweeps, success=success, seed=seed)
+    )
     return found
 
 
@@ -58,11 +61,12 @@ def verdict(
 ) -> dict[str, Any]:
     """Return the verdict of a run as in `verdict.json`.
 
-    The claim is read with the first predictor of the run. `across` is what `of_people` returns;
-    `strongest` is by task its strongest linker, under "" the strongest reconstruction. `scored`
-    are by task and by the metric that ranks whom either half of the people chose: from these come
-    the numbers in `sweeps` that bear the strongest's name. `later` are the same with robots judged
-    at further horizons, s: there the claim is read with conflicts that are still to come.
+    The claim is read with the first predictor of the run. `across` is what `of_people`
+    returns; `strongest` is by task its strongest linker, under "" the strongest
+    reconstruction. `scored` are by task and by the metric that ranks whom either half
+    of the people chose: from these come the numbers in `sweeps` that bear the
+    strongest's name. `later` are the same with robots judged at further horizons, s:
+    there the claim is read with conflicts that are still to come.
     """
     attacks = [attack for task, attack in strongest.items() if not task]
     dataset = manifest["dataset"]
@@ -71,7 +75,11 @@ def verdict(
         claims += claim.claims(sweeps, strongest, predictor=predictor)
         for horizon_s, at_horizon in (later or {}).items():
             claims += claim.claims(
-                at_horizon, strongest, predictor=predictor, criteria=(FUTURE,), horizon_s=horizon_s
+                at_horizon,
+                strongest,
+                predictor=predictor,
+                criteria=(FUTURE,),
+                horizon_s=horizon_s,
             )
     items = [
         *across["items"],
@@ -84,7 +92,8 @@ def verdict(
             choices = (scored or {}).get(item["task"], {})
             ranked = EXPOSURE if is_after else str(item.get("metric"))
             labels = [
-                choice.label.removeprefix(f"{item['task']}/") for choice in choices.get(ranked, ())
+                choice.label.removeprefix(f"{item['task']}/")
+                for choice in choices.get(ranked, ())
             ]
             if {*labels} - {item["subject"]}:
                 item["scored"] = labels
@@ -104,14 +113,20 @@ def verdict(
                 "span": rules.LEAST_SPAN,
                 "clusters": FEWEST_EFFECTIVE,
             },
-            "text": "A descriptor does not track if the lower end of the spread is above 5 of 100 "
-            "people; that errs on 2.5 % of pages. It tracks if the upper end is below 5; that errs "
-            "in 2.5 % of items. The three other sections are decided by bands. All bands of a "
-            f"section hold at once in {100 * rules.BAND_COVERAGE:g} % of studies, and an item is "
-            "decided if its band lies on one side. Each 95 % interval stands by itself.",
+            "text": (
+                "A descriptor does not track if the lower end of the spread is above 5"
+                " of 100 people; that errs on 2.5 % of pages. It tracks if the upper"
+                " end is below 5; that errs in 2.5 % of items. The three other"
+                " sections are decided by bands. All bands of a section hold at once"
+                f" in {100 * rules.BAND_COVERAGE:g} % of studies, and an item is"
+                " decided if its band lies on one side. Each 95 % interval stands by"
+                " itself."
+            ),
         },
         "counts": {
-            name: dict(Counter(one["decision"] for one in items if one["section"] == name))
+            name: dict(
+                Counter(one["decision"] for one in items if one["section"] == name)
+            )
             for name in rules.SECTIONS
         },
         "items": items,

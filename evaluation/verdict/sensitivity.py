@@ -20,10 +20,23 @@ LOST, GAINED, MISSING = "lost", "gained", "missing"
 CHANGES: Final = (SAME, NEITHER, TURNED, LOST, GAINED, MISSING)
 COLUMNS: Final = (
     *("variant", "id", "section", "adding", "descriptor", "task", "subject"),
-    *("decision_base", "decision", "effect_base", "effect", "ci_low", "ci_high", "unit", "n"),
+    *(
+        "decision_base",
+        "decision",
+        "effect_base",
+        "effect",
+        "ci_low",
+        "ci_high",
+        "unit",
+        "n",
+    ),
     *("sign_base", "sign", "changed"),
 )
-_SAME: Final = ("seed", "scenes", "scenes_utility")  # Of identity; what is not there is the same.
+_SAME: Final = (
+    "seed",
+    "scenes",
+    "scenes_utility",
+)  # Of identity; what is not there is the same.
 _THEIRS: Final = ("decision", "effect", "ci_low", "ci_high", "n", "sign")
 """Columns of the variant's own item; unknown without one."""
 
@@ -31,12 +44,15 @@ _THEIRS: Final = ("decision", "effect", "ci_low", "ci_high", "n", "sign")
 def attacks_of(items: Iterable[Mapping[str, Any]]) -> dict[str, frozenset[str]]:
     """Return the SPECs of the attacks that a verdict is about, each with its tasks.
 
-    Those are the subjects of its items, and of the contrasts in which a mechanism differs from
-    fixed noise. A reconstruction has the task "". `items` are as in `verdict.json`.
+    Those are the subjects of its items, and of the contrasts in which a mechanism
+    differs from fixed noise. A reconstruction has the task "". `items` are as in
+    `verdict.json`.
     """
     found: defaultdict[str, set[str]] = defaultdict(set)
     for one in items:
-        apart = [pair for pair in one.get("contrasts", ()) if pair["reading"] == "differs"]
+        apart = [
+            pair for pair in one.get("contrasts", ()) if pair["reading"] == "differs"
+        ]
         others = (*one.get("scored", ()), *(pair.get("subject") for pair in apart))
         for subject in filter(None, (one["subject"], *others)):
             found[subject.rpartition(" (")[0]].add(one["task"])
@@ -61,7 +77,9 @@ def changes(
             {
                 **{name: one[name] for name in COLUMNS if name in one},
                 **{name: theirs[name] for name in _THEIRS},
-                **{f"{name}_base": one[name] for name in ("decision", "effect", "sign")},
+                **{
+                    f"{name}_base": one[name] for name in ("decision", "effect", "sign")
+                },
                 "subject": (other or one)["subject"],
                 "variant": variant,
                 "changed": changed,
@@ -87,13 +105,15 @@ def read_verdict(out: Path) -> dict[str, Any]:
 def collect(out: Path) -> tuple[pd.DataFrame, dict[str, str]]:
     """Return all finished variants of a run as one table, and which ones are left out, and why.
 
-    The base is held against the verdict of OUT, every other variant against the base. DataError if
-    the run or the base has no verdict.
+    The base is held against the verdict of OUT, every other variant against the base.
+    DataError if the run or the base has no verdict.
     """
     base = read_verdict(folder_of(out, BASE))
     reference = read_manifest(folder_of(out, BASE))
     order = {one.name: place for place, one in enumerate(variants())}
-    names = {unquote_plus(one.name) for one in (out / FOLDER).iterdir() if one.is_dir()} - {BASE}
+    names = {
+        unquote_plus(one.name) for one in (out / FOLDER).iterdir() if one.is_dir()
+    } - {BASE}
     rows, left_out = changes(BASE, base=read_verdict(out), said=base), {}
     for name in sorted(names, key=lambda one: (order.get(one, len(order)), one)):
         folder = folder_of(out, name)
@@ -116,7 +136,9 @@ def collect(out: Path) -> tuple[pd.DataFrame, dict[str, str]]:
 def counts(rows: pd.DataFrame) -> dict[str, dict[str, dict[str, int]]]:
     """Return how many items of a section changed in which way: variant, section, change."""
     found: dict[str, dict[str, dict[str, int]]] = {}
-    for (variant, section), changed in rows.groupby(["variant", "section"], sort=False)["changed"]:
+    for (variant, section), changed in rows.groupby(["variant", "section"], sort=False)[
+        "changed"
+    ]:
         number = changed.value_counts()
         found.setdefault(str(variant), {})[str(section)] = {
             change: int(number[change]) for change in CHANGES if change in number

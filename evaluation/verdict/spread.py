@@ -1,10 +1,11 @@
 """How far apart mechanisms lie in linkage at one value of a descriptor, and what follows from it.
 
-With D_k, how much more often people are linked under mechanism level k than under fixed noise at
-one descriptor value, the spread is theta = max |D_k| over a panel. Its naive estimate is far too
-high (the largest of several noisy numbers); here are its ends, a value that is as often too low as
-too high where all are equal (Chernozhukov, Lee and Rosen, Econometrica 81, 2013), the decision, and
-what people could show at all. Rows are draws of them (the estimate first), columns contrasts.
+With D_k, how much more often people are linked under mechanism level k than under fixed
+noise at one descriptor value, the spread is theta = max |D_k| over a panel. Its naive
+estimate is far too high (the largest of several noisy numbers); here are its ends, a
+value that is as often too low as too high where all are equal (Chernozhukov, Lee and
+Rosen, Econometrica 81, 2013), the decision, and what people could show at all. Rows are
+draws of them (the estimate first), columns contrasts.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,13 +21,20 @@ from evaluation.verdict import rules
 from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE
 from isac_track.types import Bools, Floats, Ints
 
-QUARTILES: Final = (0.25, 0.5, 0.75)  # Of the common range of the logarithm: where FID is read.
+QUARTILES: Final = (
+    0.25,
+    0.5,
+    0.75,
+)  # Of the common range of the logarithm: where FID is read.
 BOTH, ONLY_MORE, ONLY_FEWER, NEITHER = 0, 1, -1, 2  # What can be tested of a contrast.
 ANSWERS: Final = (rules.NOT_TESTABLE, rules.DOES_NOT, rules.TRACKS, rules.BETWEEN)
 """By the codes of `decided`."""
 _TAIL: Final = 0.5 + CONFIDENCE / 2
 EQUAL: Final = "all equal"
-PLANTED: Final = {"10 points in one family": 0.10, "15 points in one family": 0.15}  # Other truths.
+PLANTED: Final = {
+    "10 points in one family": 0.10,
+    "15 points in one family": 0.15,
+}  # Other truths.
 WANTED: Final = 0.8  # Probability with which a true equal is to be shown.
 LEAST_SHARE: Final = 0.01  # Of the descriptor at raw: logarithms are taken of no less.
 
@@ -37,8 +45,10 @@ class Contrasts:
 
     gaps: Floats  # (1 + B, K) D_k and its bootstrap replicates
     errors: Floats  # (K,) standard error of D_k; NaN where nothing is known
-    side: Ints  # (K,) `BOTH`, `ONLY_MORE` below the fixed sweep, `ONLY_FEWER` above raw, `NEITHER`
-    degrees: Floats  # (K,) effective clusters less one, the least over all that a contrast rests on
+    # (K,) `BOTH`, `ONLY_MORE` below the fixed sweep, `ONLY_FEWER` above raw, `NEITHER`
+    side: Ints
+    # (K,) effective clusters less one, the least over all that a contrast rests on
+    degrees: Floats
     people: Ints  # (K,) clusters, likewise
     discordant: Floats
     """(3, K) shares of people linked more and less often than under fixed noise; how many in all"""
@@ -84,11 +94,14 @@ def ratios(sums: Floats, counts: Floats, weights: Floats) -> Floats:
 def standard_error(drawn: Floats, left_out: Floats) -> Floats:
     """Return the standard error of each column: of the jackknife, or of the bootstrap if larger.
 
-    The jackknife holds with few clusters; where a curve is flat it can miss what replicates,
-    `drawn`, (B, K), show. `left_out`, (C, K), is the estimate with one cluster left out.
+    The jackknife holds with few clusters; where a curve is flat it can miss what
+    replicates, `drawn`, (B, K), show. `left_out`, (C, K), is the estimate with one
+    cluster left out.
     """
     n = len(left_out)
-    jackknife = np.sqrt((n - 1.0) / n * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0))
+    jackknife = np.sqrt(
+        (n - 1.0) / n * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0)
+    )
     return np.asarray(np.maximum(jackknife, drawn.std(axis=0, ddof=1)))
 
 
@@ -97,9 +110,10 @@ def at_quartiles(
 ) -> tuple[Floats, Floats, tuple[Ints, Floats]]:
     """Return a sweep's descriptor and success at three fixed quartiles, (R, 3), and its places.
 
-    The quartiles are of the range of the logarithm that sweep and fixed noise have in common; they
-    are set by the estimate, as a share of the descriptor at raw. `descriptor` and `success`,
-    (R, E), go from the noisiest level to raw, and so does that of `fixed` noise, (R, F).
+    The quartiles are of the range of the logarithm that sweep and fixed noise have in
+    common; they are set by the estimate, as a share of the descriptor at raw.
+    `descriptor` and `success`, (R, E), go from the noisiest level to raw, and so does
+    that of `fixed` noise, (R, F).
     """
     scale = rising(descriptor)
     raw = scale[:, -1:]
@@ -115,15 +129,17 @@ def beside_fixed(
 ) -> tuple[Floats, Ints, tuple[Ints, Floats]]:
     """Return success less that of fixed noise at the same descriptor value, (R, K).
 
-    And of each what can be tested, (K,), and where it is read. Beyond an end of the sweep fixed
-    noise is taken at this end: below its least value it links no more than there, above raw no
-    less, so that one direction can still be shown. `descriptor` and `success` are (R, K), those of
-    `fixed` noise (R, F) from the noisiest level to raw.
+    And of each what can be tested, (K,), and where it is read. Beyond an end of the
+    sweep fixed noise is taken at this end: below its least value it links no more than
+    there, above raw no less, so that one direction can still be shown. `descriptor` and
+    `success` are (R, K), those of `fixed` noise (R, F) from the noisiest level to raw.
     """
     scale, achieved = map(rising, fixed)
     span, below = scale[0, -1] - scale[0, 0], scale[0, -1] - descriptor[0]
     hair = rules.REACH * span
-    side = np.select([below < -hair, below > span + hair], [ONLY_FEWER, ONLY_MORE], BOTH)
+    side = np.select(
+        [below < -hair, below > span + hair], [ONLY_FEWER, ONLY_MORE], BOTH
+    )
     where = nearest_places(descriptor, scale)
     return success - interpolated(where, achieved, log=False), side, where
 
@@ -137,11 +153,13 @@ def mixture(where: tuple[Ints, Floats], n_levels: int) -> Floats:
     return found
 
 
-def exact_ends(more: Floats, fewer: Floats, n: Floats, tail: float) -> tuple[Floats, Floats]:
+def exact_ends(
+    more: Floats, fewer: Floats, n: Floats, tail: float
+) -> tuple[Floats, Floats]:
     """Return the ends of a difference of two shares of the same `n` people, each missed by `tail`.
 
-    Those linked more often and those linked less often have Clopper and Pearson's interval each, at
-    half the tail: exact, and somewhat too wide.
+    Those linked more often and those linked less often have Clopper and Pearson's
+    interval each, at half the tail: exact, and somewhat too wide.
     """
 
     def lowest(hits: Floats) -> Floats:
@@ -162,7 +180,8 @@ def critical(one: Contrasts, furthest: Floats, level: float) -> Floats:
 def widths(one: Contrasts, section: Floats) -> Widths:
     """Return how far the ends lie; `section`, (B,), is `furthest` of all tested together."""
     t = stdtrit(np.maximum(one.degrees, 1.0), _TAIL)
-    # Where counts give every interval there is no q, and the descriptor is uncertain all the same.
+    # Where counts give every interval there is no q, and the descriptor is uncertain
+    # all the same.
     q = np.maximum(critical(one, section, _TAIL), t)
     down, up = q * one.errors, t * one.errors
     if one.is_exact.any():
@@ -170,7 +189,9 @@ def widths(one: Contrasts, section: Floats) -> Widths:
         more, fewer = one.discordant[:2]
         low, high = exact_ends(more, fewer, n, 1.0 - _TAIL)
         up = np.where(one.is_exact, np.maximum(up, np.maximum(high, -low) - size), up)
-        low, high = exact_ends(more, fewer, n, float(ndtr(-np.quantile(section, _TAIL))))
+        low, high = exact_ends(
+            more, fewer, n, float(ndtr(-np.quantile(section, _TAIL)))
+        )
         nearest = np.maximum(np.maximum(low, -high), 0.0)
         down = np.where(one.is_exact, np.maximum(down, size - nearest), down)
     of_fall = float(stdtrit(max(one.fall_degrees, 1.0), _TAIL))
@@ -207,7 +228,10 @@ def decided(
     lower = low[:, one.decides].max(axis=1, initial=0.0)
     # Two shares differ by no more than all people.
     upper = np.minimum(high.max(axis=1, initial=0.0), 1.0)
-    if one.fall_degrees + 1.0 < FEWEST_EFFECTIVE or not one.fall_error > rules.NO_SPREAD:
+    if (
+        one.fall_degrees + 1.0 < FEWEST_EFFECTIVE
+        or not one.fall_error > rules.NO_SPREAD
+    ):
         return np.zeros(len(gaps), dtype=np.int64), lower, upper
     falls = fall - wide.fall
     is_flat = np.abs(span) + wide.span < np.log(rules.LEAST_SPAN)
@@ -230,26 +254,33 @@ def together(every: Sequence[Contrasts]) -> Floats:
     return np.max([one.furthest for one in every], axis=0) if every else np.zeros(0)
 
 
-def answers(one: Contrasts, wide: Widths, families: Sequence[str]) -> dict[str, dict[str, float]]:
+def answers(
+    one: Contrasts, wide: Widths, families: Sequence[str]
+) -> dict[str, dict[str, float]]:
     """Return how probable each answer is if the truth were such: truth, answer, probability.
 
-    From the run's own replicates, moved to the truth: theta + (D_b - D). At the observed effect it
-    would say no more than a p-value (Hoenig and Heisey, The American Statistician 55, 2001). A
-    difference is planted in one family at a time, more and fewer; told is the one found least
-    often. `families` are those of the contrasts, (K,).
+    From the run's own replicates, moved to the truth: theta + (D_b - D). At the
+    observed effect it would say no more than a p-value (Hoenig and Heisey, The American
+    Statistician 55, 2001). A difference is planted in one family at a time, more and
+    fewer; told is the one found least often. `families` are those of the contrasts,
+    (K,).
     """
     around = one.gaps[1:] - one.gaps[0]
     told = np.array(families)
 
     def found(truth: Floats) -> dict[str, float]:
-        codes, *_ = decided(one, wide, gaps=around + truth, fall=one.fall[1:], span=one.span[1:])
+        codes, *_ = decided(
+            one, wide, gaps=around + truth, fall=one.fall[1:], span=one.span[1:]
+        )
         shares = np.bincount(codes, minlength=len(ANSWERS)) / max(codes.size, 1)
         return dict(zip(ANSWERS, shares.tolist(), strict=True))
 
     table = {EQUAL: found(np.zeros(told.size))}
     planted = sorted(set(told[one.decides].tolist()))
     for name, size in PLANTED.items():
-        cases = [found(sign * size * (told == of)) for of, sign in product(planted, (-1, 1))]
+        cases = [
+            found(sign * size * (told == of)) for of, sign in product(planted, (-1, 1))
+        ]
         if cases:
             table[name] = min(cases, key=lambda case: case[rules.DOES_NOT])
     return table
@@ -264,9 +295,9 @@ def of_each(table: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
 def clusters_needed(one: Contrasts, wide: Widths, n: int) -> int | None:
     """Return the clusters at which a true equal is shown with probability `WANTED`.
 
-    All errors shrink with the root of the number of clusters, each of which brings its own noise;
-    the gallery stays. None where no number would do: something cannot be tested, or linkage falls
-    too little. `n` is how many there are.
+    All errors shrink with the root of the number of clusters, each of which brings its
+    own noise; the gallery stays. None where no number would do: something cannot be
+    tested, or linkage falls too little. `n` is how many there are.
     """
     room = float(one.fall[0]) - rules.LEAST_FALL
     if not one.is_whole or (one.side != BOTH).any() or room <= 0:

@@ -1,9 +1,9 @@
 """Section a of the verdict: how often are people linked at equal descriptor value.
 
-Over the levels of one mechanism descriptor and linkability fall together for free. What measures
-linkability does so whatever the mechanism: at one value of it, fixed noise, FID and the
-dissociation controls must let equally many people be linked. Who is compared is in `panel`, what
-follows in `spread`; here are items and words.
+Over the levels of one mechanism descriptor and linkability fall together for free. What
+measures linkability does so whatever the mechanism: at one value of it, fixed noise,
+FID and the dissociation controls must let equally many people be linked. Who is
+compared is in `panel`, what follows in `spread`; here are items and words.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,7 +20,14 @@ from evaluation.verdict import rules, spread
 from evaluation.verdict.panel import Panel, Sums, contrasts, drawn_weights, panel
 from evaluation.verdict.prediction_error import WHITE, Squared, prediction_errors
 from evaluation.verdict.rules import BETWEEN, NAME, known, with_interval
-from evaluation.verdict.spread import BOTH, NEITHER, ONLY_FEWER, ONLY_MORE, Contrasts, Widths
+from evaluation.verdict.spread import (
+    BOTH,
+    NEITHER,
+    ONLY_FEWER,
+    ONLY_MORE,
+    Contrasts,
+    Widths,
+)
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate
 from isac_track.rng import stream
 from isac_track.types import Floats
@@ -28,7 +35,10 @@ from isac_track.types import Floats
 CONSTRUCTION, SHOWN, ATTACKS = "construction", "shown", "attacks"
 """Kinds of evidence: the task hides what the mechanism changes; more people are linked; fewer are,
 as far as these attacks go."""
-FALLING: Final = ("alignment_error", "posterior_std")  # Larger, the less is left of a track.
+FALLING: Final = (
+    "alignment_error",
+    "posterior_std",
+)  # Larger, the less is left of a track.
 _N_FOR_ERRORS: Final = 200  # Replicates that a prediction error is described with.
 OTHER_HALF: Final = "rank 1 of the other half of the people"
 """The positive control: if anything tells how linkable people are, this does."""
@@ -73,23 +83,33 @@ def validity(
     for task in tasks:
         weights = drawn_weights(task, tasks, dataset, seed)
         names = task.levels[0].descriptors
-        drawn = {name: (sums := _sums(task, name), sums.drawn(weights)) for name in names}
+        drawn = {
+            name: (sums := _sums(task, name), sums.drawn(weights)) for name in names
+        }
         half = _half(task, next(iter(drawn.values()))[0], seed)
         for adding in ADDING_RULES:
             of = panel(task, families, adding=adding, preset=preset)
             if of is None:
                 continue
-            errors = {name: _errors(of, name, rates) for name, (_, rates) in drawn.items()}
+            errors = {
+                name: _errors(of, name, rates) for name, (_, rates) in drawn.items()
+            }
             on_trial += _on_trial(of, errors)
             for name in DESCRIPTORS:
                 if name in drawn:
                     sums, rates = drawn[name]
                     own = contrasts(sums, rates, of, others=of.others, fid=of.fid)
-                    more = contrasts(sums, rates, of, others=of.beside) if of.beside else None
+                    more = (
+                        contrasts(sums, rates, of, others=of.beside)
+                        if of.beside
+                        else None
+                    )
                     tested.append(Tested(of, name, own, more, errors[name]))
             own = contrasts(half, half.drawn(weights), of, others=of.others, fid=of.fid)
             halves.append(Tested(of, "", own))
-    section, apart = (spread.together([one.found for one in of]) for of in (tested, halves))
+    section, apart = (
+        spread.together([one.found for one in of]) for of in (tested, halves)
+    )
     return {
         "items": [_item(one, section) for one in tested],
         "controls": [_control(one, apart) for one in halves],
@@ -128,8 +148,14 @@ def _on_trial(of: Panel, errors: Mapping[str, Errors]) -> list[dict[str, Any]]:
             "task": of.task.task,
             "descriptor": name,
             **_error_numbers(errors[name]),
-            "surely_lowest": len(have) > 1
-            and all(one.less(mine).ends[0] > 0 for rival, one in have.items() if rival != name),
+            "surely_lowest": (
+                len(have) > 1
+                and all(
+                    one.less(mine).ends[0] > 0
+                    for rival, one in have.items()
+                    if rival != name
+                )
+            ),
         }
         for name, mine in have.items()
     ]
@@ -146,18 +172,24 @@ def _item(one: Tested, section: Floats) -> dict[str, Any]:
     """Return an item as in `verdict.json`."""
     of, found = one.of, one.found
     wide, answer = _answer(one, section, span=found.span[:1])
-    decision, low, high = (answer[name] for name in ("decision", "spread_low", "spread_high"))
+    decision, low, high = (
+        answer[name] for name in ("decision", "spread_low", "spread_high")
+    )
     compared, beside = _contrasts(of, of.compared, found, wide), []
     if one.beside is not None:
-        beside = _contrasts(of, of.beside, one.beside, spread.widths(one.beside, section))
+        beside = _contrasts(
+            of, of.beside, one.beside, spread.widths(one.beside, section)
+        )
     is_flat = decision == rules.DOES_NOT and low <= rules.SUCCESS_MARGIN
-    # What is so by construction decided nothing. What is equal, and what a flat descriptor misses,
-    # is so as far as these attacks go.
+    # What is so by construction decided nothing. What is equal, and what a flat
+    # descriptor misses, is so as far as these attacks go.
     sure = {gap["evidence"] for gap in compared if gap["reading"] == rules.DIFFERS}
     kinds = sorted(sure - {CONSTRUCTION}) if sure and not is_flat else [ATTACKS]
     answers = spread.answers(found, wide, [of.families[place] for place in of.compared])
     needed = None if is_flat else spread.clusters_needed(found, wide, one.n)
-    why = f"between {_points(low)} and {_points(high)} of 100 people" * (decision == BETWEEN)
+    why = f"between {_points(low)} and {_points(high)} of 100 people" * (
+        decision == BETWEEN
+    )
     said = {
         "id": f"{rules.VALIDITY}/{of.adding}/{one.descriptor}/{of.task.task}",
         "section": rules.VALIDITY,
@@ -189,11 +221,17 @@ def _control(one: Tested, section: Floats) -> dict[str, Any]:
     """Return the record of a positive control: it must not be said to fail."""
     # Of linkage itself any span will do.
     _, answer = _answer(one, section, span=np.full(1, np.inf))
-    about = {"adding": one.of.adding, "task": one.of.task.task, "descriptor": OTHER_HALF}
+    about = {
+        "adding": one.of.adding,
+        "task": one.of.task.task,
+        "descriptor": OTHER_HALF,
+    }
     return {**about, **answer, "n": one.n}
 
 
-def _answer(one: Tested, section: Floats, *, span: Floats) -> tuple[Widths, dict[str, Any]]:
+def _answer(
+    one: Tested, section: Floats, *, span: Floats
+) -> tuple[Widths, dict[str, Any]]:
     """Return how far the ends lie from the estimates, and decision and spread."""
     wide, found = spread.widths(one.found, section), one.found
     gaps, fall = found.gaps[:1], found.fall[:1]
@@ -232,7 +270,9 @@ def _contrasts(
                 "ci_high": known(own[1][k]),
                 "unit": "fraction",
                 "n": int(found.people[k]),
-                "reading": next((name for name, is_so in readings.items() if is_so), BETWEEN),
+                "reading": next(
+                    (name for name, is_so in readings.items() if is_so), BETWEEN
+                ),
                 "evidence": CONSTRUCTION if of.is_hidden(place) else shown,
                 "only": _ONLY.get(int(found.side[k]), ""),
                 "in_panel": place not in of.beside,
@@ -252,29 +292,38 @@ def _why_not(one: Tested, wide: Widths) -> str:
     """Return why it cannot be tested whether a descriptor tracks."""
     of, found = one.of, one.found
     raw = of.task.levels[of.fixed[-1]]
-    links, guess = (float(sums.sum() / raw.probes.sum()) for sums in (raw.success, raw.chance))
+    links, guess = (
+        float(sums.sum() / raw.probes.sum()) for sums in (raw.success, raw.chance)
+    )
     fall, name = float(found.fall[0]), NAME[one.descriptor]
     odd = [
-        f"{where_text(level.mechanism, level.level)} {_WHY_ONE_SIDED[side].format(name)}"
+        f"{where_text(level.mechanism, level.level)}"
+        f" {_WHY_ONE_SIDED[side].format(name)}"
         for place, side in zip(of.compared, found.side.tolist(), strict=True)
         for level in [of.task.levels[place]]
         if side != BOTH
     ]
-    low, high = (_points(fall + sign * wide.fall) for sign in (-1, 1))
-    reasons = {
-        f"it rests on {one.n} people or groups, who count as {found.fall_degrees + 1:.0f}: "
-        f"{FEWEST_EFFECTIVE} are needed": found.fall_degrees + 1 < FEWEST_EFFECTIVE,
-        "all people fare alike: that says nothing of others": found.fall_error < rules.NO_SPREAD,
-        f"the strongest attack links {_points(links)} of 100 people even at raw, a guess "
-        f"{_points(guess)}: nothing could be seen": links - guess < rules.SUCCESS_MARGIN,
-        f"linkage falls by {_points(fall)} [{low}, {high}] of 100 people from raw to the strongest "
-        f"fixed error, not surely by {_points(rules.LEAST_FALL, 0)}: anything would track": fall
-        - wide.fall
-        < rules.LEAST_FALL,
-        of.missing: bool(of.missing),
-        "; ".join(dict.fromkeys(odd)): bool(odd),
-    }
-    return next(why for why, holds in reasons.items() if holds)
+    effective = found.fall_degrees + 1
+    if effective < FEWEST_EFFECTIVE:
+        return (
+            f"it rests on {one.n} people or groups, who count as {effective:.0f}: "
+            f"{FEWEST_EFFECTIVE} are needed"
+        )
+    if found.fall_error < rules.NO_SPREAD:
+        return "all people fare alike: that says nothing of others"
+    if links - guess < rules.SUCCESS_MARGIN:
+        return (
+            f"the strongest attack links {_points(links)} of 100 people even at raw, "
+            f"a guess {_points(guess)}: nothing could be seen"
+        )
+    if fall - wide.fall < rules.LEAST_FALL:
+        low, high = (_points(fall + sign * wide.fall) for sign in (-1, 1))
+        least = _points(rules.LEAST_FALL, 0)
+        return (
+            f"linkage falls by {_points(fall)} [{low}, {high}] of 100 people from raw "
+            f"to the strongest fixed error, not surely by {least}: anything would track"
+        )
+    return of.missing or "; ".join(dict.fromkeys(odd))
 
 
 def _sentence(one: Tested, said: Mapping[str, Any]) -> str:
@@ -289,25 +338,33 @@ def _sentence(one: Tested, said: Mapping[str, Any]) -> str:
         return f"In {task}, whether {name} tracks cannot be tested: {said['why']}."
     if decision == rules.TRACKS:
         high = _points(said["spread_high"])
-        return f"{equal}, no mechanism lets {high} of 100 people {either}: {name} tracks."
+        return (
+            f"{equal}, no mechanism lets {high} of 100 people {either}: {name} tracks."
+        )
     if decision == BETWEEN:
         would = _people_needed(said["n_needed"])
         return f"{equal}, mechanisms let {said['why']} {either}{would}."
     if low <= rules.SUCCESS_MARGIN:
         fall, span = _points(one.found.fall[0]), np.exp(one.found.span[0])
         return (
-            f"{where}, from raw to the strongest fixed error {fall} fewer of 100 people are linked "
-            f"while {name} hardly changes ({span:.2f} times): {fails}"
+            f"{where}, from raw to the strongest fixed error {fall} fewer of 100 people"
+            f" are linked while {name} hardly changes ({span:.2f} times): {fails}"
         )
     worst = max(
-        (gap for gap in said["contrasts"] if gap["reading"] == rules.DIFFERS and gap["in_panel"]),
+        (
+            gap
+            for gap in said["contrasts"]
+            if gap["reading"] == rules.DIFFERS and gap["in_panel"]
+        ),
         key=lambda gap: (gap["evidence"] != CONSTRUCTION, abs(gap["effect"])),
     )
     gap = Estimate(*(worst[key] for key in ("effect", "ci_low", "ci_high")))
-    more, held = ("more", "") if gap.value > 0 else ("fewer", ", as far as these attacks go")
+    more, held = (
+        ("more", "") if gap.value > 0 else ("fewer", ", as far as these attacks go")
+    )
     return (
-        f"{equal}, {_named(worst)} lets {with_interval(gap, 'share', absolute=True)} {more} of 100 "
-        f"people be linked than fixed noise{held}: {fails}"
+        f"{equal}, {_named(worst)} lets {with_interval(gap, 'share', absolute=True)}"
+        f" {more} of 100 people be linked than fixed noise{held}: {fails}"
     )
 
 
@@ -315,7 +372,11 @@ def _people_needed(n: float | None) -> str:
     """Return how many people would show that linkage is equal, if it is; empty if unknown."""
     if not n:
         return ""
-    many = f"about {float(f'{n:.2g}'):,.0f}" if n < rules.MOST_PEOPLE else "no realistic number of"
+    many = (
+        f"about {float(f'{n:.2g}'):,.0f}"
+        if n < rules.MOST_PEOPLE
+        else "no realistic number of"
+    )
     return f"; if truly equal, {many} people would show it"
 
 

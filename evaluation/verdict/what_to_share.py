@@ -1,8 +1,8 @@
 """Which levels a site may be told to share: decided here alone, from `levels.csv`.
 
-First screen, page, `evaluation.design` and the notebook read what `recommend` returns. A limit is
-met only if the upper end of the interval meets it; what was not tried is not met. Nothing is
-interpolated.
+First screen, page, `evaluation.design` and the notebook read what `recommend` returns.
+A limit is met only if the upper end of the interval meets it; what was not tried is not
+met. Nothing is interpolated.
 """
 
 import math
@@ -41,7 +41,9 @@ MOST_PLR: Final = 0.5  # After attack: below it most positions are kept.
 MOST_LINKAGE_SHARE: Final = 0.5  # Of raw's rank 1 above chance.
 HORIZON_S: Final = 3.0
 MOST_PROPOSALS: Final = 5
-MOST_TIMES: Final = 10.0  # So many times the scenes of a run still bring people who were in none.
+MOST_TIMES: Final = (
+    10.0  # So many times the scenes of a run still bring people who were in none.
+)
 LEADING: Final = "handover-1s"
 MISSED, LINKED = "missed", "linkage_share"
 LIMITS: Final = {  # By name in a question and in an answer: the metric.
@@ -81,7 +83,9 @@ class Criterion:
     @property
     def metric(self) -> str:
         """The metric of `levels.csv`."""
-        return FUTURE_EQUAL_ALARMS if self.conflicts == "missed_future" else EQUAL_ALARMS
+        return (
+            FUTURE_EQUAL_ALARMS if self.conflicts == "missed_future" else EQUAL_ALARMS
+        )
 
     @property
     def world(self) -> str:
@@ -106,12 +110,19 @@ class Question:
         for name, limit in self.limits.items():
             is_share = METRICS[LIMITS[name]].is_share
             if not 0.0 <= limit <= (1.0 if is_share else sys.float_info.max):
-                kind = "fraction from 0 to 1 (0.2 for 20 %)" if is_share else "time in s, 0 or more"
+                kind = (
+                    "fraction from 0 to 1 (0.2 for 20 %)"
+                    if is_share
+                    else "time in s, 0 or more"
+                )
                 option = f"--max-{name.replace('_', '-')}"
                 raise SettingsError(f"{option} is a {kind}, got {limit:g}")
         for name in self.against:
             if name not in BEYOND:
-                hint = did_you_mean(name, BEYOND, quote="'") or f"; known: {', '.join(BEYOND)}"
+                hint = (
+                    did_you_mean(name, BEYOND, quote="'")
+                    or f"; known: {', '.join(BEYOND)}"
+                )
                 raise SettingsError(f"--against {name}: no such adversary{hint}")
 
     @property
@@ -122,7 +133,9 @@ class Question:
 
 def default_question(known: Mapping[str, Family]) -> Question:
     """Return what the first screen asks: of a run of a single adding rule that alone."""
-    rules = {family.adding for family in known.values() if family.adding and family.protects}
+    rules = {
+        family.adding for family in known.values() if family.adding and family.protects
+    }
     usual = Question()
     fitting = tuple(rule for rule in usual.adding if rule in rules)
     return Question(adding=fitting or usual.adding)
@@ -148,7 +161,11 @@ class Check:
         if math.isnan(self.measured.value):
             return "no value"
         is_few = 0 < self.measured.n < FEWEST_EFFECTIVE
-        return "too few people" if is_few or not math.isfinite(self.measured.ci_high) else None
+        return (
+            "too few people"
+            if is_few or not math.isfinite(self.measured.ci_high)
+            else None
+        )
 
     @property
     def status(self) -> str:
@@ -172,7 +189,11 @@ class Check:
 
         An interval narrows with the root of it.
         """
-        value, low, high = self.measured.value, self.measured.ci_low, self.measured.ci_high
+        value, low, high = (
+            self.measured.value,
+            self.measured.ci_low,
+            self.measured.ci_high,
+        )
         if self.status != "not met" or not low < self.limit:
             return math.nan
         side = high - value if value <= self.limit else value - low
@@ -259,7 +280,8 @@ class Recommendation:
     question: Question
     robots: tuple[str, ...]
     """The robot named, or the best of the run: that which the first half of the people chose, and
-    that of the second. Either is scored on the other half. Empty: none has the criterion."""
+    that of the second. Either is scored on the other half. Empty: none has the
+    criterion."""
     raw: Offer | None
     proposals: tuple[Offer, ...]  # Non-dominated, cheapest first.
     refused: tuple[Offer, ...]  # All that do not hold, nearest first.
@@ -287,7 +309,8 @@ class Recommendation:
         some = [
             offer
             for offer in self.refused
-            if not offer.lacks_rule and all(check.status != "not met" for check in offer.checks)
+            if not offer.lacks_rule
+            and all(check.status != "not met" for check in offer.checks)
         ]
         return () if self.proposals else tuple(cheapest(non_dominated(some)))
 
@@ -298,22 +321,29 @@ class Recommendation:
 
 
 def recommend(
-    table: pd.DataFrame, question: Question, *, dataset: str, scenes: tuple[int, int] = (0, 0)
+    table: pd.DataFrame,
+    question: Question,
+    *,
+    dataset: str,
+    scenes: tuple[int, int] = (0, 0),
 ) -> Recommendation:
     """Return the levels that hold what a question asks, or the nearest.
 
-    `table` is `levels.csv` of a run, `scenes` are how many were attacked and how many robots were
-    in. Raises SettingsError for a family or a robot that the run does not have.
+    `table` is `levels.csv` of a run, `scenes` are how many were attacked and how many
+    robots were in. Raises SettingsError for a family or a robot that the run does not
+    have.
     """
     known = _levels(table, dataset)
     raw_rows = next((level for level in known if level.family.family == RAW), None)
-    rivals = [level for level in known if level.family.protects and level.family.is_added]
+    rivals = [
+        level for level in known if level.family.protects and level.family.is_added
+    ]
     _check_names(rivals, question)
     robots = _robots_of(known)
     if question.robot and question.robot not in robots:
         raise SettingsError(
-            f"--predictor {question.robot}: the run has {', '.join(robots) or 'none'}; name one of "
-            "these or add it with the command of the run"
+            f"--predictor {question.robot}: the run has {', '.join(robots) or 'none'};"
+            " name one of these or add it with the command of the run"
         )
     robot = question.robot or BEST[question.criterion.metric]
     task = leading_handover({row.source.task for level in known for row in level.rows})
@@ -321,7 +351,10 @@ def recommend(
     asked = [
         level
         for level in rivals
-        if (not question.only or {level.family.family, level.family.name} & {*question.only})
+        if (
+            not question.only
+            or {level.family.family, level.family.name} & {*question.only}
+        )
         and {*level.family.rules} & {*question.adding}
     ]
     offers = _under_all_rules([frame.offer(level) for level in asked], question.adding)
@@ -332,7 +365,9 @@ def recommend(
     )
     return Recommendation(
         question=question,
-        robots=(robot,) if question.robot else _chosen_robots(known, question.criterion),
+        robots=(
+            (robot,) if question.robot else _chosen_robots(known, question.criterion)
+        ),
         raw=frame.offer(raw_rows) if raw_rows else None,
         proposals=tuple(proposals),
         refused=tuple(refused),
@@ -344,8 +379,9 @@ def recommend(
 def non_dominated(offers: Sequence[Offer]) -> list[Offer]:
     """Return the offers that no other one beats: at most as large in all three, less in one.
 
-    Only what is there under the same adding rules can beat: a network that cannot add linearly has
-    no use for a level that does. Of several that are equal in all the first stays.
+    Only what is there under the same adding rules can beat: a network that cannot add
+    linearly has no use for a level that does. Of several that are equal in all the
+    first stays.
     """
     front: list[Offer] = []
     for at, offer in enumerate(offers):
@@ -355,7 +391,9 @@ def non_dominated(offers: Sequence[Offer]) -> list[Offer]:
             for order, other in enumerate(offers)
             if order != at and rules <= {*other.family.rules}
         ]
-        is_beaten = any((rival <= place).all() and (rival < place).any() for _, rival in rivals)
+        is_beaten = any(
+            (rival <= place).all() and (rival < place).any() for _, rival in rivals
+        )
         is_again = any(order < at and (rival == place).all() for order, rival in rivals)
         if not is_beaten and not is_again:
             front.append(offer)
@@ -370,7 +408,9 @@ def cheapest(offers: Sequence[Offer]) -> list[Offer]:
 def _distance(offer: Offer) -> tuple[int, float, float]:
     """Return how far an offer is from what was asked: limits missed, the worst excess, cost."""
     excess = [check.excess for check in offer.checks]
-    n_missed = sum(check.status == "not met" or check.excess > 0.0 for check in offer.checks)
+    n_missed = sum(
+        check.status == "not met" or check.excess > 0.0 for check in offer.checks
+    )
     return n_missed, max(excess, default=0.0), offer.coordinates[0]
 
 
@@ -383,7 +423,9 @@ def _under_all_rules(offers: Sequence[Offer], adding: Sequence[str]) -> list[Off
     marked = []
     for offer in offers:
         needed = () if offer.family.has_one_rule or not offer.family.adding else adding
-        lacking = [rule for rule in needed if rule not in held.get(offer.family.name, set())]
+        lacking = [
+            rule for rule in needed if rule not in held.get(offer.family.name, set())
+        ]
         rule = lacking[0] if offer.met and lacking else ""
         marked.append(replace(offer, lacks_rule=rule))
     return marked
@@ -428,19 +470,34 @@ def _levels(table: pd.DataFrame, dataset: str) -> list[_Level]:
     families: dict[Where, Family] = {}
     chosen = ("first_choice", "second_choice")
     texts = (*chosen, "outcome", "invalid", "adversary", "knowledge", "adding")
-    tidy = table.assign(**{name: table[name].astype(object).fillna("") for name in texts})
+    tidy = table.assign(
+        **{name: table[name].astype(object).fillna("") for name in texts}
+    )
     for row in tidy.to_dict("records"):
         name = str(row["dataset"])
         if name != dataset and not name.startswith(f"{dataset}:"):
             continue  # of simulated people beside a recording
         world = name.removeprefix(dataset).removeprefix(":")
-        where = row["mechanism"], None if math.isnan(row["level"]) else float(row["level"])
+        where = (
+            row["mechanism"],
+            None if math.isnan(row["level"]) else float(row["level"]),
+        )
         families[where] = Family(
-            row["mechanism"], row["family"], row["adding"], protects=bool(row["protects"])
+            row["mechanism"],
+            row["family"],
+            row["adding"],
+            protects=bool(row["protects"]),
         )
         number = Estimate(row["value"], row["ci_low"], row["ci_high"], int(row["n"]))
         source = Source(row["consumer"], row["knowledge"])
-        about = row["adversary"], source, row["metric"], number, row["outcome"], row["invalid"]
+        about = (
+            row["adversary"],
+            source,
+            row["metric"],
+            number,
+            row["outcome"],
+            row["invalid"],
+        )
         by_halves = row["first_choice"], row["second_choice"]
         rows.setdefault(where, []).append(_Row(world, *about, chosen=by_halves))
     return [_Level(where, families[where], tuple(some)) for where, some in rows.items()]
@@ -448,11 +505,17 @@ def _levels(table: pd.DataFrame, dataset: str) -> list[_Level]:
 
 def _check_names(levels: Iterable[_Level], question: Question) -> None:
     families = [level.family for level in levels]
-    known = dict.fromkeys(text for family in families for text in (family.family, family.name))
+    known = dict.fromkeys(
+        text for family in families for text in (family.family, family.name)
+    )
     for name in question.only:
         if name not in known:
-            hint = did_you_mean(name, known, quote="'") or f"; it has {', '.join(known)}"
-            raise SettingsError(f"--family {name}: the run has no such family that protects{hint}")
+            hint = (
+                did_you_mean(name, known, quote="'") or f"; it has {', '.join(known)}"
+            )
+            raise SettingsError(
+                f"--family {name}: the run has no such family that protects{hint}"
+            )
 
 
 def _robots_of(levels: Sequence[_Level]) -> tuple[str, ...]:
@@ -481,7 +544,9 @@ def _chosen_robots(levels: Iterable[_Level], criterion: Criterion) -> tuple[str,
 
 def leading_handover(names: Collection[str]) -> str:
     """Return which of some tasks linkage is judged by; empty if none is a handover."""
-    handovers = [name for name, task in TASKS.items() if task.gap_s > 0.0 and name in names]
+    handovers = [
+        name for name, task in TASKS.items() if task.gap_s > 0.0 and name in names
+    ]
     return LEADING if LEADING in handovers else next(iter(handovers), "")
 
 
@@ -516,11 +581,19 @@ class _Frame:
             linked=_linked(level, self.task) if self.task else None,
             tasks=tasks,
         )
-        checks = (*self._costs(offer, level), *self._exposure(offer), *self._linkage(offer))
+        checks = (
+            *self._costs(offer, level),
+            *self._exposure(offer),
+            *self._linkage(offer),
+        )
         return replace(offer, checks=checks)
 
     def _costs(self, offer: Offer, level: _Level) -> list[Check]:
-        limits, criterion, n = self.question.limits, self.question.criterion, self.scenes[1]
+        limits, criterion, n = (
+            self.question.limits,
+            self.question.criterion,
+            self.scenes[1],
+        )
         worlds = {row.world for row in level.rows}
         missing: Unknown | None = None
         if not self.robots:
@@ -541,7 +614,9 @@ class _Frame:
             )
             rate = next(rates, UNKNOWN)
             limit = limits["false_alarm"]
-            checks.append(Check("false_alarm", limit, rate, source, scenes=n, missing=missing))
+            checks.append(
+                Check("false_alarm", limit, rate, source, scenes=n, missing=missing)
+            )
         if MISSED not in limits and not missing:
             # Any cost will do, with an interval or without.
             return checks[1:]
@@ -584,7 +659,9 @@ class _Frame:
             limit = question.limits[SUCCESS]
             for task in offer.tasks or (Linked("", missing="no task"),):
                 name = f"{SUCCESS}/{task.task}"
-                checks.append(Check(name, limit, task.rank1, task.source, missing=task.missing))
+                checks.append(
+                    Check(name, limit, task.rank1, task.source, missing=task.missing)
+                )
         return checks
 
 
@@ -592,7 +669,9 @@ def _tasks(level: _Level) -> list[str]:
     return [*dict.fromkeys(row.source.task for row in level.rows if row.source.task)]
 
 
-def _attacked(level: _Level, adversary: str, *, source: Source | None = None) -> Attacked:
+def _attacked(
+    level: _Level, adversary: str, *, source: Source | None = None
+) -> Attacked:
     """Return what an adversary leaves; the attack named is the strongest by PLR."""
     rows = [
         row

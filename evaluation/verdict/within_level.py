@@ -1,7 +1,7 @@
 """Section b of the verdict: whether a track's own PLR, AEL or MEL tells that it is linked.
 
-Within one mechanism level, and beyond what anybody sees without a descriptor: how long the track
-is, how fast, and how noisy in both releases.
+Within one mechanism level, and beyond what anybody sees without a descriptor: how long
+the track is, how fast, and how noisy in both releases.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -36,14 +36,21 @@ def within(
 ) -> Iterator[Draft]:
     """Yield an item for every adding rule, descriptor and task.
 
-    `levels` are by task; clusters are numbered alike at all levels of a task. `sweeps` are of the
-    run and say under which rule a mechanism is judged; `success` is the linker of each task.
+    `levels` are by task; clusters are numbered alike at all levels of a task. `sweeps`
+    are of the run and say under which rule a mechanism is judged; `success` is the
+    linker of each task.
     """
     clusters = {task: some[0].clusters for task, some in levels.items() if some}
     # By its name: who is in several tasks is drawn once.
     names = {name for of in clusters.values() for name in of}
-    drawn = {name: stream(seed, "within", name).standard_normal(N_REPLICATES) for name in names}
-    of_task = {task: np.column_stack([drawn[name] for name in of]) for task, of in clusters.items()}
+    drawn = {
+        name: stream(seed, "within", name).standard_normal(N_REPLICATES)
+        for name in names
+    }
+    of_task = {
+        task: np.column_stack([drawn[name] for name in of])
+        for task, of in clusters.items()
+    }
     for adding, descriptor, task in product(ADDING_RULES, DESCRIPTORS, success):
         wanted = (RAW, *sweeps.swept(adding))
         # Each release once: several eta may share the same.
@@ -53,24 +60,33 @@ def within(
                 release = np.column_stack([one.hit, *one.descriptors.values()])
                 mine.setdefault(release.tobytes(), one)
         if any(one.mechanism != RAW for one in mine.values()):
-            yield _item([*mine.values()], adding, descriptor, success[task], of_task[task])
+            yield _item(
+                [*mine.values()], adding, descriptor, success[task], of_task[task]
+            )
 
 
 def _item(
-    levels: Sequence[LinkedProbes], adding: str, descriptor: str, linker: Source, drawn: Floats
+    levels: Sequence[LinkedProbes],
+    adding: str,
+    descriptor: str,
+    linker: Source,
+    drawn: Floats,
 ) -> Draft:
     works = clustered_mean(
         np.concatenate([one.hit - one.chance for one in levels]),
         np.concatenate([one.cluster for one in levels]),
     )
     found = partial_correlation(
-        [(one.descriptors[descriptor], one.hit, one.covariates, one.cluster) for one in levels],
+        [
+            (one.descriptors[descriptor], one.hit, one.covariates, one.cluster)
+            for one in levels
+        ],
         drawn=drawn,
     )
     name = NAME[descriptor]
     said = (
-        f"In {linker.task}, among tracks of like length, speed and noise, a track's own {name} "
-        "and whether it is linked go together by {} (rank correlation)"
+        f"In {linker.task}, among tracks of like length, speed and noise, a track's own"
+        f" {name} and whether it is linked go together by {{}} (rank correlation)"
     )
     untestable = ""
     if not works.ci_low > rules.SUCCESS_MARGIN:
@@ -88,7 +104,9 @@ def _item(
         below=rules.DOES_NOT,
         unit="correlation",
         sentences={
-            rules.DOES_NOT: f"{said}: less than {rules.LEAST_CORRELATION:g}, it does not tell.",
+            rules.DOES_NOT: (
+                f"{said}: less than {rules.LEAST_CORRELATION:g}, it does not tell."
+            ),
             rules.TRACKS: f"{said}: it tells.",
             "": f"{said}.",
         },
@@ -104,24 +122,29 @@ def clustered_mean(values: Floats, cluster: Ints) -> Estimate:
 
 
 def partial_correlation(
-    levels: Sequence[tuple[Floats, Floats, Floats, Ints]], *, drawn: Floats | None = None
+    levels: Sequence[tuple[Floats, Floats, Floats, Ints]],
+    *,
+    drawn: Floats | None = None,
 ) -> Estimate:
     """Return the rank correlation of descriptor and hit within levels, beyond the covariates.
 
-    At each level all are put in ranks; the mean rank of the descriptor in both releases, and the
-    rank of the hit, are regressed on the ranks of the covariates and their squares; what is left
-    of either is correlated, over all levels together. The standard error is the clustered sandwich
-    of its influence function, so that a person who occurs at every level counts once.
+    At each level all are put in ranks; the mean rank of the descriptor in both
+    releases, and the rank of the hit, are regressed on the ranks of the covariates and
+    their squares; what is left of either is correlated, over all levels together. The
+    standard error is the clustered sandwich of its influence function, so that a person
+    who occurs at every level counts once.
 
-    `levels` are (descriptor (N, 2), hit (N,), covariates (N, K), cluster (N,)) of each; rows
-    without a descriptor or covariate go. `drawn`, (B, C), are standard normal numbers of each
-    cluster, from which the replicates come (Gaussian multipliers of the influence of each cluster:
-    Chernozhukov, Chetverikov and Kato, Ann. Stat. 41, 2013).
+    `levels` are (descriptor (N, 2), hit (N,), covariates (N, K), cluster (N,)) of each;
+    rows without a descriptor or covariate go. `drawn`, (B, C), are standard normal
+    numbers of each cluster, from which the replicates come (Gaussian multipliers of the
+    influence of each cluster: Chernozhukov, Chetverikov and Kato, Ann. Stat. 41, 2013).
     """
     rests: list[Floats] = []
     clusters: list[Ints] = []
     for descriptor, hit, covariates, cluster in levels:
-        whole = np.isfinite(descriptor).all(axis=1) & np.isfinite(covariates).all(axis=1)
+        whole = np.isfinite(descriptor).all(axis=1) & np.isfinite(covariates).all(
+            axis=1
+        )
         if whole.sum() < _FEW:
             continue
         ranks = _ranks(np.column_stack([descriptor, hit, covariates])[whole])
@@ -143,18 +166,24 @@ def partial_correlation(
     if scale < _NO_SPREAD:
         return Estimate(np.nan, n=int(np.unique(cluster).size))
     value = float(x @ y / x.size / scale)
-    influence = x * y / scale - value / 2.0 * (x * x / (x @ x) + y * y / (y @ y)) * x.size
+    influence = (
+        x * y / scale - value / 2.0 * (x * x / (x @ x) + y * y / (y @ y)) * x.size
+    )
     return _estimated(value, influence / x.size, cluster, drawn)
 
 
 def _ranks(values: Floats) -> Floats:
     """Return ranks of each column, ties at their mean, within -1..1."""
     n = values.shape[0]
-    scaled: Floats = (2.0 * pd.DataFrame(values).rank().to_numpy() - (n + 1.0)) / max(n - 1.0, 1.0)
+    scaled: Floats = (2.0 * pd.DataFrame(values).rank().to_numpy() - (n + 1.0)) / max(
+        n - 1.0, 1.0
+    )
     return scaled
 
 
-def _estimated(value: float, parts: Floats, cluster: Ints, drawn: Floats | None = None) -> Estimate:
+def _estimated(
+    value: float, parts: Floats, cluster: Ints, drawn: Floats | None = None
+) -> Estimate:
     """Return an effect whose influence, (N,), sums up within clusters."""
     names, column = np.unique(cluster, return_inverse=True)
     n = names.size
@@ -166,4 +195,6 @@ def _estimated(value: float, parts: Floats, cluster: Ints, drawn: Floats | None 
     half = float(stdtrit(n - 1, 0.5 + CONFIDENCE / 2)) * error
     replicates = np.zeros(0) if drawn is None else value + drawn[:, names] @ sums
     ends = value - half, value + half
-    return Estimate(value, *ends, n, replicates, closed_error=error, effective=effective)
+    return Estimate(
+        value, *ends, n, replicates, closed_error=error, effective=effective
+    )

@@ -18,5 +18,8 @@ class Halfway:
             lately = track.t > track.t[-1] - 1.0
             t, xy = track.t[lately], track.xy[lately]
             pace = (xy[-1] - xy[0]) / max(t[-1] - t[0], 0.1)
-            mean[row] = xy.mean(axis=0) + self.share * pace * (t_future[row] - t.mean())[:, None]
+            mean[row] = (
+                xy.mean(axis=0)
+                + self.share * pace * (t_future[row] - t.mean())[:, None]
+            )
         return Prediction(mean)

@@ -22,7 +22,9 @@ class GeometricMedian:
             raise ValueError(f"window_s must be positive, got {self.window_s}")
 
     def fit(self, context):  # noqa: ARG002 - it learns nothing
-        return lambda release: Reconstruction(np.concatenate([self.one(t) for t in release]))
+        return lambda release: Reconstruction(
+            np.concatenate([self.one(t) for t in release])
+        )
 
     def one(self, track):
         """Return the (n, 2) positions of one track by Weiszfeld's iteration."""

@@ -3,6 +3,7 @@
 Run it as it is (`python tutorial.py`, 15 s), or cell by cell in an editor that knows
 `# %%`. It writes `walks.csv` and the folder `tutorial-run` where it is started.
 """
+
 # ruff: noqa: T201 - a tutorial shows what it does
 
 import numpy as np
@@ -15,7 +16,9 @@ from evaluation import design
 from isac_track import datasets
 
 # %% 1. A recording: t in s, id, x and y in m, and who walks together if that is known
-crowd = datasets.load("plaza").tracks  # simulated, bundled; put your own file in its place
+crowd = datasets.load(
+    "plaza"
+).tracks  # simulated, bundled; put your own file in its place
 n_samples = np.diff(crowd.offsets)
 walks = pd.DataFrame({"t": crowd.t, "x": crowd.xy[:, 0], "y": crowd.xy[:, 1]})
 walks["id"] = np.repeat(crowd.source, n_samples)
@@ -23,13 +26,17 @@ walks["group"] = np.repeat(crowd.group, n_samples)
 walks = walks[walks["t"] < 240.0]  # four of its ten minutes
 walks.to_csv("walks.csv", index=False)
 recording = datasets.load("walks.csv")
-print(f"{len(recording.tracks)} tracks; mended on reading: {recording.repairs or 'nothing'}")
+print(
+    f"{len(recording.tracks)} tracks; mended on reading:"
+    f" {recording.repairs or 'nothing'}"
+)
 
 # %% 2. An attack: does it keep the contract?
 failed = [one for one in run_checks(GeometricMedian()) if one.status == "failed"]
 print("attack kit:", failed or "all checks pass")
 
-# %% 3. Run it on six releases, beside a textbook smoother, by itself and in front of a linker
+# %% 3. Run it on six releases, beside a textbook smoother, by itself and in front of a
+# linker
 MINE = "geometric_median:GeometricMedian"
 results = evaluation.run(
     evaluation.Settings(
@@ -48,7 +55,11 @@ results = evaluation.run(
 summary = results.summary.astype({"level": object}).fillna({"level": ""})
 shown = summary[summary["knowledge"].isin(["", "blind"])]
 plr = shown[shown["metric"] == "plr"]
-print(plr.pivot_table(index=["mechanism", "level"], columns="consumer", values="value").round(3))
+print(
+    plr.pivot_table(
+        index=["mechanism", "level"], columns="consumer", values="value"
+    ).round(3)
+)
 
 # %% 5. Who is found again: rank 1 with its interval
 rank1 = shown[(shown["metric"] == "rank1") & (shown["knowledge"] == "blind")]
@@ -62,7 +73,8 @@ for item in results.verdict["items"]:
     if item["section"] == "validity":
         print(f"{item['id']}: {item['decision']}. {item['sentence']}")
 
-# %% 7. A site: at most 45 % of the conflicts to come missed, at most 20 % of the people found again
+# %% 7. A site: at most 45 % of the conflicts to come missed, at most 20 % of the people
+# found again
 question = "--max-missed 0.45 --max-rank1 0.2 --adding linear tutorial-run"
 exit_code = design.main(question.split())
 print("exit code:", exit_code)

@@ -1,8 +1,9 @@
 """Pedestrian tracks by name or from a file of one's own.
 
-``load("students03")``, ``load("plaza")``, ``load("walk.csv")``, and ``load()`` for the best
-that is here. A format is told, or named by the file's extension, never guessed. `registry` knows
-the names and places, `repair` what is mended on reading; ``docs/data.md`` describes it all.
+``load("students03")``, ``load("plaza")``, ``load("walk.csv")``, and ``load()`` for the
+best that is here. A format is told, or named by the file's extension, never guessed.
+`registry` knows the names and places, `repair` what is mended on reading;
+``docs/data.md`` describes it all.
 """
 
 from __future__ import annotations
@@ -17,7 +18,14 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from isac_track.datasets import crowd, read_frames, read_gc, read_table, read_tools, registry
+from isac_track.datasets import (
+    crowd,
+    read_frames,
+    read_gc,
+    read_table,
+    read_tools,
+    registry,
+)
 from isac_track.datasets.recording import (
     Reading,
     Repair,
@@ -29,7 +37,14 @@ from isac_track.datasets.recording import (
     projected,
     steps_within,
 )
-from isac_track.datasets.registry import DEFAULT, FALLBACK, GROUPS_FILE, KNOWN, Known, shown
+from isac_track.datasets.registry import (
+    DEFAULT,
+    FALLBACK,
+    GROUPS_FILE,
+    KNOWN,
+    Known,
+    shown,
+)
 from isac_track.datasets.repair import to_tracks
 from isac_track.datasets.sessions import as_one
 from isac_track.datasets.sessions import files_in as session_files
@@ -60,14 +75,23 @@ TOOLS: Mapping[str, Callable[..., Rows]] = {
 """The same for what other tools write."""
 READERS: Mapping[str, Callable[..., Rows]] = {**FORMATS, **TOOLS}
 _WITH_COLUMNS = ("csv", "parquet")  # Their columns have names,
-_WITH_CLOCK = (*_WITH_COLUMNS, "vadere", "viswalk")  # and their times are seconds, not frames.
+_WITH_CLOCK = (
+    *_WITH_COLUMNS,
+    "vadere",
+    "viswalk",
+)  # and their times are seconds, not frames.
 FRAME = "DataFrame"  # Name, path and format of a recording that is none of a file.
 WALKING_MPS = (0.15, 2.5)  # Of the median speed; beyond, the units are in doubt.
 WALK_MPS = 1.2  # What most people walk at.
 USUAL_MPS = (0.4, 2.2)  # Of people who walk: what another unit would have to explain.
 STEP_S = 1.0  # With a longer usual step, the clock is in doubt.
 GRAND_CENTRAL = "gc"  # The format of an archive or a folder, as `read_gc` describes it.
-_EXTENSIONS = {".csv": "csv", ".parquet": "parquet", ".ndjson": "trajnet", ".fzp": "viswalk"}
+_EXTENSIONS = {
+    ".csv": "csv",
+    ".parquet": "parquet",
+    ".ndjson": "trajnet",
+    ".fzp": "viswalk",
+}
 _TO_CSV = "to_csv('walks.csv', index=False)"
 _EXCEL = f"import pandas; pandas.read_excel('FILE').{_TO_CSV}"
 _CONVERTED = {
@@ -80,7 +104,9 @@ _CONVERTED = {
     ),
 }
 """How files of other kinds become a csv, by their extension."""
-_Read: TypeAlias = "tuple[Tracks, tuple[Repair, ...], str, str]"  # Tracks, repairs, hash, format.
+_Read: TypeAlias = (
+    "tuple[Tracks, tuple[Repair, ...], str, str]"  # Tracks, repairs, hash, format.
+)
 SLOW_MPS = 0.2  # Slower steps than this are not walking.
 FROZEN_SHARE = 0.9
 """Of steps of no length in a nearly frozen track: an annotation whose end tells the whole walk."""
@@ -95,9 +121,12 @@ class Dataset:
     path: str  # Where it was found; for bundled data relative to the package.
     sha256: str  # Hash of the main file.
     format: str
-    simulated: bool  # True for the bundled crowd; of a file of one's own nothing is known: False.
+    # True for the bundled crowd; of a file of one's own nothing is known: False.
+    simulated: bool
     repairs: tuple[Repair, ...]
-    notice: str | None  # Says that another data set than the preferred one was taken; to be shown.
+    notice: (
+        str | None
+    )  # Says that another data set than the preferred one was taken; to be shown.
     citation: str  # Whom to credit; empty if unknown.
     licence: str  # Empty if unknown.
     sessions: tuple[str, ...] = ()  # Paths of the files that were named as sessions.
@@ -129,12 +158,12 @@ def load(
     Parameters
     ----------
     name : str, Path or DataFrame, optional
-        A known name, or else the path of a file, or of a folder of sessions, or a data frame of
-        pandas or polars with the columns of a csv. Without it: students03 if it is here, otherwise
-        the bundled crowd plaza, with a notice; never a download.
+        A known name, or else the path of a file, or of a folder of sessions, or a data
+        frame of pandas or polars with the columns of a csv. Without it: students03 if
+        it is here, otherwise the bundled crowd plaza, with a notice; never a download.
     format : str, optional
-        Format of a file; ``.csv``, ``.parquet`` and ``.ndjson`` (trajnet) name theirs, and so does
-        a header as PeTrack and PedPy write it, which names the columns.
+        Format of a file; ``.csv``, ``.parquet`` and ``.ndjson`` (trajnet) name theirs,
+        and so does a header as PeTrack and PedPy write it, which names the columns.
     fps : float, optional
         Frames per second, for a format that counts frames, unless the file says so.
     unit : str, optional
@@ -144,42 +173,53 @@ def load(
     sessions : sequence of str or Path
         Two files or more that are sessions of one recording, instead of a name.
     persistent_ids : bool
-        Whether an id is the same person in all sessions. Where a header names a markerID, as
-        PeTrack's do, that says who it is, in any case.
+        Whether an id is the same person in all sessions. Where a header names a
+        markerID, as PeTrack's do, that says who it is, in any case.
     columns : str or mapping, optional
         What t, id, x, y and group are called in a table: ``t=time[ms],x=pos_x[cm]``.
     on_duplicate : str
         What is done with an id at two places at one time: error, first or mean.
     crs : str, optional
-        ``degrees``: x and y are longitude and latitude, to be projected to local metres.
+        ``degrees``: x and y are longitude and latitude, to be projected to local
+        metres.
     drop_frozen : float, optional
         Stretches of so many s or more at exactly one place are dropped.
 
     Returns
     -------
     Dataset
-        Times in s from the first sample of the recording, positions in m. What cannot be had or
-        read is a DataError that names file and line, or the way out.
+        Times in s from the first sample of the recording, positions in m. What cannot
+        be had or read is a DataError that names file and line, or the way out.
     """
     if sessions:
         if name is not None or len(sessions) == 1:
-            raise DataError("--session takes two files or more, and the place of --dataset")
+            raise DataError(
+                "--session takes two files or more, and the place of --dataset"
+            )
         name = Path(os.path.abspath(sessions[0])).parent  # noqa: PTH100 - never raises
     reading = Reading(columns_named(columns), on_duplicate, crs, drop_frozen)
     fps = None if fps is None else checked_fps(fps, where="--fps")
     if not isinstance(name, str | Path | None):
         if (format, fps) != (None, None) or persistent_ids:
-            raise DataError("a DataFrame has no format, frames a second or sessions to be told")
+            raise DataError(
+                "a DataFrame has no format, frames a second or sessions to be told"
+            )
         return _of_frame(name, unit=unit, reading=reading)
-    source, files, notice = _found(name, download=download, format=format, fps=fps, unit=unit)
+    source, files, notice = _found(
+        name, download=download, format=format, fps=fps, unit=unit
+    )
     _refuse_for_known(source, reading)
     path = next(iter(files.values()))
     is_central = source.format == GRAND_CENTRAL
     several = _several(path, sessions, source=source)
     if persistent_ids and not several:
-        raise DataError("--persistent-ids is of sessions: a folder of files, or --session")
+        raise DataError(
+            "--persistent-ids is of sessions: a folder of files, or --session"
+        )
     if several:
-        found = _sessions(several, source, unit=unit, same_people=persistent_ids, reading=reading)
+        found = _sessions(
+            several, source, unit=unit, same_people=persistent_ids, reading=reading
+        )
         strange = [one.name for one in several if one.name not in source.sha256]
         if strange and source.name in KNOWN:
             notice = f"{source.name}: no known hash: {shown(listed(strange))}"
@@ -193,7 +233,11 @@ def load(
     return Dataset(
         name=source.name,
         tracks=tracks,
-        path=shown(path) if source.session is None else f"isac_track/datasets/{path.name}",
+        path=(
+            shown(path)
+            if source.session is None
+            else f"isac_track/datasets/{path.name}"
+        ),
         sha256=sha256,
         format=format_name,
         simulated=source.session is not None,
@@ -205,7 +249,9 @@ def load(
     )
 
 
-def _several(path: Path, sessions: Sequence[str | Path], *, source: Known) -> list[Path]:
+def _several(
+    path: Path, sessions: Sequence[str | Path], *, source: Known
+) -> list[Path]:
     """Return the files that are sessions: those named, or those in a folder."""
     is_folder = os.path.isdir(path)  # noqa: PTH112 - never raises
     if sessions or source.format == GRAND_CENTRAL or not is_folder:
@@ -215,7 +261,9 @@ def _several(path: Path, sessions: Sequence[str | Path], *, source: Known) -> li
 
 def _refuse_for_known(source: Known, reading: Reading) -> None:
     if source.name in KNOWN and (reading.columns or reading.crs):
-        raise DataError(f"{source.name} is known by name: leave --columns and --crs out")
+        raise DataError(
+            f"{source.name} is known by name: leave --columns and --crs out"
+        )
 
 
 def _with_doubts(
@@ -243,7 +291,9 @@ def _of_frame(frame: object, *, unit: str | None, reading: Reading) -> Dataset:
     rows = read_table.read_frame(frame, columns=reading.columns)
     digest = hashlib.sha256(repr((rows.ids, rows.groups, rows.unit)).encode())
     for column in (rows.person, rows.t, rows.xy):
-        digest.update(np.ascontiguousarray(column, dtype=column.dtype.newbyteorder("<")).tobytes())
+        digest.update(
+            np.ascontiguousarray(column, dtype=column.dtype.newbyteorder("<")).tobytes()
+        )
     tracks, repairs = _tracks_of(rows, unit=unit, reading=reading)
     return Dataset(
         name=FRAME,
@@ -260,25 +310,41 @@ def _of_frame(frame: object, *, unit: str | None, reading: Reading) -> Dataset:
 
 
 def _tracks_of(
-    rows: Rows, groups: Iterable[tuple[str, str]] = (), *, unit: str | None, reading: Reading
+    rows: Rows,
+    groups: Iterable[tuple[str, str]] = (),
+    *,
+    unit: str | None,
+    reading: Reading,
 ) -> tuple[Tracks, tuple[Repair, ...]]:
     """Return the tracks of rows in any unit or in degrees, and what was mended."""
     if reading.crs is not None:
         if unit is not None:
-            raise DataError(f"{rows.place.path}: --crs degrees has its unit; leave --unit out")
+            raise DataError(
+                f"{rows.place.path}: --crs degrees has its unit; leave --unit out"
+            )
         if rows.unit:
             path, by = rows.place.path, rows.unit_by
-            raise DataError(f"{path}: --crs degrees contradicts {by}: lengths are in {rows.unit}")
+            raise DataError(
+                f"{path}: --crs degrees contradicts {by}: lengths are in {rows.unit}"
+            )
         rows = projected(rows)
     else:
         rows = in_metres(rows, unit=unit)
     return to_tracks(
-        rows, groups, on_duplicate=reading.on_duplicate, drop_frozen_s=reading.drop_frozen_s
+        rows,
+        groups,
+        on_duplicate=reading.on_duplicate,
+        drop_frozen_s=reading.drop_frozen_s,
     )
 
 
 def _one_file(
-    path: Path, source: Known, *, files: Mapping[str, Path], unit: str | None, reading: Reading
+    path: Path,
+    source: Known,
+    *,
+    files: Mapping[str, Path],
+    unit: str | None,
+    reading: Reading,
 ) -> _Read:
     """Return the tracks of one file, what was mended, its hash and format."""
     data, where = registry.read_bytes(path, data_set=source), shown(path)
@@ -288,8 +354,14 @@ def _one_file(
     name, found = _format_of(path, source.format, data=data)
     groups = []
     if GROUPS_FILE in files:
-        lines = registry.read_bytes(files[GROUPS_FILE], data_set=source).decode().splitlines()
-        groups = [(member, line.split()[0]) for line in lines for member in line.split()]
+        lines = (
+            registry.read_bytes(files[GROUPS_FILE], data_set=source)
+            .decode()
+            .splitlines()
+        )
+        groups = [
+            (member, line.split()[0]) for line in lines for member in line.split()
+        ]
     tracks, repairs = read(
         data=data,
         path=where,
@@ -310,7 +382,9 @@ def _refuse_copies(paths: list[Path], source: Known) -> None:
         first = first_of.setdefault(sha256, path)
         if first is not path:
             both = f"sessions {shown(first)} and {shown(path)}"
-            raise DataError(f"{both} hold the same bytes, one recording twice; leave out one")
+            raise DataError(
+                f"{both} hold the same bytes, one recording twice; leave out one"
+            )
 
 
 def _of_registered(sha256: str, source: Known) -> str | None:
@@ -321,17 +395,29 @@ def _of_registered(sha256: str, source: Known) -> str | None:
             assert known.fps is not None
             assert source.fps is not None
             return (
-                f"these are the bytes of {name}, recorded at {known.fps:g} frames/s, read at "
-                f"{source.fps:g}: speeds are {source.fps / known.fps:.2g} times what they were"
+                f"these are the bytes of {name}, recorded at {known.fps:g} frames/s,"
+                f" read at {source.fps:g}: speeds are {source.fps / known.fps:.2g}"
+                " times what they were"
             )
     return None
 
 
 def _sessions(
-    paths: list[Path], source: Known, *, unit: str | None, same_people: bool, reading: Reading
+    paths: list[Path],
+    source: Known,
+    *,
+    unit: str | None,
+    same_people: bool,
+    reading: Reading,
 ) -> _Read:
     """Return what sessions hold, as `_one_file` does; the digest is over the lines of sha256sum."""
-    parts, notes, digest, formats, marked = [], list[Repair](), hashlib.sha256(), set(), {}
+    parts, notes, digest, formats, marked = (
+        [],
+        list[Repair](),
+        hashlib.sha256(),
+        set(),
+        {},
+    )
     _refuse_copies(paths, source)
     for path in paths:
         data, where = registry.read_bytes(path, data_set=source), shown(path)
@@ -348,17 +434,27 @@ def _sessions(
             reading=reading,
         )
         if by:  # Who wears no marker is nobody whom another session knows.
-            own = [f"{path.stem}:{who}" if who.startswith("-") else who for who in tracks.group]
+            own = [
+                f"{path.stem}:{who}" if who.startswith("-") else who
+                for who in tracks.group
+            ]
             tracks = replace(tracks, person=tuple(own))
         parts.append((shown(path.stem), tracks, unit or header.unit or "m"))
         notes += [*found, *repairs]
-        digest.update(f"{hashlib.sha256(data).hexdigest()}  {path.name}\n".encode(errors="replace"))
+        digest.update(
+            f"{hashlib.sha256(data).hexdigest()}  {path.name}\n".encode(
+                errors="replace"
+            )
+        )
         formats.add(format_name)
     if len(set(marked.values())) > 1:
-        one, other = (next(at for at in marked if marked[at] is is_so) for is_so in (True, False))
+        one, other = (
+            next(at for at in marked if marked[at] is is_so) for is_so in (True, False)
+        )
         raise DataError(
-            f"sessions {shown(one)} and {shown(other)}: a header names a markerID in the first "
-            "alone, so that ids clash; leave the column out there, or add it to the other"
+            f"sessions {shown(one)} and {shown(other)}: a header names a markerID in"
+            " the first alone, so that ids clash; leave the column out there, or add"
+            " it to the other"
         )
     tracks = as_one(parts, same_people=same_people or all(marked.values()))
     return tracks, tuple(notes), digest.hexdigest(), " ".join(sorted(formats))
@@ -380,16 +476,27 @@ def _found(
         path = Path(said)
         # Rows of another recording must never pass for those of a known one.
         title = shown(path.name if path.stem in KNOWN else path.stem)
-        return Known(title, format=format or "", fps=fps), {registry.MAIN_FILE: path}, None
+        return (
+            Known(title, format=format or "", fps=fps),
+            {registry.MAIN_FILE: path},
+            None,
+        )
     is_asked = name is not None or bool(registry.locate(KNOWN[DEFAULT])[0])
-    source = registry.known((DEFAULT if is_asked else FALLBACK) if name is None else said)
+    source = registry.known(
+        (DEFAULT if is_asked else FALLBACK) if name is None else said
+    )
     if (format, fps, unit) != (None, None, None):
         raise DataError(
-            f"{'the default data set' if name is None else source.name} is known by name: "
-            "leave --format, --fps and --unit out (they describe a file of your own)"
+            f"{'the default data set' if name is None else source.name} is known by"
+            " name: leave --format, --fps and --unit out (they describe a file of your"
+            " own)"
         )
     if source.session is None:
-        return source, registry.files_of(source, download=download and name is not None), None
+        return (
+            source,
+            registry.files_of(source, download=download and name is not None),
+            None,
+        )
     notice = (
         f"{DEFAULT} is not here ({registry.searched()}): using the bundled simulated "
         f"crowd {FALLBACK}. To get it: python -m isac_track.datasets fetch {DEFAULT}"
@@ -401,7 +508,9 @@ def _found(
 def _grand_central(path: Path, source: Known, *, reading: Reading) -> _Read:
     """Return the tracks of a folder or archive of `GRAND_CENTRAL`, as `_one_file` does."""
     if source.fps is not None:
-        raise DataError(f"{shown(path)}: format {GRAND_CENTRAL} has its own clock; leave --fps out")
+        raise DataError(
+            f"{shown(path)}: format {GRAND_CENTRAL} has its own clock; leave --fps out"
+        )
     rows, digest = read_gc.read_gc(path, where=shown(path))
     registry.check(path, source, file_name=registry.WHOLE, actual=digest)
     _no_columns(reading, format_name=GRAND_CENTRAL, path=shown(path))
@@ -418,17 +527,21 @@ def _format_of(path: Path, name: str, *, data: bytes) -> tuple[str, tuple[Repair
         where = shown(path)
         if convert := _CONVERTED.get(path.suffix.lower()):
             raise DataError(
-                f"{where}: not read as it is; save it as csv first, in Python: {convert}"
+                f"{where}: not read as it is; save it as csv first, in Python:"
+                f" {convert}"
             )
         header = read_frames.read_header("pedpy", data=data, path=where)
         if header.columns:
             rate = "" if header.fps is None else f", {header.fps:g} frames a second"
             order = sorted(header.columns, key=lambda column: header.columns[column])
-            detail = f"{where}: line {header.line} names the columns: {' '.join(order)}{rate}"
+            detail = (
+                f"{where}: line {header.line} names the columns:"
+                f" {' '.join(order)}{rate}"
+            )
             return "pedpy", (Repair("header", 1, detail),)
         raise DataError(
-            f"{where}: the format is not known from the name, and no header names id, frame, x and "
-            f"y; give --format ({known})"
+            f"{where}: the format is not known from the name, and no header names id,"
+            f" frame, x and y; give --format ({known})"
         )
     if name not in READERS:
         hint = did_you_mean(str(name), READERS)
@@ -449,17 +562,24 @@ def read(
 ) -> tuple[Tracks, tuple[Repair, ...]]:
     """Return the tracks in the bytes of one file, and what was mended or left out.
 
-    `path` is its name, for messages, and `format` one of `READERS`; `fps`, frames a second, is for
-    those that count frames; `unit`, of lengths, is m if neither it nor the file says. `groups` are
-    (id, label) pairs of who walks together, if that is in another file. `by_marker`: who it is
-    says the marker that a pedpy header names. `reading` is what else is known of it.
-    DataError names file and line for anything that cannot be read as tracks.
+    `path` is its name, for messages, and `format` one of `READERS`; `fps`, frames a
+    second, is for those that count frames; `unit`, of lengths, is m if neither it nor
+    the file says. `groups` are (id, label) pairs of who walks together, if that is in
+    another file. `by_marker`: who it is says the marker that a pedpy header names.
+    `reading` is what else is known of it. DataError names file and line for anything
+    that cannot be read as tracks.
     """
     if fps is not None:
         checked_fps(fps, where="--fps")
     if fps is not None and format in _WITH_CLOCK:
-        frames = "; of frames: --columns 't=frame[25 fps]'" if format in _WITH_COLUMNS else ""
-        raise DataError(f"{path}: format {format} has times in seconds; leave --fps out{frames}")
+        frames = (
+            "; of frames: --columns 't=frame[25 fps]'"
+            if format in _WITH_COLUMNS
+            else ""
+        )
+        raise DataError(
+            f"{path}: format {format} has times in seconds; leave --fps out{frames}"
+        )
     options: dict[str, object] = {}
     if format in _WITH_COLUMNS:
         options["columns"] = reading.columns
@@ -471,31 +591,42 @@ def read(
         options["by_marker"] = True
     # The rows have no name here: they are let go as soon as they are sorted.
     return _tracks_of(
-        READERS[format](data=data, path=path, **options), groups, unit=unit, reading=reading
+        READERS[format](data=data, path=path, **options),
+        groups,
+        unit=unit,
+        reading=reading,
     )
 
 
 def _no_columns(reading: Reading, *, format_name: str, path: str) -> None:
     if reading.columns:
-        raise DataError(f"{path}: --columns is of csv and parquet, not of {format_name}")
+        raise DataError(
+            f"{path}: --columns is of csv and parquet, not of {format_name}"
+        )
 
 
 def doubts(tracks: Tracks, *, where: str) -> tuple[Repair, ...]:
     """Return why the units of a recording of one's own may be wrong, and what they may be.
 
-    Its median speed while moving is not within `WALKING_MPS`, or its median step over `STEP_S`.
+    Its median speed while moving is not within `WALKING_MPS`, or its median step over
+    `STEP_S`.
     """
     within = steps_within(tracks.offsets)
     step_s = np.diff(tracks.t)[within]
     length_m = np.linalg.norm(np.diff(tracks.xy, axis=0)[within], axis=1)
     usual_s, moving = float(np.median(step_s)), length_m > 0
-    speed = float(np.median(length_m[moving] / step_s[moving])) if moving.any() else np.nan
+    speed = (
+        float(np.median(length_m[moving] / step_s[moving])) if moving.any() else np.nan
+    )
     low, high = WALKING_MPS
     is_slow, is_fast, is_coarse = speed < low, speed > high, usual_s > STEP_S
     if not (is_slow or is_fast or is_coarse):
         return ()
     causes = [
-        (abs(np.log(speed * factor / WALK_MPS)), f"{cause} (makes {speed * factor:.2g} m/s)")
+        (
+            abs(np.log(speed * factor / WALK_MPS)),
+            f"{cause} (makes {speed * factor:.2g} m/s)",
+        )
         for cause, factor, is_so in (
             ("feet for metres: --unit ft", 0.3048, is_fast),
             ("decimetres for metres: --unit 0.1", 0.1, is_fast),
@@ -518,10 +649,11 @@ def doubts(tracks: Tracks, *, where: str) -> tuple[Repair, ...]:
 def summarise(tracks: Tracks) -> DataFrame:
     """Return the statistics of every track; a step is from one sample to the next.
 
-    The N rows have `steps`, their number; `duration_s`; `speed_mean_mps`, the length of the path
-    over the duration; `speed_sd_mps`, the standard deviation over time of the step speed;
-    `slow_share` and `still_share`, the shares of steps slower than `SLOW_MPS` and of exactly no
-    length (all four NaN for a single sample); and `frozen`, nearly frozen tracks.
+    The N rows have `steps`, their number; `duration_s`; `speed_mean_mps`, the length of
+    the path over the duration; `speed_sd_mps`, the standard deviation over time of the
+    step speed; `slow_share` and `still_share`, the shares of steps slower than
+    `SLOW_MPS` and of exactly no length (all four NaN for a single sample); and
+    `frozen`, nearly frozen tracks.
     """
     import pandas as pd  # noqa: PLC0415 - `--help` stays quick
 
@@ -534,7 +666,9 @@ def summarise(tracks: Tracks) -> DataFrame:
     speed = length / lasting
 
     def per_track(values: Floats | Bools) -> Floats:
-        return np.bincount(owner, weights=values, minlength=len(tracks)).astype(np.float64)
+        return np.bincount(owner, weights=values, minlength=len(tracks)).astype(
+            np.float64
+        )
 
     duration = tracks.t[last] - tracks.t[first]
     with np.errstate(invalid="ignore"):  # 0 / 0 of a single sample is NaN, as promised
@@ -543,7 +677,9 @@ def summarise(tracks: Tracks) -> DataFrame:
             "steps": steps,
             "duration_s": duration,
             "speed_mean_mps": mean,
-            "speed_sd_mps": np.sqrt(per_track((speed - mean[owner]) ** 2 * lasting) / duration),
+            "speed_sd_mps": np.sqrt(
+                per_track((speed - mean[owner]) ** 2 * lasting) / duration
+            ),
             "slow_share": per_track(speed < SLOW_MPS) / steps,
             "still_share": per_track(length == 0) / steps,
         }
@@ -553,7 +689,11 @@ def summarise(tracks: Tracks) -> DataFrame:
 def still_share(summary: DataFrame) -> float:
     """Return the share of exactly-zero steps among all steps; NaN without steps."""
     n_steps = summary["steps"].sum()
-    return float((summary["still_share"] * summary["steps"]).sum() / n_steps) if n_steps else np.nan
+    return (
+        float((summary["still_share"] * summary["steps"]).sum() / n_steps)
+        if n_steps
+        else np.nan
+    )
 
 
 def n_lasting(summary: DataFrame, duration_s: float) -> int:

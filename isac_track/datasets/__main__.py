@@ -39,19 +39,33 @@ def _parser() -> Parser:
     )
     commands = parser.add_subparsers(dest="command", title="commands")
     commands.add_parser("list", help="what is known and what is here (default)")
-    show = commands.add_parser("show", help="statistics and repairs of one data set or file")
-    show.add_argument("name", metavar="NAME|PATH", help="a known name, or a file of your own")
-    show.add_argument("--format", help="format of a file: see docs/data.md")
-    show.add_argument("--fps", type=float, help="frames per second, if the format counts frames")
-    show.add_argument("--unit", help="of its lengths: m (default), cm or mm")
-    show.add_argument("--columns", help="of a table: t=time[ms],id=ped_id,x=pos_x[cm],y=pos_y[cm]")
+    show = commands.add_parser(
+        "show", help="statistics and repairs of one data set or file"
+    )
     show.add_argument(
-        "--on-duplicate", default="error", help="of an id twice at one time: error, first or mean"
+        "name", metavar="NAME|PATH", help="a known name, or a file of your own"
+    )
+    show.add_argument("--format", help="format of a file: see docs/data.md")
+    show.add_argument(
+        "--fps", type=float, help="frames per second, if the format counts frames"
+    )
+    show.add_argument("--unit", help="of its lengths: m (default), cm or mm")
+    show.add_argument(
+        "--columns", help="of a table: t=time[ms],id=ped_id,x=pos_x[cm],y=pos_y[cm]"
+    )
+    show.add_argument(
+        "--on-duplicate",
+        default="error",
+        help="of an id twice at one time: error, first or mean",
     )
     show.add_argument("--crs", help="degrees: x is longitude, y is latitude")
-    show.add_argument("--drop-frozen", type=float, metavar="S", help="drop stretches at one place")
+    show.add_argument(
+        "--drop-frozen", type=float, metavar="S", help="drop stretches at one place"
+    )
     fetch = commands.add_parser("fetch", help="download known data sets into the cache")
-    fetch.add_argument("name", metavar="NAME", nargs="+", help=f"one of {', '.join(KNOWN)}")
+    fetch.add_argument(
+        "name", metavar="NAME", nargs="+", help=f"one of {', '.join(KNOWN)}"
+    )
     return parser
 
 
@@ -75,7 +89,10 @@ def _list(_: Namespace) -> int:
                 where = found.path
                 rows[name] = [
                     f"{len(summary)}",
-                    *(f"{datasets.n_lasting(summary, duration_s)}" for duration_s in _LONG_S),
+                    *(
+                        f"{datasets.n_lasting(summary, duration_s)}"
+                        for duration_s in _LONG_S
+                    ),
                     f"{summary.duration_s.median():.1f}",
                     f"{summary.speed_mean_mps.median():.2f}",
                     f"{datasets.still_share(summary):.1%}",
@@ -86,7 +103,9 @@ def _list(_: Namespace) -> int:
         notes.append(f"{name}: {data_set.about}; {where}")
     long = (f">={duration_s:g} s" for duration_s in _LONG_S)
     columns = ("tracks", *long, "median s", "m/s", "zero", "frozen")
-    print(_aligned(rows, "data set", *columns), "", *notes, registry.searched(), sep="\n")
+    print(
+        _aligned(rows, "data set", *columns), "", *notes, registry.searched(), sep="\n"
+    )
     print(
         "m/s: median of the tracks' mean speeds. zero: share of steps of exactly no\n"
         f"length. frozen: tracks with at least {_FROZEN} such steps."
@@ -100,18 +119,29 @@ def _show(arguments: Namespace) -> int:
     found = datasets.load(arguments.name, **own)
     tracks, summary = found.tracks, datasets.summarise(found.tracks)
     frozen = [tracks.source[row] for row in np.flatnonzero(summary.frozen)]
-    lasting = (f"{datasets.n_lasting(summary, one_s)} of at least {one_s:g} s" for one_s in _LONG_S)
+    lasting = (
+        f"{datasets.n_lasting(summary, one_s)} of at least {one_s:g} s"
+        for one_s in _LONG_S
+    )
     facts = {
         "name": found.name + (" (simulated)" if found.simulated else ""),
         "path": found.path,
         "format": found.format,
         "sha256": found.sha256,
-        "tracks": f"{len(tracks)} in {len(set(tracks.group))} groups, {tracks.t.size} samples",
+        "tracks": (
+            f"{len(tracks)} in {len(set(tracks.group))} groups, {tracks.t.size} samples"
+        ),
         "long tracks": ", ".join(lasting),
-        "zero steps": f"{datasets.still_share(summary):.1%} of all steps have exactly no length",
-        "frozen": f"{len(frozen)} tracks with at least {_FROZEN} steps of no length"
-        + (f": {listed(frozen)}" if frozen else ""),
-        "repairs": f"{len(found.repairs)} kind(s), see below" if found.repairs else "none",
+        "zero steps": (
+            f"{datasets.still_share(summary):.1%} of all steps have exactly no length"
+        ),
+        "frozen": (
+            f"{len(frozen)} tracks with at least {_FROZEN} steps of no length"
+            + (f": {listed(frozen)}" if frozen else "")
+        ),
+        "repairs": (
+            f"{len(found.repairs)} kind(s), see below" if found.repairs else "none"
+        ),
         "credit": found.citation,
         "licence": found.licence,
     }

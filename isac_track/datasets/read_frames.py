@@ -19,8 +19,9 @@ COLUMNS = {
     "obsmat": ("frame", "id", "x", "z", "y", "vx", "vz", "vy"),
     # Of Social-GAN and its successors.
     "social-gan": ("frame", "id", "x", "y"),
-    # Of PeTrack, PedPy and JuPedSim; there may be more columns. Comments before the first row may
-    # give the `framerate: 25`, the unit (`x/m`, `x/cm`, `x/mm`) and the columns in another order.
+    # Of PeTrack, PedPy and JuPedSim; there may be more columns. Comments before the
+    # first row may give the `framerate: 25`, the unit (`x/m`, `x/cm`, `x/mm`) and the
+    # columns in another order.
     "pedpy": ("id", "frame", "x", "y"),
 }
 """Of each format with a row of numbers a line."""
@@ -72,28 +73,40 @@ class Header:
 
 
 def read_columns(
-    format_name: str, *, data: bytes, path: str, fps: float | None, by_marker: bool = False
+    format_name: str,
+    *,
+    data: bytes,
+    path: str,
+    fps: float | None,
+    by_marker: bool = False,
 ) -> Rows:
     """Read rows of numbers with spaces or tabs between them; ``#`` begins a comment.
 
-    `by_marker`: who it is says the header's marker; without one (-1) the id, made negative.
-    DataError names file and line, or says that `fps` is missing or contradicts the file's.
+    `by_marker`: who it is says the header's marker; without one (-1) the id, made
+    negative. DataError names file and line, or says that `fps` is missing or
+    contradicts the file's.
     """
     recording.check_text(data=data, path=path)
     header = read_header(format_name, data=data, path=path)
     rate = header.fps if fps is None else fps
     if rate is None:
-        said = " and the file's header has no framerate" if format_name == "pedpy" else ""
+        said = (
+            " and the file's header has no framerate" if format_name == "pedpy" else ""
+        )
         raise DataError(
             f"{path}: format {format_name} counts frames{said}; "
             "give frames per second with --fps (25 for UCY)"
         )
     if header.fps not in {None, rate}:
-        raise DataError(f"{path}: --fps {rate:g} contradicts the file's framerate {header.fps:g}")
+        raise DataError(
+            f"{path}: --fps {rate:g} contradicts the file's framerate {header.fps:g}"
+        )
     fault: Exception | None = None
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # of an empty table: an error below
+            warnings.simplefilter(
+                "ignore", UserWarning
+            )  # of an empty table: an error below
             table = np.loadtxt(recording.lines_of(data), dtype=np.float64, ndmin=2)
     except (ValueError, OverflowError, MemoryError) as error:
         fault, table = error, np.zeros((1, 0))
@@ -106,10 +119,15 @@ def read_columns(
                 raise DataError(f"{path}, line {number}: {message}")
             n_first = len(fields)
         raise DataError(f"{path}: cannot be read as {format_name}: {fault}")
-    place = recording.Place(path, lambda: np.fromiter((n for n, _ in _split(data)), dtype=np.int64))
-    columns = header.columns or {name: COLUMNS[format_name].index(name) for name in _USED}
+    place = recording.Place(
+        path, lambda: np.fromiter((n for n, _ in _split(data)), dtype=np.int64)
+    )
+    columns = header.columns or {
+        name: COLUMNS[format_name].index(name) for name in _USED
+    }
     if by_marker and header.marker is not None:
-        # -1 is PeTrack's word for no marker: such a trajectory keeps its id, below all markers.
+        # -1 is PeTrack's word for no marker: such a trajectory keeps its id, below all
+        # markers.
         marker, own = table[:, header.marker], table[:, columns["id"]]
         table[:, columns["id"]] = np.where(marker < 0, -1 - own, marker)
     rows = recording.framed({name: table[:, columns[name]] for name in _USED}, place)
@@ -126,7 +144,9 @@ def read_header(format_name: str, *, data: bytes, path: str) -> Header:
     named: list[tuple[int, list[str]]] = []
     n_fields = 0
     for number, line in enumerate(recording.lines_of(data), start=1):
-        text = line.strip()[:_HEADER_CHARACTERS]  # the search is quadratic in the worst case
+        text = line.strip()[
+            :_HEADER_CHARACTERS
+        ]  # the search is quadratic in the worst case
         if text and not text.startswith("#"):
             n_fields = len(text.split("#", 1)[0].split())
             break
@@ -140,33 +160,47 @@ def read_header(format_name: str, *, data: bytes, path: str) -> Header:
         if all(names.count(name) == 1 for name in _USED):
             named.append((number, names))
     _check_single(rates, units, path=path)
-    # As many names as the first row has fields: a sentence about the columns names none.
+    # As many names as the first row has fields: a sentence about the columns names
+    # none.
     of_line, names = next((one for one in named if len(one[1]) == n_fields), (0, []))
     places = {name: names.index(name) for name in _USED if of_line}
     marker = names.index("marker") if names.count("marker") == 1 else None
-    return Header(next(iter(rates), None), next(iter(units), ""), places, of_line, marker)
+    return Header(
+        next(iter(rates), None), next(iter(units), ""), places, of_line, marker
+    )
 
 
-def _check_single(rates: Mapping[float, int], units: Mapping[str, int], *, path: str) -> None:
+def _check_single(
+    rates: Mapping[float, int], units: Mapping[str, int], *, path: str
+) -> None:
     """Raise DataError if a header names two frame rates or units, or a unit that is not known.
 
     Both are by the number of the line that names them first.
     """
     if len(rates) > 1:
-        both = " and ".join(f"{rate:g} (line {number})" for rate, number in [*rates.items()][:2])
-        raise DataError(f"{path}: the header names two framerates: {both}; leave the right one")
+        both = " and ".join(
+            f"{rate:g} (line {number})" for rate, number in [*rates.items()][:2]
+        )
+        raise DataError(
+            f"{path}: the header names two framerates: {both}; leave the right one"
+        )
     if len(units) > 1:
-        raise DataError(f"{path}: the header names two units of length: {listed(list(units))}")
+        raise DataError(
+            f"{path}: the header names two units of length: {listed(list(units))}"
+        )
     for unit, number in units.items():
         if unit not in recording.METRES:
             way_out = "convert them to m (x/m), cm (x/cm) or mm (x/mm)"
-            raise DataError(f"{path}, line {number}: lengths are in {unit!r}; {way_out}")
+            raise DataError(
+                f"{path}, line {number}: lengths are in {unit!r}; {way_out}"
+            )
 
 
 def _declared_rate(text: str, *, where: str) -> float | None:
     """Return the frame rate that a comment gives, None if it gives none; DataError if unclear.
 
-    A number, or a fraction, directly behind the word or behind the last colon or equals sign.
+    A number, or a fraction, directly behind the word or behind the last colon or equals
+    sign.
     """
     keyword = _FRAME_RATE.search(text)
     if keyword is None:
@@ -184,10 +218,14 @@ def _declared_rate(text: str, *, where: str) -> float | None:
         is_several = re.match(r"[\d.]+( *(-|\u2013|to|or)|[^,;]*\s[^,;]*[,;])", bare)
         written = bare[:40] if is_several else begins[0][:40]
         hint = "; write a decimal point" if re.match(r"\d+ *,", written) else ""
-        raise DataError(f"{where}: the framerate {written!r} is not a single number{hint}")
+        raise DataError(
+            f"{where}: the framerate {written!r} is not a single number{hint}"
+        )
     fps = recording.checked_fps(rate[1], where=where)
     if rate[2]:
-        fps = recording.checked_fps(fps / recording.checked_fps(rate[2], where=where), where=where)
+        fps = recording.checked_fps(
+            fps / recording.checked_fps(rate[2], where=where), where=where
+        )
     return fps
 
 
@@ -224,13 +262,18 @@ def _fault(fields: list[str], format_name: str, n_first: int) -> str:
     """Return what is wrong with a row behind rows of `n_first` fields; empty if nothing is."""
     for separator, name in ((";", "semicolons"), (",", "commas")):
         found = [field for field in fields if separator in field]
-        if len(fields) > 1 and any(re.fullmatch(r"[-+]?\d*,\d+", field) for field in found):
+        if len(fields) > 1 and any(
+            re.fullmatch(r"[-+]?\d*,\d+", field) for field in found
+        ):
             return f"{found[0][:40]!r} has a decimal comma; write a decimal point"
         if found:
             way_out = "this format has spaces or tabs (or use --format csv)"
             return f"{name} between the numbers; {way_out}"
     if not _fits(len(fields), format_name):
-        least, columns = "at least " if format_name == "pedpy" else "", COLUMNS[format_name]
+        least, columns = (
+            "at least " if format_name == "pedpy" else "",
+            COLUMNS[format_name],
+        )
         needed = f"{least}{len(columns)} ({' '.join(columns)})"
         return f"{len(fields)} column(s) where {format_name} has {needed}"
     if n_first not in {0, len(fields)}:
@@ -246,10 +289,11 @@ def _fault(fields: list[str], format_name: str, n_first: int) -> str:
 def read_trajnet(*, data: bytes, path: str, fps: float | None) -> Rows:
     """Read ``{"track": {"f", "p", "x", "y"}}`` and ``{"scene": {..., "fps"}}`` lines.
 
-    A scene's `fps` counts *rows* a second, while `f` keeps the frame numbers of the video
-    (2.5 rows a second, 10 frames apart, are 25 frames a second): the frame rate is that
-    `fps` times the commonest frame step. The argument `fps` is frames a second. A DataError names
-    file and line; forecasts are one, as is no `fps` at all, or two that contradict each other.
+    A scene's `fps` counts *rows* a second, while `f` keeps the frame numbers of the
+    video (2.5 rows a second, 10 frames apart, are 25 frames a second): the frame rate
+    is that `fps` times the commonest frame step. The argument `fps` is frames a second.
+    A DataError names file and line; forecasts are one, as is no `fps` at all, or two
+    that contradict each other.
     """
     values: array[float] = array("d")
     lines, scene_lines = array("q"), array("q")
@@ -270,7 +314,9 @@ def read_trajnet(*, data: bytes, path: str, fps: float | None) -> Rows:
                 said = f"contradicts the {row_rate:g} of line {said_in}"
                 raise ValueError(f"scene fps {rate:g} {said}")  # noqa: TRY301 - told below
         except (ValueError, RecursionError) as error:
-            reason = "too deeply nested" if isinstance(error, RecursionError) else str(error)
+            reason = (
+                "too deeply nested" if isinstance(error, RecursionError) else str(error)
+            )
             raise DataError(f"{path}, line {number}: {reason}") from None
         if row_rate is None:
             row_rate, said_in = rate, number
@@ -283,7 +329,9 @@ def read_trajnet(*, data: bytes, path: str, fps: float | None) -> Rows:
     every, text = np.arange(len(scene_lines)), "scene lines; whole tracks are used"
     notes = scenes.noted("scene-lines", every, text)
     if row_rate is not None:
-        fps, more = _frame_rate(rows, row_rate, where=f"{path}, line {said_in}", fps=fps)
+        fps, more = _frame_rate(
+            rows, row_rate, where=f"{path}, line {said_in}", fps=fps
+        )
         notes += more
     if fps is None:
         raise DataError(
@@ -319,21 +367,31 @@ def _parse(line: str) -> tuple[str, dict[str, Any]]:
         entry = json.loads(line)
     except json.JSONDecodeError as error:
         raise ValueError(f"not JSON: {error.msg} at column {error.colno}") from None
-    if not isinstance(entry, dict) or len(entry) != 1 or not entry.keys() <= {"track", "scene"}:
+    if (
+        not isinstance(entry, dict)
+        or len(entry) != 1
+        or not entry.keys() <= {"track", "scene"}
+    ):
         raise ValueError('neither a {"track": {...}} nor a {"scene": {...}} line')
     ((kind, content),) = entry.items()
     if not isinstance(content, dict):
         raise ValueError(f"{kind} holds no object")  # noqa: TRY004 - all faults of a line are one
     for name in ("prediction_number", "pred_number"):
         if kind == "track" and content.get(name) is not None:
-            raise ValueError(f"{name} marks a forecast; only recorded tracks can be read")
+            raise ValueError(
+                f"{name} marks a forecast; only recorded tracks can be read"
+            )
     return kind, content
 
 
 def _number(content: dict[str, Any], name: str) -> float:
     value = content.get(name)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        shown = "missing" if name not in content else f"{json.dumps(value)[:40]}, not a number"
+        shown = (
+            "missing"
+            if name not in content
+            else f"{json.dumps(value)[:40]}, not a number"
+        )
         raise ValueError(f"{name} is {shown}")  # noqa: TRY004 - all faults of a line are one
     try:
         return float(value)

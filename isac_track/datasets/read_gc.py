@@ -1,8 +1,9 @@
 """Reader of Grand Central: an archive or a folder with a file for each pedestrian, in pixels.
 
-``Annotation/NNNNNN.txt`` holds x, y (pixels) and frame, one number a line, again and again;
-``H.json`` the homography of [x, y, 1] to metres. An archive is read in memory and never
-unpacked on disk: no name in it becomes a path, and limits end one that is not what it says.
+``Annotation/NNNNNN.txt`` holds x, y (pixels) and frame, one number a line, again and
+again; ``H.json`` the homography of [x, y, 1] to metres. An archive is read in memory
+and never unpacked on disk: no name in it becomes a path, and limits end one that is not
+what it says.
 """
 
 import gzip
@@ -28,7 +29,9 @@ from isac_track.types import Floats, Tracks
 ARCHIVE = "gc.tgz"
 FPS = 25.0
 LONGEST_STEP_FRAMES = 20  # Between two annotations; a longer gap ends the track.
-FAST_PIECE_MPS = 4.0  # Nobody crosses a hall as fast: steps of the annotation, to be counted.
+FAST_PIECE_MPS = (
+    4.0  # Nobody crosses a hall as fast: steps of the annotation, to be counted.
+)
 _USED = re.compile(r"(?:.*/)?(Annotation/\d{1,9}\.txt|H\.json)")
 MOST_MEMBERS = 30_000  # Files and folders of an archive; Grand Central's has 12,693.
 MOST_BYTES = 64_000_000  # Of an archive unpacked; Grand Central's takes 22 million.
@@ -38,21 +41,28 @@ _MOST_FILE_BYTES = 1_000_000
 def read_gc(path: Path, *, where: str) -> tuple[Rows, str]:
     """Return the rows of an archive or a folder, in m, and the digest of the files read.
 
-    The digest is that of ``sha256sum Annotation/*.txt H.json | sha256sum``: over the hashes and
-    names of the files in the order of the names. A DataError names what cannot be read.
+    The digest is that of ``sha256sum Annotation/*.txt H.json | sha256sum``: over the
+    hashes and names of the files in the order of the names. A DataError names what
+    cannot be read.
     """
     found: dict[str, bytes] = {}
     archive = next((one for one in (path / ARCHIVE, path) if os.path.isfile(one)), None)  # noqa: PTH113 - never raises
-    for name, data in _in_folder(path, where) if archive is None else _archived(archive, where):
+    for name, data in (
+        _in_folder(path, where) if archive is None else _archived(archive, where)
+    ):
         key = _called(name)
         if key in found:
             raise DataError(f"{where}: two files are called {key}")
         found[key] = data
-    hashes = (f"{hashlib.sha256(found[key]).hexdigest()}  {key}\n" for key in sorted(found))
+    hashes = (
+        f"{hashlib.sha256(found[key]).hexdigest()}  {key}\n" for key in sorted(found)
+    )
     digest = hashlib.sha256("".join(hashes).encode()).hexdigest()
     homography = _homography(found.pop("H.json", None), where)
     if not found:
-        raise DataError(f"{where}: no file Annotation/NUMBER.txt, one for each pedestrian")
+        raise DataError(
+            f"{where}: no file Annotation/NUMBER.txt, one for each pedestrian"
+        )
     return _rows(found, homography, where), digest
 
 
@@ -79,7 +89,9 @@ def _archived(path: Path, where: str) -> Iterator[tuple[str, bytes]]:
         with gzip.open(path) as stream:
             data = stream.read(MOST_BYTES + 1)
         if len(data) > MOST_BYTES:
-            raise DataError(f"{where}: unpacks to over {MOST_BYTES} bytes: not Grand Central")
+            raise DataError(
+                f"{where}: unpacks to over {MOST_BYTES} bytes: not Grand Central"
+            )
         with tarfile.open(fileobj=io.BytesIO(data), mode="r:") as archive:
             for count, member in enumerate(archive, start=1):
                 if fault := _fault(member, count):
@@ -87,7 +99,9 @@ def _archived(path: Path, where: str) -> Iterator[tuple[str, bytes]]:
                 if _called(member.name) and (file := archive.extractfile(member)):
                     yield member.name, file.read()
     except (tarfile.TarError, zlib.error, EOFError, OSError, ValueError) as error:
-        raise DataError(f"{where}: not an archive that can be read ({told(error)})") from None
+        raise DataError(
+            f"{where}: not an archive that can be read ({told(error)})"
+        ) from None
 
 
 def _fault(member: tarfile.TarInfo, count: int) -> str:
@@ -99,7 +113,9 @@ def _fault(member: tarfile.TarInfo, count: int) -> str:
         return f"member {name!r} leads out of the archive"
     if not (member.isreg() or member.isdir()):
         return f"member {name!r} is a link or a device, not a file"
-    if _called(member.name) and member.size > _MOST_FILE_BYTES:  # sparse, it may be of any size
+    if (
+        _called(member.name) and member.size > _MOST_FILE_BYTES
+    ):  # sparse, it may be of any size
         return f"member {name!r} has {member.size} bytes: not Grand Central"
     return ""
 
@@ -111,8 +127,14 @@ def _in_folder(path: Path, where: str) -> Iterator[tuple[str, bytes]]:
     try:
         for file in (root / "H.json", *(root / "Annotation").glob("*.txt")):
             name = str(file.relative_to(root))
-            if not file.is_file() or file.is_symlink() or file.stat().st_size > _MOST_FILE_BYTES:
-                raise DataError(f"{where}: {shown(name)} is no file here of a pedestrian's size")
+            if (
+                not file.is_file()
+                or file.is_symlink()
+                or file.stat().st_size > _MOST_FILE_BYTES
+            ):
+                raise DataError(
+                    f"{where}: {shown(name)} is no file here of a pedestrian's size"
+                )
             if _called(name):
                 yield name, file.read_bytes()
     except OSError as error:
@@ -154,4 +176,6 @@ def _rows(found: Mapping[str, bytes], homography: Floats, where: str) -> Rows:
     if not (metric[:, 2] > 0).all():
         raise DataError(f"{where}: H.json puts positions beyond the horizon")
     xy = metric[:, :2] / metric[:, 2:]
-    return replace(rows, xy=xy, t=rows.t / FPS, unit="m", split_s=LONGEST_STEP_FRAMES / FPS)
+    return replace(
+        rows, xy=xy, t=rows.t / FPS, unit="m", split_s=LONGEST_STEP_FRAMES / FPS
+    )

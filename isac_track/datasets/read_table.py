@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 _NEEDED = ("t", "id", "x", "y")
 _USED = recording.COLUMNS
 _ISO = re.compile(
-    r"\d{4}(?:-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d(?:[.,]\d+)?)?|\d{4}T\d{4}(?:\d\d(?:[.,]\d+)?)?)"
+    r"\d{4}(?:-\d\d-\d\d[T"
+    r" ]\d\d:\d\d(?::\d\d(?:[.,]\d+)?)?|\d{4}T\d{4}(?:\d\d(?:[.,]\d+)?)?)"
     r"\s*(Z|UTC|GMT|[+-]\d\d:?(?:\d\d)?)?",
     re.IGNORECASE,
 )
@@ -39,15 +40,22 @@ _DECIMAL = re.compile(r"[+-]?\d+\.\d*(e[+-]?\d+)?", re.IGNORECASE)
 _NUMBER = re.compile(r"[+-]?\d*\.?\d*(e[+-]?\d+)?", re.IGNORECASE)  # Or nothing at all.
 _LONGEST_NAME = 200  # Characters: ids stand in messages, tables and figures.
 _BLOCK_BYTES = 1 << 18
-_FREE_ROWS = 500_000  # Above it a file needs a byte a row: equal rows pack a thousandfold.
+_FREE_ROWS = (
+    500_000  # Above it a file needs a byte a row: equal rows pack a thousandfold.
+)
 _FREE_BYTES = 50_000_000
-_MOST_TIMES = 100  # A file above `_FREE_BYTES` unpacked may be this many times its size.
+_MOST_TIMES = (
+    100  # A file above `_FREE_BYTES` unpacked may be this many times its size.
+)
 
 
-def read_csv(*, data: bytes, path: str, columns: _Names | None = None) -> recording.Rows:
+def read_csv(
+    *, data: bytes, path: str, columns: _Names | None = None
+) -> recording.Rows:
     """Read comma-separated values with a header line; DataError names file and line.
 
-    A second line may name the units of t, x and y. `columns` are what the columns are called.
+    A second line may name the units of t, x and y. `columns` are what the columns are
+    called.
     """
     import pyarrow as pa  # noqa: PLC0415 - a plain import of the package stays quick
     from pyarrow import csv as arrow_csv  # noqa: PLC0415 - only for such a file
@@ -59,7 +67,8 @@ def read_csv(*, data: bytes, path: str, columns: _Names | None = None) -> record
     used, body, begins = _unit_line(used, body=body, n_fields=len(names))
     if not body.strip():
         raise DataError(f"{path}: the file holds no rows")
-    # Each text once: a long one that stands in every row would take as much memory as the file.
+    # Each text once: a long one that stands in every row would take as much memory as
+    # the file.
     text = pa.dictionary(pa.int32(), pa.string())
     is_dated = _is_dated(body, place=used["t"].place)
     numbers = {*_UNITS} - ({"t"} if is_dated else set())
@@ -74,23 +83,32 @@ def read_csv(*, data: bytes, path: str, columns: _Names | None = None) -> record
             read_options=arrow_csv.ReadOptions(
                 use_threads=False,
                 column_names=[f"c{index}" for index in range(len(names))],
-                # Several blocks are under way at a time; no line may be longer than one.
+                # Several blocks are under way at a time; no line may be longer than
+                # one.
                 block_size=max(_BLOCK_BYTES, 1 + max(map(len, io.BytesIO(body)))),
             ),
-            convert_options=arrow_csv.ConvertOptions(column_types=types, include_columns=[*types]),
+            convert_options=arrow_csv.ConvertOptions(
+                column_types=types, include_columns=[*types]
+            ),
         )
-        if table.num_rows != n_rows:  # pyarrow lets quoted fields go on in the next line
+        if (
+            table.num_rows != n_rows
+        ):  # pyarrow lets quoted fields go on in the next line
             raise pa.ArrowInvalid(f"{table.num_rows} rows in {n_rows} lines")
     except (pa.ArrowException, MemoryError, UnicodeError) as error:
         for number, line in enumerate(recording.lines_of(body), start=begins):
             if message := _csv_fault(line, len(names), used, numbers) if line else "":
                 raise DataError(f"{path}, line {number}: {message}") from None
         raise DataError(f"{path}: cannot be read as csv ({told(error)})") from None
-    place = recording.Place(path, lambda: np.fromiter(_csv_lines(body, begins), dtype=np.int64))
+    place = recording.Place(
+        path, lambda: np.fromiter(_csv_lines(body, begins), dtype=np.int64)
+    )
     return _rows(table.rename_columns([*used]), names=names, used=used, place=place)
 
 
-def read_parquet(*, data: bytes, path: str, columns: _Names | None = None) -> recording.Rows:
+def read_parquet(
+    *, data: bytes, path: str, columns: _Names | None = None
+) -> recording.Rows:
     """Read a parquet file; DataError names file and row. `columns` are what these are called."""
     import pyarrow as pa  # noqa: PLC0415 - a plain import of the package stays quick
     from pyarrow import parquet  # noqa: PLC0415 - only for such a file
@@ -108,23 +126,32 @@ def read_parquet(*, data: bytes, path: str, columns: _Names | None = None) -> re
     names = tuple(schema.names)
     places = _columns_in(names, columns or {}, where=path)
     if n_rows > max(_FREE_ROWS, len(data)):
-        raise DataError(f"{path}: claims {n_rows} rows in {len(data)} bytes; not a recording")
+        raise DataError(
+            f"{path}: claims {n_rows} rows in {len(data)} bytes; not a recording"
+        )
     if size > max(_FREE_BYTES, _MOST_TIMES * len(data)):
-        raise DataError(f"{path}: {size} bytes when unpacked, over {_MOST_TIMES} times its size")
+        raise DataError(
+            f"{path}: {size} bytes when unpacked, over {_MOST_TIMES} times its size"
+        )
     try:
         used = [column.name for column in places.values()]
-        # Each text once: a long one that stands in every row would not fit into the memory.
+        # Each text once: a long one that stands in every row would not fit into the
+        # memory.
         kinds = {pa.string(), pa.large_string()}
         texts = [name for name in used if schema.field(name).type in kinds]
         file = parquet.ParquetFile(pa.BufferReader(data), read_dictionary=texts)
         table = file.read(columns=used, use_threads=False)
-        table.validate(full=True)  # pyarrow reads codes beyond the dictionary as they are
+        table.validate(
+            full=True
+        )  # pyarrow reads codes beyond the dictionary as they are
         for name in used:  # pyarrow passes over what its parts call differently
             if name not in table.column_names:
                 raise ValueError(f"column {name} is not in it")  # noqa: TRY301 - told below
     except Exception as error:  # noqa: BLE001 - as above
         why = (
-            "damaged, or too large for the memory" if isinstance(error, MemoryError) else "damaged"
+            "damaged, or too large for the memory"
+            if isinstance(error, MemoryError)
+            else "damaged"
         )
         raise DataError(f"{path}: the parquet file is {why} ({told(error)})") from None
     place = recording.Place(path, lambda: np.arange(1, n_rows + 1), unit="row")
@@ -137,12 +164,18 @@ def read_frame(frame: pd.DataFrame, *, columns: _Names | None = None) -> recordi
     import pyarrow as pa  # noqa: PLC0415 - only for such data
 
     path = "DataFrame"
-    index = [name for name in frame.index.names if name is not None and name not in frame.columns]
+    index = [
+        name
+        for name in frame.index.names
+        if name is not None and name not in frame.columns
+    ]
     if index:
         frame = frame.reset_index(level=index)
     names = tuple(map(str, frame.columns))
     places = _columns_in(names, columns or {}, where=path)
-    columns_read = [_arrow_column(frame, column, path=path) for column in places.values()]
+    columns_read = [
+        _arrow_column(frame, column, path=path) for column in places.values()
+    ]
     table = pa.table(columns_read, names=[*places])
     place = recording.Place(path, lambda: np.arange(1, len(frame) + 1), unit="row")
     return _rows(table, names=names, used=places, place=place)
@@ -186,9 +219,10 @@ def _csv_header(*, header: str, path: str) -> tuple[str, ...]:
     for separator, name in ((";", "semicolons"), ("\t", "tabs"), (" ", "spaces")):
         if len(names) == 1 and separator in header.strip():
             raise DataError(
-                f"{where}: {name} between the columns; csv has commas (and decimal points); in "
-                f"Python: pandas.read_csv('FILE', sep={separator!r}).to_csv('walks.csv', "
-                "index=False), with decimal=',' if numbers have commas"
+                f"{where}: {name} between the columns; csv has commas (and decimal"
+                " points); in Python: pandas.read_csv('FILE',"
+                f" sep={separator!r}).to_csv('walks.csv', index=False), with"
+                " decimal=',' if numbers have commas"
             )
     return names
 
@@ -200,7 +234,9 @@ class _Used(Column):
     place: int = 0
 
 
-def _columns_in(names: Sequence[str], columns: _Names, *, where: str) -> dict[str, _Used]:
+def _columns_in(
+    names: Sequence[str], columns: _Names, *, where: str
+) -> dict[str, _Used]:
     """Return the columns that are read; DataError if one is missing or there twice.
 
     None is read twice; `_column` says how it is called.
@@ -217,20 +253,27 @@ def _columns_in(names: Sequence[str], columns: _Names, *, where: str) -> dict[st
             missing.append(wanted.name)
     if missing:
         there = recording.listed([recording.printable(called[:40]) for called in names])
-        frames = next((header for header in names if header.casefold().startswith("frame")), "")
+        frames = next(
+            (header for header in names if header.casefold().startswith("frame")), ""
+        )
         hint = f"; --columns 't={frames[:40]}[25 fps]' counts frames" if frames else ""
         raise DataError(
-            f"{where}: no column {', '.join(missing)} (needed: t in s, id, x and y in m); it has "
-            f"{there}: --columns t=NAME,id=NAME,x=NAME,y=NAME says which is which{hint}"
+            f"{where}: no column {', '.join(missing)} (needed: t in s, id, x and y in"
+            f" m); it has {there}: --columns t=NAME,id=NAME,x=NAME,y=NAME says which is"
+            f" which{hint}"
         )
     places = [column.place for column in used.values()]
     for name, column in used.items():
         if places.count(column.place) > 1:
-            raise DataError(f"{where}: --columns takes {column.name} for {name} and for another")
+            raise DataError(
+                f"{where}: --columns takes {column.name} for {name} and for another"
+            )
     return used
 
 
-def _column(names: Sequence[str], wanted: Column, *, of: str, where: str) -> _Used | None:
+def _column(
+    names: Sequence[str], wanted: Column, *, of: str, where: str
+) -> _Used | None:
     """Return the column that is called so, exactly or nearly; None without, DataError if several.
 
     Nearly: in other letters, small or capital, or with a unit in brackets behind it.
@@ -252,7 +295,9 @@ def _column(names: Sequence[str], wanted: Column, *, of: str, where: str) -> _Us
     (place,) = places
     unit = headers[place].unit
     if unit and wanted.unit and unit != wanted.unit:
-        raise DataError(f"{where}: --columns {of}: unit {wanted.unit} contradicts {names[place]}")
+        raise DataError(
+            f"{where}: --columns {of}: unit {wanted.unit} contradicts {names[place]}"
+        )
     return _Used(names[place], wanted.unit or unit, place)
 
 
@@ -268,7 +313,11 @@ def _unit_line(
     if not all(recording.is_unit(unit, of=name) for name, unit in units.items()):
         return used, body, 2
     named = {
-        name: replace(column, unit=column.unit or units[name]) if name in units else column
+        name: (
+            replace(column, unit=column.unit or units[name])
+            if name in units
+            else column
+        )
         for name, column in used.items()
     }
     return named, rest, 3
@@ -291,7 +340,11 @@ def _fields(line: bytes) -> list[str]:
 
 def _csv_lines(body: bytes, begins: int) -> Iterator[int]:
     """Yield the numbers of the lines that are rows; pyarrow leaves out empty ones alone."""
-    return (number for number, line in enumerate(io.BytesIO(body), start=begins) if line != b"\n")
+    return (
+        number
+        for number, line in enumerate(io.BytesIO(body), start=begins)
+        if line != b"\n"
+    )
 
 
 def _csv_fault(
@@ -314,7 +367,9 @@ def _csv_fault(
             continue
         field = fields[used[name].place]
         try:
-            float(field.replace("_", "?").encode("ascii", "replace") or "nan")  # as arrow has it
+            float(
+                field.replace("_", "?").encode("ascii", "replace") or "nan"
+            )  # as arrow has it
         except ValueError:
             hint = " (a decimal comma?)" if "," in field else ""
             if name == "t" and re.search(r"\d[:/.]\d+[:/.]\d", field):
@@ -324,7 +379,11 @@ def _csv_fault(
 
 
 def _rows(
-    table: pa.Table, *, names: Sequence[str], used: Mapping[str, _Used], place: recording.Place
+    table: pa.Table,
+    *,
+    names: Sequence[str],
+    used: Mapping[str, _Used],
+    place: recording.Place,
 ) -> recording.Rows:
     """Return the rows of arrow columns, called as we call them; `names` are the file's."""
     if not table.num_rows:
@@ -340,14 +399,20 @@ def _rows(
     if "group" in used:  # an empty cell is no group
         group, labels = _index(table["group"], is_group=True, place=place)
         pairs = np.unique(np.column_stack([person, group]), axis=0)
-        groups = tuple((ids[who], labels[label]) for who, label in pairs if labels[label])
+        groups = tuple(
+            (ids[who], labels[label]) for who, label in pairs if labels[label]
+        )
     read = {column.name for column in used.values()}
     if others := [recording.printable(name[:40]) for name in names if name not in read]:
         unused = f"column(s) {recording.listed(others)}: not used, {t.size} rows each"
-        note = recording.Repair("ignored-column", len(others), f"{place.path}: {unused}")
+        note = recording.Repair(
+            "ignored-column", len(others), f"{place.path}: {unused}"
+        )
         notes = (note, *notes)
     by = "the header or --columns"
-    return recording.Rows(person, ids, t - t.min(), xy, place, groups, notes, unit, unit_by=by)
+    return recording.Rows(
+        person, ids, t - t.min(), xy, place, groups, notes, unit, unit_by=by
+    )
 
 
 def _common_unit(
@@ -375,7 +440,9 @@ def _times(column: pa.ChunkedArray, used: _Used, *, place: recording.Place) -> F
     if pa.types.is_timestamp(value) or pa.types.is_duration(value):
         ticks = column.cast(pa.int64()).to_numpy().astype(np.float64)
         exact = column.drop_null().cast(pa.int64()).to_numpy()
-        if exact.size == ticks.size:  # the difference first: a double holds 1970 to 0.2 us
+        if (
+            exact.size == ticks.size
+        ):  # the difference first: a double holds 1970 to 0.2 us
             ticks = (exact - exact.min()).astype(np.float64)
         seconds: Floats = ticks * TIMES[value.unit]
         return seconds
@@ -387,11 +454,14 @@ def _times(column: pa.ChunkedArray, used: _Used, *, place: recording.Place) -> F
         is_single = t.size > 1 and bool((t == t.astype(np.float32)).all())
     if usual > _EPOCH_S and is_single:
         raise DataError(
-            f"{path}: times like {usual:.6g} are 32-bit numbers (float32), too coarse for a clock "
-            "since 1970; save them as 64-bit numbers, or from the first sample on"
+            f"{path}: times like {usual:.6g} are 32-bit numbers (float32), too coarse"
+            " for a clock since 1970; save them as 64-bit numbers, or from the first"
+            " sample on"
         )
     if used.unit:
-        scaled = (t - (t.min() if np.isfinite(t).all() else 0.0)) * recording.seconds_per(used.unit)
+        scaled = (
+            t - (t.min() if np.isfinite(t).all() else 0.0)
+        ) * recording.seconds_per(used.unit)
         return np.asarray(scaled)
     for least, unit in _EPOCHS:
         if usual >= least:
@@ -411,17 +481,22 @@ def _dates(column: pa.ChunkedArray, *, place: recording.Place) -> Floats:
             column.to_pandas(integer_object_nulls=True), use_na_sentinel=False
         )
     except (ValueError, UnicodeError) as error:
-        raise DataError(f"{place.path}: column t cannot be read ({told(error)})") from None
+        raise DataError(
+            f"{place.path}: column t cannot be read ({told(error)})"
+        ) from None
     zones = set[bool]()
     for code, text in enumerate(texts):
         match = _ISO.fullmatch(text.strip()) if isinstance(text, str) else None
         if match is None:
             if not code:  # no row is a date: the column is something else
                 raise DataError(
-                    f"{place.path}: column t holds string, not numbers of seconds; convert it first"
+                    f"{place.path}: column t holds string, not numbers of seconds;"
+                    " convert it first"
                 )
             where = place.at(int((codes == code).argmax()))
-            raise DataError(f"{where}: t {str(text)[:40]!r} is no date of ISO 8601 like the others")
+            raise DataError(
+                f"{where}: t {str(text)[:40]!r} is no date of ISO 8601 like the others"
+            )
         zones.add(match[1] is not None)
     if len(zones) > 1:
         raise DataError(f"{place.path}: some times have a zone and others have none")
@@ -433,11 +508,15 @@ def _dates(column: pa.ChunkedArray, *, place: recording.Place) -> Floats:
         dates = pd.to_datetime(written, format="ISO8601", utc=True, errors="coerce")
         ticks = dates.as_unit("ns").asi8
     except (ValueError, OverflowError) as error:
-        raise DataError(f"{place.path}: column t cannot be read ({told(error)})") from None
+        raise DataError(
+            f"{place.path}: column t cannot be read ({told(error)})"
+        ) from None
     if dates.isna().any():
         code = int(dates.isna().argmax())
         where = place.at(int((codes == code).argmax()))
-        raise DataError(f"{where}: t {written[code][:40]!r} is no date and time that there is")
+        raise DataError(
+            f"{where}: t {written[code][:40]!r} is no date and time that there is"
+        )
     seconds: Floats = (ticks - ticks.min()) * 1e-9 + leaps
     return np.asarray(seconds[codes])
 
@@ -450,10 +529,12 @@ def _numbers(column: pa.ChunkedArray, *, name: str, path: str) -> Floats:
         column = column.cast(column.type.value_type)
     kind = column.type
     if not any(
-        is_so(kind) for is_so in (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal)
+        is_so(kind)
+        for is_so in (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal)
     ):
         raise DataError(
-            f"{path}: column {name} holds {kind}, not numbers of {_UNITS[name]}; convert it first"
+            f"{path}: column {name} holds {kind}, not numbers of {_UNITS[name]};"
+            " convert it first"
         )
     numbers: Floats = column.cast(pa.float64(), safe=False).to_numpy()
     return numbers
@@ -466,10 +547,14 @@ def _index(
     import pandas as pd  # noqa: PLC0415 - only for such a file
     import pyarrow as pa  # noqa: PLC0415 - only for such a file
 
-    kind = column.type.value_type if pa.types.is_dictionary(column.type) else column.type
+    kind = (
+        column.type.value_type if pa.types.is_dictionary(column.type) else column.type
+    )
     is_text = kind in {pa.string(), pa.large_string()}
     if not (is_text or pa.types.is_integer(kind) or pa.types.is_floating(kind)):
-        raise DataError(f"{place.path}: ids and groups must be numbers or text, not {kind}")
+        raise DataError(
+            f"{place.path}: ids and groups must be numbers or text, not {kind}"
+        )
     try:
         values = column.to_pandas(integer_object_nulls=True)
     except (pa.ArrowException, UnicodeError) as error:
@@ -481,12 +566,18 @@ def _index(
             # Null is "None" or "nan", which is no name.
             cleaned.append(_cleaned(str(value).strip(), is_group=is_group))
         except ValueError as error:
-            raise DataError(f"{place.at(int((codes == code).argmax()))}: {error}") from None
+            raise DataError(
+                f"{place.at(int((codes == code).argmax()))}: {error}"
+            ) from None
     # As numbers if all of them are, else as text.
     are_numbers = all(re.fullmatch(r"-?[0-9]{1,18}", name) for name in cleaned)
-    names = sorted(set(cleaned), key=lambda name: (int(name) if are_numbers else 0, name))
+    names = sorted(
+        set(cleaned), key=lambda name: (int(name) if are_numbers else 0, name)
+    )
     position = {name: index for index, name in enumerate(names)}
-    return np.array([position[name] for name in cleaned], dtype=np.int64)[codes], tuple(names)
+    return np.array([position[name] for name in cleaned], dtype=np.int64)[codes], tuple(
+        names
+    )
 
 
 def _cleaned(name: str, *, is_group: bool) -> str:

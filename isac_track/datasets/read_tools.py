@@ -1,6 +1,7 @@
 """Readers of other tools: JuPedSim, the Pedestrian Data Archive, Vadere, MOT, SDD, Viswalk.
 
-Each by its name alone, never by the number of its columns. SQLite, HDF5 and pandas do the parsing.
+Each by its name alone, never by the number of its columns. SQLite, HDF5 and pandas do
+the parsing.
 """
 
 from __future__ import annotations
@@ -24,16 +25,42 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-_MOT = ("frame", "id", "left", "top", "width", "height")  # Further columns are not used.
-_MOT_GROUND_TRUTH = 9  # Columns of MOT16 and later; before the last, visibility, the class:
+_MOT = (
+    "frame",
+    "id",
+    "left",
+    "top",
+    "width",
+    "height",
+)  # Further columns are not used.
+_MOT_GROUND_TRUTH = (
+    9  # Columns of MOT16 and later; before the last, visibility, the class:
+)
 _MOT_PEOPLE = (-1, 1, 7)  # not said, a pedestrian, somebody who stands.
-_SDD = ("id", "xmin", "ymin", "xmax", "ymax", "frame", "lost", "occluded", "generated", "label")
+_SDD = (
+    "id",
+    "xmin",
+    "ymin",
+    "xmax",
+    "ymax",
+    "frame",
+    "lost",
+    "occluded",
+    "generated",
+    "label",
+)
 
 
 def _rate(fps: float | None, declared: float | None, *, path: str, name: str) -> float:
     """Return the frame rate that the user or the file gives; DataError if none or both differ."""
-    if fps is not None and declared is not None and not np.isclose(fps, declared, rtol=1e-6):
-        raise DataError(f"{path}: --fps {fps:g} contradicts the file's frame rate {declared:g}")
+    if (
+        fps is not None
+        and declared is not None
+        and not np.isclose(fps, declared, rtol=1e-6)
+    ):
+        raise DataError(
+            f"{path}: --fps {fps:g} contradicts the file's frame rate {declared:g}"
+        )
     rate = declared if fps is None else fps
     if rate is None:
         raise DataError(
@@ -47,7 +74,9 @@ def _framed(columns: Mapping[str, Floats], place: Place, *, fps: float) -> Rows:
     """Return rows of columns frame, id, x and y, on a clock in seconds."""
     if not columns["frame"].size:
         raise DataError(f"{place.path}: the file holds no rows")
-    rows = recording.framed({name: columns[name] for name in ("frame", "id", "x", "y")}, place)
+    rows = recording.framed(
+        {name: columns[name] for name in ("frame", "id", "x", "y")}, place
+    )
     return replace(rows, t=rows.t / fps)
 
 
@@ -74,14 +103,26 @@ def read_jupedsim(*, data: bytes, path: str, fps: float | None) -> Rows:
         with closing(sqlite3.connect(":memory:")) as base:
             base.deserialize(data)
             asked = "SELECT frame, id, pos_x, pos_y FROM trajectory_data"
-            table = np.array(base.execute(asked).fetchall(), dtype=np.float64).reshape(-1, 4)
-            declared = base.execute("SELECT value FROM metadata WHERE key = 'fps'").fetchone()
+            table = np.array(base.execute(asked).fetchall(), dtype=np.float64).reshape(
+                -1, 4
+            )
+            declared = base.execute(
+                "SELECT value FROM metadata WHERE key = 'fps'"
+            ).fetchone()
     except (sqlite3.Error, ValueError, TypeError, OverflowError, MemoryError) as error:
-        raise DataError(f"{path}: cannot be read as JuPedSim's SQLite ({told(error)})") from None
-    rate = None if declared is None else recording.checked_fps(str(declared[0]), where=path)
+        raise DataError(
+            f"{path}: cannot be read as JuPedSim's SQLite ({told(error)})"
+        ) from None
+    rate = (
+        None
+        if declared is None
+        else recording.checked_fps(str(declared[0]), where=path)
+    )
     columns = dict(zip(("frame", "id", "x", "y"), table.T, strict=True))
     rows = _framed(
-        columns, _numbered(path, len(table)), fps=_rate(fps, rate, path=path, name="jupedsim")
+        columns,
+        _numbered(path, len(table)),
+        fps=_rate(fps, rate, path=path, name="jupedsim"),
     )
     return replace(rows, unit="m")
 
@@ -97,24 +138,34 @@ def read_hdf5(*, data: bytes, path: str, fps: float | None) -> Rows:
             table = file["trajectory"][...]
             attributes = {**file.attrs, **file["trajectory"].attrs}
             names = ("frame", "id", "x", "y")
-            columns = {name: np.asarray(table[name], dtype=np.float64) for name in names}
+            columns = {
+                name: np.asarray(table[name], dtype=np.float64) for name in names
+            }
             declared = attributes.get("fps")
             rate = None if declared is None else float(np.ravel(declared)[0])
     except Exception as error:  # noqa: BLE001 - a damaged file makes h5py raise nearly anything
-        raise DataError(f"{path}: cannot be read as HDF5 trajectories ({told(error)})") from None
+        raise DataError(
+            f"{path}: cannot be read as HDF5 trajectories ({told(error)})"
+        ) from None
     rows = _framed(
-        columns, _numbered(path, len(table)), fps=_rate(fps, rate, path=path, name="hdf5")
+        columns,
+        _numbered(path, len(table)),
+        fps=_rate(fps, rate, path=path, name="hdf5"),
     )
     return replace(rows, unit="m")
 
 
-def _table(data: bytes, *, path: str, name: str, skip: int = 0, **how: object) -> pd.DataFrame:
+def _table(
+    data: bytes, *, path: str, name: str, skip: int = 0, **how: object
+) -> pd.DataFrame:
     """Return the fields of a text file as text; DataError if it is no table."""
     import pandas as pd  # noqa: PLC0415 - only for such a file
 
     try:
         # The stubs know no call whose options are handed on.
-        return pd.read_csv(io.BytesIO(data), dtype=str, skiprows=skip, skipinitialspace=True, **how)  # type: ignore[call-overload, no-any-return]
+        return pd.read_csv(
+            io.BytesIO(data), dtype=str, skiprows=skip, skipinitialspace=True, **how
+        )  # type: ignore[call-overload, no-any-return]
     except (ValueError, UnicodeError, MemoryError, OverflowError, csv.Error) as error:
         raise DataError(f"{path}: cannot be read as {name} ({told(error)})") from None
 
@@ -127,7 +178,9 @@ def _number_columns(
 
     columns = {}
     for ours, theirs in names.items():
-        numbers = pd.to_numeric(table[theirs], errors="coerce").to_numpy(dtype=np.float64)
+        numbers = pd.to_numeric(table[theirs], errors="coerce").to_numpy(
+            dtype=np.float64
+        )
         bad = np.isnan(numbers)
         if bad.any():
             row = int(bad.argmax())
@@ -144,17 +197,27 @@ def read_vadere(*, data: bytes, path: str) -> Rows:
     A row is a step of the foot; its start is where the person is at its time.
     """
     recording.check_text(data=data, path=path)
-    header = next((line for line in recording.lines_of(data) if line[:1] not in {"", "#"}), "")
+    header = next(
+        (line for line in recording.lines_of(data) if line[:1] not in {"", "#"}), ""
+    )
     is_csv = "," in header
-    table = _table(data, path=path, name="vadere", sep="," if is_csv else r"\s+", comment="#")
-    found = {str(name).partition("-PID")[0].lower(): str(name) for name in table.columns}
+    table = _table(
+        data, path=path, name="vadere", sep="," if is_csv else r"\s+", comment="#"
+    )
+    found = {
+        str(name).partition("-PID")[0].lower(): str(name) for name in table.columns
+    }
     wanted = {"id": "pedestrianid", "t": "simtime", "x": "startx", "y": "starty"}
     if "startx" not in found:
         wanted |= {"x": "x", "y": "y"}
     if missing := [name for name in wanted.values() if name not in found]:
-        raise DataError(f"{path}: no column {', '.join(missing)}, as Vadere's trajectories have")
+        raise DataError(
+            f"{path}: no column {', '.join(missing)}, as Vadere's trajectories have"
+        )
     place = _numbered(path, len(table))
-    columns = _number_columns(table, {ours: found[name] for ours, name in wanted.items()}, place)
+    columns = _number_columns(
+        table, {ours: found[name] for ours, name in wanted.items()}, place
+    )
     xy = np.column_stack([columns["x"], columns["y"]])
     return replace(_timed(columns["t"], columns["id"], xy, place), unit="m")
 
@@ -167,12 +230,16 @@ def read_mot(*, data: bytes, path: str, fps: float | None) -> Rows:
     recording.check_text(data=data, path=path)
     table = _table(data, path=path, name="mot", header=None, comment="#")
     if table.shape[1] < len(_MOT):
-        raise DataError(f"{path}: {table.shape[1]} column(s) where mot has {', '.join(_MOT)}, ...")
+        raise DataError(
+            f"{path}: {table.shape[1]} column(s) where mot has {', '.join(_MOT)}, ..."
+        )
     place = _numbered(path, len(table))
     named = table.iloc[:, : len(_MOT)].set_axis(_MOT, axis=1)
     columns = _number_columns(named, {name: name for name in _MOT}, place)
     if (columns["id"] < 0).all():
-        raise DataError(f"{path}: every id is negative: detections of nobody; take the file gt.txt")
+        raise DataError(
+            f"{path}: every id is negative: detections of nobody; take the file gt.txt"
+        )
     columns["x"] = columns["left"] + columns["width"] / 2.0
     columns["y"] = columns["top"] + columns["height"]
     return _of_people(
@@ -186,7 +253,9 @@ def _mot_marks(table: pd.DataFrame) -> tuple[Bools, Bools]:
 
     further = table.iloc[:, len(_MOT) :].apply(pd.to_numeric, errors="coerce")
     ignored = others = np.zeros(len(table), dtype=bool)
-    if further.shape[1] and further.iloc[:, 0].isin((0, 1)).all():  # no confidence, but a flag
+    if (
+        further.shape[1] and further.iloc[:, 0].isin((0, 1)).all()
+    ):  # no confidence, but a flag
         ignored = further.iloc[:, 0].to_numpy() == 0
     if table.shape[1] == _MOT_GROUND_TRUTH:
         others = ~further.iloc[:, 1].isin(_MOT_PEOPLE).to_numpy()
@@ -194,15 +263,24 @@ def _mot_marks(table: pd.DataFrame) -> tuple[Bools, Bools]:
 
 
 def _of_people(
-    columns: Mapping[str, Floats], lost: Bools, others: Bools, place: Place, *, fps: float
+    columns: Mapping[str, Floats],
+    lost: Bools,
+    others: Bools,
+    place: Place,
+    *,
+    fps: float,
 ) -> Rows:
     """Return the rows of boxes that are neither lost nor anything but people; counts the rest."""
-    notes = place.noted("lost", np.flatnonzero(lost), "the box is marked as lost; dropped")
+    notes = place.noted(
+        "lost", np.flatnonzero(lost), "the box is marked as lost; dropped"
+    )
     text = "no pedestrian; dropped"
     notes += place.noted("other-label", np.flatnonzero(~lost & others), text)
     there = ~(lost | others)
     if not there.any():
-        raise DataError(f"{place.path}: all {there.size} boxes are lost, or no pedestrian's")
+        raise DataError(
+            f"{place.path}: all {there.size} boxes are lost, or no pedestrian's"
+        )
     line = np.flatnonzero(there) + 1
     left = {name: column[there] for name, column in columns.items()}
     rows = _framed(left, Place(place.path, lambda: line, unit=place.unit), fps=fps)
@@ -217,7 +295,9 @@ def read_sdd(*, data: bytes, path: str, fps: float | None) -> Rows:
     recording.check_text(data=data, path=path)
     table = _table(data, path=path, name="sdd", header=None, sep=r"\s+", quotechar='"')
     if table.shape[1] != len(_SDD):
-        raise DataError(f"{path}: {table.shape[1]} column(s) where sdd has {', '.join(_SDD)}")
+        raise DataError(
+            f"{path}: {table.shape[1]} column(s) where sdd has {', '.join(_SDD)}"
+        )
     table = table.set_axis(_SDD, axis=1)
     place = _numbered(path, len(table))
     columns = _number_columns(table, {name: name for name in _SDD[:7]}, place)
@@ -235,17 +315,27 @@ def read_viswalk(*, data: bytes, path: str) -> Rows:
     """
     recording.check_text(data=data, path=path)
     lines = [line.strip() for line in recording.lines_of(data)]
-    begins = next((n for n, line in enumerate(lines) if line.upper().startswith("$PED")), None)
+    begins = next(
+        (n for n, line in enumerate(lines) if line.upper().startswith("$PED")), None
+    )
     if begins is None:
-        raise DataError(f"{path}: no line $PEDESTRIAN:..., which names the columns of Viswalk")
-    names = [name.strip().upper() for name in lines[begins].partition(":")[2].split(";")]
-    body = [line for line in lines[begins + 1 :] if line and not line.startswith(("*", "$"))]
+        raise DataError(
+            f"{path}: no line $PEDESTRIAN:..., which names the columns of Viswalk"
+        )
+    names = [
+        name.strip().upper() for name in lines[begins].partition(":")[2].split(";")
+    ]
+    body = [
+        line for line in lines[begins + 1 :] if line and not line.startswith(("*", "$"))
+    ]
     text = "\n".join(body).encode()
     if not body:
         raise DataError(f"{path}: the file holds no rows")
     table = _table(text, path=path, name="viswalk", header=None, sep=";")
     if table.shape[1] < len(names):
-        raise DataError(f"{path}: {table.shape[1]} column(s) where the header has {len(names)}")
+        raise DataError(
+            f"{path}: {table.shape[1]} column(s) where the header has {len(names)}"
+        )
     table = table.iloc[:, : len(names)].set_axis(names, axis=1)
     if "COORDCENT" in names:
         parts = table["COORDCENT"].str.split(expand=True)
@@ -254,7 +344,9 @@ def read_viswalk(*, data: bytes, path: str) -> Rows:
         table["COORDCENTX"], table["COORDCENTY"] = parts[0], parts[1]
     wanted = {"t": "SIMSEC", "id": "NO", "x": "COORDCENTX", "y": "COORDCENTY"}
     if missing := [name for name in wanted.values() if name not in table.columns]:
-        raise DataError(f"{path}: no column {', '.join(missing)}, which Viswalk can write")
+        raise DataError(
+            f"{path}: no column {', '.join(missing)}, which Viswalk can write"
+        )
     place = _numbered(path, len(table))
     columns = _number_columns(table, wanted, place)
     xy = np.column_stack([columns["x"], columns["y"]])

@@ -12,12 +12,15 @@ from isac_track.errors import DataError
 from isac_track.types import Bools, Floats, Ints
 
 COLUMNS = ("t", "id", "x", "y", "group")  # Of a table.
-WHOLE_LIMIT = 2.0**53  # Frames and ids are float64, which holds every whole number below this.
+WHOLE_LIMIT = (
+    2.0**53
+)  # Frames and ids are float64, which holds every whole number below this.
 _LIMITS = {
     **dict.fromkeys(("frame", "f", "id", "p"), WHOLE_LIMIT),
     # About 30,000 years: a larger clock is not in seconds.
     "t": 1e12,
-    # No coordinate on Earth is larger; beyond it differences would overflow or lose the metre.
+    # No coordinate on Earth is larger; beyond it differences would overflow or lose the
+    # metre.
     "x": 1e9,
     "y": 1e9,
 }
@@ -25,8 +28,12 @@ METRES: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}  # By unit of 
 FOOT_M = 0.3048
 LENGTHS: Mapping[str, float] = {
     **dict.fromkeys(("m", "meter", "metre", "meters", "metres"), 1.0),
-    **dict.fromkeys(("cm", "centimeter", "centimetre", "centimeters", "centimetres"), 0.01),
-    **dict.fromkeys(("mm", "millimeter", "millimetre", "millimeters", "millimetres"), 0.001),
+    **dict.fromkeys(
+        ("cm", "centimeter", "centimetre", "centimeters", "centimetres"), 0.01
+    ),
+    **dict.fromkeys(
+        ("mm", "millimeter", "millimetre", "millimeters", "millimetres"), 0.001
+    ),
     **dict.fromkeys(("ft", "foot", "feet"), FOOT_M),
     **dict.fromkeys(("yd", "yard", "yards"), 0.9144),
     **dict.fromkeys(("in", "inch", "inches"), 0.0254),
@@ -49,8 +56,13 @@ ON_DUPLICATE = ("error", "first", "mean")
 _EARTH_M = 6_378_137.0  # Semi-major axis of WGS 84,
 _FLATNESS = 0.00669437999014  # and its first eccentricity, squared.
 _SEVERAL = 5  # People whose walks say which axis is which; of fewer it may be chance.
-_STEADIER = 0.8  # Of how unsteady a walk is: so much less speaks for another order of the axes.
-FPS_LIMITS = (1e-3, 1e6)  # Frames per second outside are a mistake, and would overflow the clock.
+_STEADIER = (
+    0.8  # Of how unsteady a walk is: so much less speaks for another order of the axes.
+)
+FPS_LIMITS = (
+    1e-3,
+    1e6,
+)  # Frames per second outside are a mistake, and would overflow the clock.
 _SHOWN = 5
 _EXCEL = (
     'an Excel workbook or a zip archive; convert it first: python -c "import pandas; '
@@ -72,7 +84,9 @@ class Place:
     """Where the rows of one file stand in it."""
 
     path: str
-    lines: Callable[[], Ints]  # (M,) line of every row, from 1; called only if a row is named.
+    lines: Callable[
+        [], Ints
+    ]  # (M,) line of every row, from 1; called only if a row is named.
     unit: str = "line"
 
     def at(self, row: int) -> str:
@@ -84,7 +98,10 @@ class Place:
         if not rows.size:
             return []
         numbers = np.sort(self.lines()[rows])
-        where = f"{self.path}: {self.unit}{'s' if numbers.size > 1 else ''} {listed(numbers)}"
+        where = (
+            f"{self.path}: {self.unit}{'s' if numbers.size > 1 else ''}"
+            f" {listed(numbers)}"
+        )
         return [Repair(kind, rows.size, f"{where}: {text}")]
 
 
@@ -93,15 +110,20 @@ class Rows:
     """M rows of a recording: numbers checked, nothing sorted or mended yet."""
 
     person: Ints  # (M,) index into `ids`
-    ids: tuple[str, ...]  # Who was recorded, each id once, in the order of the tracks to be.
+    ids: tuple[
+        str, ...
+    ]  # Who was recorded, each id once, in the order of the tracks to be.
     t: Floats  # (M,) s, on the file's own clock
     xy: Floats  # (M, 2) in the file's unit of length
     place: Place
     groups: tuple[tuple[str, str], ...] = ()  # (id, label of a walking group) pairs
     notes: tuple[Repair, ...] = ()  # What the reader itself mended or left out.
-    unit: str = ""  # Of `LENGTHS`, that the file says its lengths are in; empty if it says nothing.
+    # Of `LENGTHS`, that the file says its lengths are in; empty if it says nothing.
+    unit: str = ""
     unit_by: str = "the header"  # Who says so, for messages.
-    split_s: float | None = None  # The longest step within a track, if the format says so.
+    split_s: float | None = (
+        None  # The longest step within a track, if the format says so.
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +138,9 @@ class Column:
 class Reading:
     """What a user says of a file of their own beyond format, frame rate and unit."""
 
-    columns: Mapping[str, Column] = field(default_factory=dict)  # By t, id, x, y and group.
+    columns: Mapping[str, Column] = field(
+        default_factory=dict
+    )  # By t, id, x, y and group.
     on_duplicate: str = "error"  # Of `ON_DUPLICATE`.
     crs: str | None = None  # Of `CRS`; None is a plane.
     drop_frozen_s: float | None = None  # Longer stretches at one place are dropped.
@@ -128,7 +152,9 @@ class Reading:
             raise DataError(f"--drop-frozen takes seconds above 0, got {seconds!r:.40}")
         if self.on_duplicate not in ON_DUPLICATE:
             known = ", ".join(ON_DUPLICATE)
-            raise DataError(f"--on-duplicate must be one of {known}, got {self.on_duplicate!r:.40}")
+            raise DataError(
+                f"--on-duplicate must be one of {known}, got {self.on_duplicate!r:.40}"
+            )
         if self.crs not in (None, *CRS):
             raise DataError(f"--crs must be {', '.join(CRS)}, got {self.crs!r:.40}")
         if seconds is not None and not 0 < seconds < math.inf:
@@ -140,28 +166,36 @@ def columns_named(text: str | Mapping[str, str] | None) -> dict[str, Column]:
     if not text:
         return {}
     if not isinstance(text, str | Mapping):
-        raise DataError(f"--columns takes t=NAME,id=NAME,x=NAME,y=NAME, got {text!r:.40}")
+        raise DataError(
+            f"--columns takes t=NAME,id=NAME,x=NAME,y=NAME, got {text!r:.40}"
+        )
     pairs = text.items() if isinstance(text, Mapping) else _pairs(text)
     columns = {}
     for name, called in pairs:
         if name not in COLUMNS:
-            raise DataError(f"--columns names {', '.join(COLUMNS)}, got {str(name)[:40]!r}")
+            raise DataError(
+                f"--columns names {', '.join(COLUMNS)}, got {str(name)[:40]!r}"
+            )
         if name in columns:
             raise DataError(f"--columns names {name} twice")
         bare, unit = _apart(str(called).strip())
         has_unit = bool(unit) and name in _UNITS_OF
         if has_unit and not is_unit(unit, of=name):
             known = _units_known(name)
-            raise DataError(f"--columns {name}: unknown unit {unit[:40]!r} (known: {known})")
-        columns[name] = Column(bare if has_unit else str(called).strip(), unit if has_unit else "")
+            raise DataError(
+                f"--columns {name}: unknown unit {unit[:40]!r} (known: {known})"
+            )
+        columns[name] = Column(
+            bare if has_unit else str(called).strip(), unit if has_unit else ""
+        )
     return columns
 
 
 def with_unit(header: str, *, of: str) -> Column:
     """Return a column of a header such as ``x [cm]``, ``t(s)`` or ``y/m``; no unit without one.
 
-    `of` is t, id, x, y or group: only t has units of time, only x and y have units of length. What
-    stands in brackets behind an id or a group says nothing.
+    `of` is t, id, x, y or group: only t has units of time, only x and y have units of
+    length. What stands in brackets behind an id or a group says nothing.
     """
     bare, unit = _apart(header.strip())
     if of not in _UNITS_OF:
@@ -177,10 +211,15 @@ def check_unit(header: str, *, of: str, called: str, where: str) -> None:
     bare, unit = _apart(header.strip())
     if of in _UNITS_OF and unit and bare.casefold() == called.casefold():
         way_out = "give its metres by --unit" if of != "t" else "convert it first"
-        hint = " (degrees: --crs degrees)" if unit[:3] in {"deg", "\u00b0"} and of != "t" else ""
+        hint = (
+            " (degrees: --crs degrees)"
+            if unit[:3] in {"deg", "\u00b0"} and of != "t"
+            else ""
+        )
         raise DataError(
-            f"{where}: column {printable(header[:40])}: unknown unit {unit[:40]!r} (known: "
-            f"{_units_known(of)}); take it out of the header, and {way_out}{hint}"
+            f"{where}: column {printable(header[:40])}: unknown unit {unit[:40]!r}"
+            f" (known: {_units_known(of)}); take it out of the header, and"
+            f" {way_out}{hint}"
         )
 
 
@@ -219,7 +258,9 @@ def _pairs(text: str) -> list[tuple[str, str]]:
     for part in text.split(","):
         name, equals, called = part.partition("=")
         if not equals or not called.strip():
-            raise DataError(f"--columns takes t=NAME,id=NAME,x=NAME,y=NAME, got {part[:40]!r}")
+            raise DataError(
+                f"--columns takes t=NAME,id=NAME,x=NAME,y=NAME, got {part[:40]!r}"
+            )
         pairs.append((name.strip(), called.strip()))
     return pairs
 
@@ -227,22 +268,32 @@ def _pairs(text: str) -> list[tuple[str, str]]:
 def projected(rows: Rows) -> Rows:
     """Return rows of longitude (x) and latitude (y) in degrees as local metres, east and north.
 
-    A plane that touches the ellipsoid WGS 84 at the middle of the recording; within 5 km of it
-    distances are right to some 0.1 %. DataError for what is no degree or spans more than a degree.
+    A plane that touches the ellipsoid WGS 84 at the middle of the recording; within 5
+    km of it distances are right to some 0.1 %. DataError for what is no degree or spans
+    more than a degree.
     """
     path = rows.place.path
     x, y = rows.xy.T
     if (np.abs(x) > 180).any() or (np.abs(y) > 90).any():  # noqa: PLR2004 - of the Earth
         swapped = (np.abs(x) <= 90).all() and (np.abs(y) <= 180).all()  # noqa: PLR2004 - as above
-        hint = "; x is longitude, y latitude: swap them: --columns x=y,y=x" if swapped else ""
-        raise DataError(f"{path}: --crs degrees: not degrees, within 180 (x) and 90 (y){hint}")
+        hint = (
+            "; x is longitude, y latitude: swap them: --columns x=y,y=x"
+            if swapped
+            else ""
+        )
+        raise DataError(
+            f"{path}: --crs degrees: not degrees, within 180 (x) and 90 (y){hint}"
+        )
     if np.ptp(rows.xy, axis=0).max() > 1:
-        raise DataError(f"{path}: --crs degrees: positions span over a degree; not of one place")
+        raise DataError(
+            f"{path}: --crs degrees: positions span over a degree; not of one place"
+        )
     middle = np.median(rows.xy, axis=0)
     xy = np.radians(rows.xy - middle) * _metres_per_radian(middle[1])
     detail = (
-        f"{path}: degrees, x as longitude and y as latitude (swap them with --columns), "
-        f"projected to metres around longitude {middle[0]:.5f}, latitude {middle[1]:.5f}"
+        f"{path}: degrees, x as longitude and y as latitude (swap them with --columns),"
+        f" projected to metres around longitude {middle[0]:.5f}, latitude"
+        f" {middle[1]:.5f}"
     )
     notes = [*rows.notes, Repair("crs", rows.t.size, detail)]
     if abs(middle[0]) <= 90 and len(rows.ids) >= _SEVERAL:  # noqa: PLR2004 - as above
@@ -283,10 +334,15 @@ def in_metres(rows: Rows, *, unit: str | None) -> Rows:
     told, path = str(unit or rows.unit or "m"), rows.place.path
     scale = _metres_per(told)
     if scale is None:
-        hint = f"must be one of {', '.join(METRES)}, ft, or metres a unit, got {told[:40]!r}"
+        hint = (
+            f"must be one of {', '.join(METRES)}, ft, or metres a unit, got"
+            f" {told[:40]!r}"
+        )
         raise DataError(f"{path}: --unit {hint}")
     if rows.unit and scale != _metres_per(rows.unit):
-        raise DataError(f"{path}: --unit {told} contradicts the file's header: {rows.unit}")
+        raise DataError(
+            f"{path}: --unit {told} contradicts the file's header: {rows.unit}"
+        )
     if scale == 1.0:
         return rows
     by = "--unit" if unit else rows.unit_by
@@ -312,7 +368,9 @@ def framed(columns: Mapping[str, Floats], place: Place) -> Rows:
     frame, person, x, y = columns.values()
     ids = np.unique(person)
     return Rows(
-        person=np.searchsorted(ids, person),  # np.unique's own takes six times the memory
+        person=np.searchsorted(
+            ids, person
+        ),  # np.unique's own takes six times the memory
         ids=tuple(str(int(value)) for value in ids),
         t=frame - frame.min(),  # a large frame number over fps would round
         xy=np.column_stack([x, y]),
@@ -362,8 +420,9 @@ def printable(text: str) -> str:
 def lines_of(data: bytes) -> Iterator[str]:
     r"""Yield the lines of what `check_text` accepts, ended by any of ``\n \r\n \r``.
 
-    One by one, without mark and line end: a list, or a text with a single wide character, needs
-    many times the memory of the file. Not splitlines: that also breaks at form feeds and the like.
+    One by one, without mark and line end: a list, or a text with a single wide
+    character, needs many times the memory of the file. Not splitlines: that also breaks
+    at form feeds and the like.
     """
     for line in io.TextIOWrapper(io.BytesIO(data), encoding="utf-8-sig"):
         yield line.removesuffix("\n")
@@ -373,12 +432,27 @@ def check_text(*, data: bytes, path: str) -> None:
     """Raise DataError if a file is empty, compressed, binary, or not UTF-8."""
     for is_so, message in (
         (not data, "the file is empty"),
-        (data.startswith(b"\x1f\x8b"), "the file is compressed (gzip); unpack it first"),
+        (
+            data.startswith(b"\x1f\x8b"),
+            "the file is compressed (gzip); unpack it first",
+        ),
         (data.startswith(b"PK\x03\x04"), _EXCEL),
-        (data.startswith(b"SQLite format 3"), "an SQLite database; JuPedSim's: --format jupedsim"),
-        (data.startswith(b"\x89HDF"), "an HDF5 file; the Pedestrian Data Archive's: --format hdf5"),
-        (data.startswith(b"PAR1"), "this is a parquet file; read it with --format parquet"),
-        (data.startswith((b"\xff\xfe", b"\xfe\xff")), "the file is UTF-16 text; save it as UTF-8"),
+        (
+            data.startswith(b"SQLite format 3"),
+            "an SQLite database; JuPedSim's: --format jupedsim",
+        ),
+        (
+            data.startswith(b"\x89HDF"),
+            "an HDF5 file; the Pedestrian Data Archive's: --format hdf5",
+        ),
+        (
+            data.startswith(b"PAR1"),
+            "this is a parquet file; read it with --format parquet",
+        ),
+        (
+            data.startswith((b"\xff\xfe", b"\xfe\xff")),
+            "the file is UTF-16 text; save it as UTF-8",
+        ),
         (b"\0" in data, f"the file is binary, not text (zero byte at {data.find(0)})"),
     ):
         if is_so:
@@ -390,7 +464,8 @@ def check_text(*, data: bytes, path: str) -> None:
         line = error.object[: error.start].count(b"\n") + 1
         byte = error.object[error.start]
         raise DataError(
-            f"{path}, line {line}: byte 0x{byte:02x} is not UTF-8 text; save the file as UTF-8"
+            f"{path}, line {line}: byte 0x{byte:02x} is not UTF-8 text; save the file"
+            " as UTF-8"
         ) from None
 
 
@@ -399,7 +474,11 @@ def checked_fps(fps: float | str, *, where: str) -> float:
     try:
         rate = float(fps)
     except (TypeError, ValueError):
-        raise DataError(f"{where}: the framerate {str(fps)[:40]!r} is not a number") from None
+        raise DataError(
+            f"{where}: the framerate {str(fps)[:40]!r} is not a number"
+        ) from None
     if not FPS_LIMITS[0] <= rate <= FPS_LIMITS[1]:  # NaN fails both
-        raise DataError(f"{where}: {rate:g} frames per second is not a frame rate above 0")
+        raise DataError(
+            f"{where}: {rate:g} frames per second is not a frame rate above 0"
+        )
     return rate

@@ -21,9 +21,15 @@ from isac_track.errors import DataError, did_you_mean
 if TYPE_CHECKING:
     import requests
 
-DATA_VARIABLE = "ISAC_TRACK_DATA"  # The user's folder of data sets, ``NAME/obsmat.txt``. Only read.
-CACHE_VARIABLE = "ISAC_TRACK_CACHE"  # Folder for downloads, instead of the user's cache.
-MIRROR_VARIABLE = "ISAC_TRACK_MIRROR"  # Base URL instead of GitHub's; hashes are checked anyway.
+DATA_VARIABLE = (  # The user's folder of data sets, ``NAME/obsmat.txt``. Only read.
+    "ISAC_TRACK_DATA"
+)
+CACHE_VARIABLE = (  # Folder for downloads, instead of the user's cache.
+    "ISAC_TRACK_CACHE"
+)
+MIRROR_VARIABLE = (  # Base URL instead of GitHub's; hashes are checked anyway.
+    "ISAC_TRACK_MIRROR"
+)
 DEFAULT = "students03"
 FALLBACK = "plaza"
 MAIN_FILE = "obsmat.txt"
@@ -35,10 +41,14 @@ _OPENTRAJ = (
 )
 CONNECT_TIMEOUT_S = 5.0
 READ_TIMEOUT_S = 30.0
-LEAST_S = 60.0  # A download may take this long, plus what a slow line takes for its size.
+LEAST_S = (
+    60.0  # A download may take this long, plus what a slow line takes for its size.
+)
 LEAST_BYTES_PER_S = 50_000.0
 _CHUNK_BYTES = 16_384
-_MOST_BYTES = 100_000_000  # Far more than any known file: what goes on for longer is none.
+_MOST_BYTES = (
+    100_000_000  # Far more than any known file: what goes on for longer is none.
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,18 +59,28 @@ class Known:
     about: str = ""
     citation: str = ""
     licence: str = ""
-    session: int | None = None  # Number of the bundled session, if this is the bundled crowd.
+    session: int | None = (
+        None  # Number of the bundled session, if this is the bundled crowd.
+    )
     format: str = ""
     fps: float | None = None
     sha256: Mapping[str, str] = field(default_factory=dict)
     """Hash of every file, by file name; empty if bundled or of one's own."""
     remote: str = ""  # Its folder in OpenTraj.
-    sessions: str = ""  # Which of its files are sessions; hashes, where known, are in `sha256`.
-    get: str = ""  # How to get what is never downloaded from here: a folder, named like it.
+    sessions: str = (
+        ""  # Which of its files are sessions; hashes, where known, are in `sha256`.
+    )
+    get: str = (
+        ""  # How to get what is never downloaded from here: a folder, named like it.
+    )
 
 
-_TABLES = tomllib.loads(Path(__file__).with_name("known.toml").read_text(encoding="utf-8"))
-KNOWN: Mapping[str, Known] = {name: Known(name, **table) for name, table in _TABLES.items()}
+_TABLES = tomllib.loads(
+    Path(__file__).with_name("known.toml").read_text(encoding="utf-8")
+)
+KNOWN: Mapping[str, Known] = {
+    name: Known(name, **table) for name, table in _TABLES.items()
+}
 
 
 def known(name: str) -> Known:
@@ -69,7 +89,8 @@ def known(name: str) -> Known:
         return KNOWN[name]
     hint = did_you_mean(name.lower(), KNOWN)
     raise DataError(
-        f"{name!r} is neither a known data set nor a file{hint} (known: {', '.join(KNOWN)})"
+        f"{name!r} is neither a known data set nor a file{hint} (known:"
+        f" {', '.join(KNOWN)})"
     )
 
 
@@ -134,7 +155,9 @@ def read_bytes(path: Path, *, data_set: Known | None = None) -> bytes:
     except OSError as error:
         raise DataError(f"{shown(path)}: cannot be read ({error.strerror})") from None
     if data_set and path.name in data_set.sha256:
-        check(path, data_set, file_name=path.name, actual=hashlib.sha256(data).hexdigest())
+        check(
+            path, data_set, file_name=path.name, actual=hashlib.sha256(data).hexdigest()
+        )
     return data
 
 
@@ -142,10 +165,11 @@ def check(path: Path, data_set: Known, *, file_name: str, actual: str) -> None:
     """Raise DataError if a file or folder of a known data set has another hash than it must."""
     if actual != (expected := data_set.sha256.get(file_name, actual)):
         raise DataError(
-            f"{shown(path)} is not the {file_name or 'folder'} of {data_set.name}: sha256 is "
-            f"{actual}, expected {expected}. Remove it and run `python -m isac_track.datasets "
-            f"fetch {data_set.name}`, or use it as a recording of your own: give its path, "
-            f"--format {data_set.format}{' and --fps' if data_set.fps else ''}"
+            f"{shown(path)} is not the {file_name or 'folder'} of {data_set.name}:"
+            f" sha256 is {actual}, expected {expected}. Remove it and run `python -m"
+            f" isac_track.datasets fetch {data_set.name}`, or use it as a recording of"
+            " your own: give its path, --format"
+            f" {data_set.format}{' and --fps' if data_set.fps else ''}"
         )
 
 
@@ -174,9 +198,10 @@ def files_of(data_set: Known, *, download: bool) -> dict[str, Path]:
 def fetch(data_set: Known) -> tuple[dict[str, Path], bool]:
     """Return the path of every file, and whether any was downloaded.
 
-    Files go to the cache whole and checked, or not at all. A damaged file in the cache is ours to
-    replace; one in the user's own folder is not. What is downloaded is said on stderr. It is a
-    DataError if a file cannot be had, with the way out, or if the user's own is not the right one.
+    Files go to the cache whole and checked, or not at all. A damaged file in the cache
+    is ours to replace; one in the user's own folder is not. What is downloaded is said
+    on stderr. It is a DataError if a file cannot be had, with the way out, or if the
+    user's own is not the right one.
     """
     import requests  # noqa: PLC0415 - a plain import of the package stays quick
     import urllib3  # noqa: PLC0415 - as above
@@ -196,8 +221,8 @@ def fetch(data_set: Known) -> tuple[dict[str, Path], bool]:
     for file_name in absent:
         url, target = url_of(data_set, file_name), folder / file_name
         way_out = (
-            f"Way out: get {' and '.join(data_set.sha256)} of that folder by any means, save in "
-            f"DIR/{data_set.name} and set {DATA_VARIABLE}=DIR"
+            f"Way out: get {' and '.join(data_set.sha256)} of that folder by any means,"
+            f" save in DIR/{data_set.name} and set {DATA_VARIABLE}=DIR"
         )
         unchecked = folder / f".{file_name}.{os.getpid()}"
         try:
@@ -205,7 +230,9 @@ def fetch(data_set: Known) -> tuple[dict[str, Path], bool]:
             _remove_leftovers(folder, file_name)
             actual = _download(url, unchecked)
             if actual != data_set.sha256[file_name]:
-                raise ValueError(f"sha256 is {actual}, expected {data_set.sha256[file_name]}")  # noqa: TRY301 - told below
+                raise ValueError(  # noqa: TRY301 - told below
+                    f"sha256 is {actual}, expected {data_set.sha256[file_name]}"
+                )
             unchecked.replace(target)
         except (requests.RequestException, urllib3.exceptions.HTTPError) as error:
             raise DataError(f"{url}: {_reason(error)}. {way_out}") from None
@@ -213,7 +240,9 @@ def fetch(data_set: Known) -> tuple[dict[str, Path], bool]:
             reason = error.strerror or type(error).__name__
             raise DataError(f"{shown(target)}: cannot be written ({reason})") from None
         except ValueError as error:
-            raise DataError(f"{url}: not the expected file: {error}. {way_out}") from None
+            raise DataError(
+                f"{url}: not the expected file: {error}. {way_out}"
+            ) from None
         finally:
             with contextlib.suppress(OSError):
                 unchecked.unlink()
@@ -235,11 +264,18 @@ def _remove_leftovers(folder: Path, file_name: str) -> None:
 def _reason(error: Exception) -> str:
     """Return in words why requests got nothing."""
     from requests import exceptions  # noqa: PLC0415 - as above
-    from urllib3.exceptions import ProtocolError, ReadTimeoutError  # noqa: PLC0415 - as above
+    from urllib3.exceptions import (  # noqa: PLC0415 - as above
+        ProtocolError,
+        ReadTimeoutError,
+    )
 
     # A server that falls silent in the middle is no Timeout to requests.
     silent = "no answer in time"
-    broken = silent if "timed out" in str(error) else "no connection, or it broke off (offline?)"
+    broken = (
+        silent
+        if "timed out" in str(error)
+        else "no connection, or it broke off (offline?)"
+    )
     status = getattr(getattr(error, "response", None), "status_code", "")
     reasons = {
         exceptions.HTTPError: f"the server answered {status}",
@@ -257,18 +293,22 @@ def _reason(error: Exception) -> str:
 def _answer(url: str) -> requests.Response:
     """Return what a server answers, its body still to come, within `LEAST_S`.
 
-    The limits of requests count from byte to byte: header and redirections may trickle for ever.
+    The limits of requests count from byte to byte: header and redirections may trickle
+    for ever.
     """
     import requests  # noqa: PLC0415 - as above
 
     answer: Future[requests.Response] = Future()
 
     def ask() -> None:
-        # Unpacked on the way, a body could not be measured against its announced length.
+        # Unpacked on the way, a body could not be measured against its announced
+        # length.
         headers = {"Accept-Encoding": "identity"}
         timeout_s = (CONNECT_TIMEOUT_S, READ_TIMEOUT_S)
         try:
-            answer.set_result(requests.get(url, stream=True, timeout=timeout_s, headers=headers))
+            answer.set_result(
+                requests.get(url, stream=True, timeout=timeout_s, headers=headers)
+            )
         except Exception as error:  # noqa: BLE001 - raised again by who waits
             answer.set_exception(error)
 
@@ -288,7 +328,9 @@ def _download(url: str, into: Path) -> str:
         response.raise_for_status()
         print(f"downloading {url}", file=sys.stderr)  # noqa: T201 - it may take a while
         announced = response.headers.get("Content-Length", "")
-        expected = min(int(announced), _MOST_BYTES) if announced.isdecimal() else _MOST_BYTES
+        expected = (
+            min(int(announced), _MOST_BYTES) if announced.isdecimal() else _MOST_BYTES
+        )
         limit_s = LEAST_S + expected / LEAST_BYTES_PER_S
         # What is there, each time: a whole chunk may take a slow server for ever.
         while chunk := response.raw.read1(_CHUNK_BYTES):

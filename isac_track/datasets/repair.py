@@ -10,23 +10,39 @@ from isac_track.datasets.recording import FOOT_M, TIMES, Repair, Rows, steps_wit
 from isac_track.errors import DataError
 from isac_track.types import Bools, Floats, Ints, Tracks
 
-SAME_TIME_S = 1e-7  # Closer samples of an id are one: no rate is above 1 MHz, slopes overflow.
-LONGEST_STEP_S = 10.0  # With a longer usual step no walk is seen, and interpolation eats memory.
-GAP_STEPS = 1.75  # A step of more median steps of the file is a gap (a lost frame makes 2).
-SPLIT_S = 2.0  # A gap over this and `SPLIT_STEPS` ends the track: to bridge it invents a walk.
+SAME_TIME_S = (
+    1e-7  # Closer samples of an id are one: no rate is above 1 MHz, slopes overflow.
+)
+LONGEST_STEP_S = (
+    10.0  # With a longer usual step no walk is seen, and interpolation eats memory.
+)
+GAP_STEPS = (
+    1.75  # A step of more median steps of the file is a gap (a lost frame makes 2).
+)
+# A gap over this and `SPLIT_STEPS` ends the track: to bridge it invents a walk.
+SPLIT_S = 2.0
 SPLIT_STEPS = 3.0  # Slow recordings may have longer gaps: this many median steps.
-SPEED_LIMITS_MPS = (0.01, 5.0)  # Of the median of all steps that move; beyond them units are wrong.
-_WALKING_MPS = (0.2, 2.5)  # A median in another unit that lies here is proposed, never taken.
+SPEED_LIMITS_MPS = (
+    0.01,
+    5.0,
+)  # Of the median of all steps that move; beyond them units are wrong.
+_WALKING_MPS = (
+    0.2,
+    2.5,
+)  # A median in another unit that lies here is proposed, never taken.
 FAST_STEP_MPS = 12.0  # Faster than a sprinter: a jump of the tracker.
 JUMP_M = 1.0  # A shorter jump is the noise of quick samples: counted and kept.
 WALK_MPS = 4.0  # Nobody walks faster.
 REUSE_M = 2.0  # Who is further away behind a gap than a walk leads is somebody else.
-SWITCH_M = 4.0  # A longer jump without a gap leads to somebody else; a shorter one is an error.
+# A longer jump without a gap leads to somebody else; a shorter one is an error.
+SWITCH_M = 4.0
 DETOUR_CUTS = 3  # An id is back from somebody else behind at most so many further cuts.
 METRES_PER_DEGREE = 111_320.0  # Of latitude.
 NEAR_STEPS = 0.5  # A step of fewer usual steps of its id is the same sample twice,
 NEAR_M = 0.5  # unless it leads further than this.
-CLOCK_S = 1e-4  # Shorter steps are those of no sensor: they say nothing of the usual step.
+CLOCK_S = (
+    1e-4  # Shorter steps are those of no sensor: they say nothing of the usual step.
+)
 FROZEN_S = 2.0  # At exactly one place for so long: a box that is repeated.
 _ZIGZAG_M = 0.02  # Beside a walk at `WALK_MPS`.
 _LEAST_RUN = 3  # Rows between two falls of a clock; fewer are rows out of order.
@@ -41,25 +57,30 @@ def to_tracks(
 ) -> tuple[Tracks, tuple[Repair, ...]]:
     """Return the tracks of a recording and all that was mended or let pass on the way.
 
-    The tracks do not depend on the order of the rows, unless a clock falls back. `groups` are
-    (id, label) pairs beside those of the file itself. `on_duplicate`: what becomes of a person at
-    two places at one time. Who stands at exactly one place for `drop_frozen_s` ends a track. It is
-    a DataError if no track has two samples, or if steps or speeds show that units, frame rate or
-    columns are wrong.
+    The tracks do not depend on the order of the rows, unless a clock falls back.
+    `groups` are (id, label) pairs beside those of the file itself. `on_duplicate`: what
+    becomes of a person at two places at one time. Who stands at exactly one place for
+    `drop_frozen_s` ends a track. It is a DataError if no track has two samples, or if
+    steps or speeds show that units, frame rate or columns are wrong.
     """
     place, members = rows.place, [*rows.groups, *groups]
     notes = [*rows.notes]
 
     order = np.argsort(rows.person, kind="stable")
     run, fallen = _clock_runs(rows, order)
-    text = "earlier than the row before of the same id, which walks on: the clock falls back; cut"
+    text = (
+        "earlier than the row before of the same id, which walks on: the clock falls"
+        " back; cut"
+    )
     notes += place.noted("clock", order[1:][fallen], text)
     late = (np.diff(rows.t[order]) < 0) & (np.diff(rows.person[order]) == 0) & ~fallen
     text = "earlier than the row before of the same id; sorted"
     notes += place.noted("unsorted", order[1:][late], text)
     order, run = _sorted(rows, order, run)
     rows = _taken(rows, order)
-    rows, order, run, more = _without_copies(rows, order, run, on_duplicate=on_duplicate)
+    rows, order, run, more = _without_copies(
+        rows, order, run, on_duplicate=on_duplicate
+    )
     notes += more
     rows, order, run, more = _without_near(rows, order, run)
     notes += more
@@ -74,7 +95,9 @@ def to_tracks(
         rows, order = _taken(rows, keep), order[keep]
     lengths = np.diff(np.flatnonzero(np.concatenate([[True], cut, [True]])))
     single = np.repeat(lengths == 1, lengths)
-    notes += place.noted("one-point", order[single], "a single sample of an id; dropped")
+    notes += place.noted(
+        "one-point", order[single], "a single sample of an id; dropped"
+    )
     if single.any():
         rows, order = _taken(rows, ~single), order[~single]
     offsets = np.concatenate([[0], np.cumsum(lengths[lengths > 1])])
@@ -85,13 +108,15 @@ def to_tracks(
     usual_s = float(np.median(np.diff(t)[steps_within(offsets)], overwrite_input=True))
     if usual_s > LONGEST_STEP_S:
         raise DataError(
-            f"{place.path}: the usual step is {usual_s:.3g} s, over {LONGEST_STEP_S:g} s: "
-            "milliseconds for seconds, or a wrong --fps?"
+            f"{place.path}: the usual step is {usual_s:.3g} s, over {LONGEST_STEP_S:g}"
+            " s: milliseconds for seconds, or a wrong --fps?"
         )
 
     cluster = walking_groups(ids=ids, members=members)
     # The source id of a track is the person's, numbered where it was split.
-    longest = max((len(run) for name in ids for run in re.findall("#+", name)), default=0)
+    longest = max(
+        (len(run) for name in ids for run in re.findall("#+", name)), default=0
+    )
     mark = "#" * (longest + 1)
     pieces = np.bincount(owner, minlength=len(ids))
     first = np.cumsum(pieces) - pieces  # the tracks of a person follow each other
@@ -100,7 +125,11 @@ def to_tracks(
         xy=rows.xy,
         offsets=offsets,
         source=tuple(
-            f"{ids[index]}{mark}{track - first[index] + 1}" if pieces[index] > 1 else ids[index]
+            (
+                f"{ids[index]}{mark}{track - first[index] + 1}"
+                if pieces[index] > 1
+                else ids[index]
+            )
             for track, index in enumerate(owner)
         ),
         group=tuple(cluster[index] for index in owner),
@@ -109,7 +138,9 @@ def to_tracks(
     return tracks, tuple(notes)
 
 
-def walking_groups(*, ids: tuple[str, ...], members: Iterable[tuple[str, str]]) -> tuple[str, ...]:
+def walking_groups(
+    *, ids: tuple[str, ...], members: Iterable[tuple[str, str]]
+) -> tuple[str, ...]:
     """Return the cluster of every id: those who share a label, directly or over others.
 
     An id without a label is a cluster of its own, called like the id; a labelled one is
@@ -131,7 +162,9 @@ def walking_groups(*, ids: tuple[str, ...], members: Iterable[tuple[str, str]]) 
     prefix = "group:"
     while any(name.startswith(prefix) for name in ids):
         prefix = f"group{prefix}"
-    return tuple(prefix + root(label_of[name]) if name in label_of else name for name in ids)
+    return tuple(
+        prefix + root(label_of[name]) if name in label_of else name for name in ids
+    )
 
 
 def _taken(rows: Rows, which: Ints | Bools) -> Rows:
@@ -150,8 +183,9 @@ def _sorted(rows: Rows, order: Ints, run: Ints | None) -> tuple[Ints, Ints]:
 def _clock_runs(rows: Rows, order: Ints) -> tuple[Ints | None, Bools]:
     """Return (M,) in which run of its clock a row is, None if no clock falls, and (M - 1,) where.
 
-    A clock falls back where the rows of an id go back in time, the walk goes on, and sorting by
-    time would make a zigzag of it that nobody walks. `order` sorts the rows by person.
+    A clock falls back where the rows of an id go back in time, the walk goes on, and
+    sorting by time would make a zigzag of it that nobody walks. `order` sorts the rows
+    by person.
     """
     t, person = rows.t[order], rows.person[order]
     same = person[1:] == person[:-1]
@@ -161,7 +195,9 @@ def _clock_runs(rows: Rows, order: Ints) -> tuple[Ints | None, Bools]:
         return None, fallen
     xy = rows.xy[order]
     begins = np.flatnonzero(np.concatenate([[True], back | ~same, [True]]))
-    usual_s = float(np.median(np.diff(t)[same & ~back])) if (same & ~back).any() else 0.0
+    usual_s = (
+        float(np.median(np.diff(t)[same & ~back])) if (same & ~back).any() else 0.0
+    )
     for first, middle, last in zip(begins, begins[1:], begins[2:], strict=False):
         is_long = min(middle - first, last - middle) >= _LEAST_RUN
         if not (is_long and back[middle - 1]):
@@ -196,11 +232,16 @@ def _without_copies(
         first, second = sorted((int(order[at]), int(order[at + 1])))
         rounded = "; are the times rounded?" if other.sum() > other.size / 2 else ""
         raise DataError(
-            f"{place.at(second)}: id {rows.ids[rows.person[at]]} is somewhere else at the same "
-            f"time in {place.unit} {int(place.lines()[first])} ({int(other.sum())} such rows); "
-            f"--on-duplicate first or mean takes the first or their mean{rounded}"
+            f"{place.at(second)}: id {rows.ids[rows.person[at]]} is somewhere else at"
+            f" the same time in {place.unit} {int(place.lines()[first])}"
+            f" ({int(other.sum())} such rows); --on-duplicate first or mean takes the"
+            f" first or their mean{rounded}"
         )
-    how = "their mean stands" if on_duplicate == "mean" else "the first in the file stands"
+    how = (
+        "their mean stands"
+        if on_duplicate == "mean"
+        else "the first in the file stands"
+    )
     text = f"the same id and time at another place; {how}"
     notes += place.noted("same-time", order[1:][other], text)
     if on_duplicate == "mean":
@@ -221,7 +262,9 @@ def _averaged(rows: Rows, keep: Bools, *, and_time: bool) -> Rows:
     return replace(rows, xy=xy, t=t)
 
 
-def _without_near(rows: Rows, order: Ints, run: Ints) -> tuple[Rows, Ints, Ints, list[Repair]]:
+def _without_near(
+    rows: Rows, order: Ints, run: Ints
+) -> tuple[Rows, Ints, Ints, list[Repair]]:
     """Return sorted rows with samples of an id that are much closer than usual made one."""
     steps = np.diff(rows.t)
     within = (rows.person[1:] == rows.person[:-1]) & (run[1:] == run[:-1])
@@ -237,7 +280,9 @@ def _without_near(rows: Rows, order: Ints, run: Ints) -> tuple[Rows, Ints, Ints,
     for row in behind.tolist():
         if anchor < 0 or keep[row - 1]:
             anchor = row - 1
-        keep[row] = rows.t[row] - rows.t[anchor] >= NEAR_STEPS * usual_s[rows.person[row]]
+        keep[row] = (
+            rows.t[row] - rows.t[anchor] >= NEAR_STEPS * usual_s[rows.person[row]]
+        )
     text = "less than half a usual step behind the row before of the same id; merged"
     notes = rows.place.noted("near-duplicate", order[~keep], text)
     rows = _averaged(rows, keep, and_time=True)
@@ -267,7 +312,8 @@ def _copies(rows: Rows, run: Ints) -> Bools:
 def _cuts(rows: Rows, order: Ints, run: Ints) -> tuple[Rows, Bools, list[Repair]]:
     """Return the rows, who came back as somebody else under a new id, and (M - 1,) the cuts.
 
-    A new track begins at a new person, behind a long gap or a jump, and where the clock fell back.
+    A new track begins at a new person, behind a long gap or a jump, and where the clock
+    fell back.
     """
     steps = np.diff(rows.t)
     new = rows.person[1:] != rows.person[:-1]
@@ -276,14 +322,18 @@ def _cuts(rows: Rows, order: Ints, run: Ints) -> tuple[Rows, Bools, list[Repair]
         return rows, new | fell, []
     within = ~new & ~fell
     nominal = float(np.median(steps[within], overwrite_input=True))
-    longest_s = max(SPLIT_S, SPLIT_STEPS * nominal) if rows.split_s is None else rows.split_s
+    longest_s = (
+        max(SPLIT_S, SPLIT_STEPS * nominal) if rows.split_s is None else rows.split_s
+    )
     long = within & (steps > longest_s + SAME_TIME_S)
     gap = within & (steps > GAP_STEPS * nominal) | long
     distance = np.hypot(*np.diff(rows.xy, axis=0).T)
     jumped = within & (distance > np.maximum(FAST_STEP_MPS * steps, JUMP_M))
     elsewhere = gap & (distance > np.maximum(WALK_MPS * steps, REUSE_M))
     elsewhere |= jumped & (distance > SWITCH_M)
-    detour = _detours(rows, run, new | fell | long | jumped | elsewhere, longest_s=longest_s)
+    detour = _detours(
+        rows, run, new | fell | long | jumped | elsewhere, longest_s=longest_s
+    )
     reused = elsewhere & ~detour
     fast = (jumped | elsewhere) & ~reused & ~long
     notes = []
@@ -292,7 +342,10 @@ def _cuts(rows: Rows, order: Ints, run: Ints) -> tuple[Rows, Bools, list[Repair]
         (long & ~reused, "split", "too long to interpolate; two tracks of one group"),
     ):
         longest = steps[where].max(initial=0)
-        text = f"behind a gap (longest {longest:.3g} s, usual step {nominal:.3g} s); {done}"
+        text = (
+            f"behind a gap (longest {longest:.3g} s, usual step {nominal:.3g} s);"
+            f" {done}"
+        )
         notes += rows.place.noted(kind, order[1:][where], text)
     text = "from the sample before, further than anybody walks; cut"
     notes += rows.place.noted("jump", order[1:][fast], text)
@@ -304,16 +357,22 @@ def _cuts(rows: Rows, order: Ints, run: Ints) -> tuple[Rows, Bools, list[Repair]
 def _detours(rows: Rows, run: Ints, cut: Bools, *, longest_s: float) -> Bools:
     """Return (M - 1,) the cuts of an id that is soon back where its own walk leads.
 
-    A tracker that strays for a moment, by one sample or several, is no other person. `cut` (M - 1,)
-    are the cuts between sorted rows; back is who is there within `longest_s` s and `DETOUR_CUTS`.
+    A tracker that strays for a moment, by one sample or several, is no other person.
+    `cut` (M - 1,) are the cuts between sorted rows; back is who is there within
+    `longest_s` s and `DETOUR_CUTS`.
     """
     at = np.flatnonzero(cut)
     detour = np.zeros(cut.size, dtype=bool)
     for lag in range(1, DETOUR_CUTS + 1):
-        leaves, returns = at[:-lag], at[lag:] + 1  # the last row before, the first row behind
+        leaves, returns = (
+            at[:-lag],
+            at[lag:] + 1,
+        )  # the last row before, the first row behind
         lasting_s = rows.t[returns] - rows.t[leaves]
         away_m = np.hypot(*(rows.xy[returns] - rows.xy[leaves]).T)
-        is_back = (rows.person[returns] == rows.person[leaves]) & (run[returns] == run[leaves])
+        is_back = (rows.person[returns] == rows.person[leaves]) & (
+            run[returns] == run[leaves]
+        )
         is_back &= lasting_s <= longest_s + SAME_TIME_S
         is_back &= away_m <= np.maximum(WALK_MPS * lasting_s, REUSE_M)
         for shift in range(lag + 1):
@@ -334,7 +393,9 @@ def _with_new_ids(rows: Rows, reused: Bools, new: Bools) -> Rows:
     owners = rows.person[begins]
     # How many times its id was on somebody before.
     first = np.concatenate([[True], owners[1:] != owners[:-1]])
-    nth = np.arange(owners.size) - np.maximum.accumulate(np.where(first, np.arange(owners.size), 0))
+    nth = np.arange(owners.size) - np.maximum.accumulate(
+        np.where(first, np.arange(owners.size), 0)
+    )
     ids = tuple(
         rows.ids[owner] + (f"{mark}{place + 1}" if place else "")
         for owner, place in zip(owners.tolist(), nth.tolist(), strict=True)
@@ -347,7 +408,9 @@ def _frozen(
 ) -> tuple[Bools, Bools, list[Repair]]:
     """Return which rows stay (M,), the cuts between them, and a note of frozen stretches."""
     still = ~cut & (rows.xy[1:] == rows.xy[:-1]).all(axis=1)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
+    edges = np.flatnonzero(
+        np.diff(np.concatenate([[False], still, [False]]).astype(np.int8))
+    )
     first, last = edges[::2], edges[1::2]  # rows of a stretch, both ends included
     least_s = FROZEN_S if drop_s is None else drop_s
     long = rows.t[last] - rows.t[first] >= least_s - SAME_TIME_S
@@ -356,7 +419,10 @@ def _frozen(
     if not first.size:
         return keep, cut, []
     n_samples = int((last - first + 1).sum())
-    where = f"at exactly one place for {least_s:g} s or longer ({n_samples} of {keep.size} samples)"
+    where = (
+        f"at exactly one place for {least_s:g} s or longer ({n_samples} of {keep.size}"
+        " samples)"
+    )
     if drop_s is None:
         text = f"{where}; kept, --drop-frozen {least_s:g} drops it"
         return keep, cut, rows.place.noted("frozen", order[first], text)
@@ -364,7 +430,9 @@ def _frozen(
     for start, end in zip(first.tolist(), last.tolist(), strict=True):
         keep[start + 1 : end] = False
         begins[end] = True
-    note = rows.place.noted("frozen-dropped", order[first], f"{where}; dropped, the track is cut")
+    note = rows.place.noted(
+        "frozen-dropped", order[first], f"{where}; dropped, the track is cut"
+    )
     return keep, begins[keep][1:], note
 
 
@@ -398,29 +466,37 @@ def _check_speeds(rows: Rows) -> None:
         near_walk = _WALKING_MPS[0] / 4 <= degrees_mps <= _WALKING_MPS[1] * 2
         if on_earth and is_clocked and near_walk:
             raise DataError(
-                f"{rows.place.path}: the median speed of moving people is {speed:.3g} m/s, as of "
-                "degrees of longitude and latitude; --crs degrees makes metres of x (longitude) "
-                "and y (latitude)"
+                f"{rows.place.path}: the median speed of moving people is {speed:.3g}"
+                " m/s, as of degrees of longitude and latitude; --crs degrees makes"
+                " metres of x (longitude) and y (latitude)"
             )
         hints = _ways_out(speed, has_unit=bool(rows.unit))
         is_projected = any(note.kind == "crs" for note in rows.notes)
         guess = (
-            f"degrees of too few decimals (the sixth is 0.1 m), or a clock not in seconds{hints}"
+            "degrees of too few decimals (the sixth is 0.1 m), or a clock not in"
+            f" seconds{hints}"
             if is_projected and speed > high
-            else f"pixels or centimetres for metres{hints}, a wrong --fps, or frame and id swapped"
-            if speed > high
-            else "milliseconds for seconds (of a table: --columns t=t[ms]), kilometres for metres "
-            f"(--unit 1000), or a wrong --fps{hints}"
+            else (
+                f"pixels or centimetres for metres{hints}, a wrong --fps, or frame and"
+                " id swapped"
+                if speed > high
+                else (
+                    "milliseconds for seconds (of a table: --columns t=t[ms]),"
+                    f" kilometres for metres (--unit 1000), or a wrong --fps{hints}"
+                )
+            )
         )
         raise DataError(
-            f"{rows.place.path}: the median speed of moving people is {speed:.3g} m/s, not within "
-            f"{low:g} to {high:g}: {guess}?"
+            f"{rows.place.path}: the median speed of moving people is {speed:.3g} m/s,"
+            f" not within {low:g} to {high:g}: {guess}?"
         )
 
 
 def _ways_out(speed_mps: float, *, has_unit: bool) -> str:
     """Return each option that makes a walk of a median speed, in brackets; empty without any."""
-    lengths = {} if has_unit else {"cm": 0.01, "mm": 0.001, "ft": FOOT_M, "0.0254": 0.0254}
+    lengths = (
+        {} if has_unit else {"cm": 0.01, "mm": 0.001, "ft": FOOT_M, "0.0254": 0.0254}
+    )
     options = {f"--unit {unit}": metres for unit, metres in lengths.items()}
     for unit in ("min", "ms", "us", "ns"):
         options[f"--columns t=t[{unit}]"] = 1.0 / TIMES[unit]

@@ -1,22 +1,25 @@
 """Kalman filters and smoothers of many tracks at once: the fronts of the compiled loops.
 
-Two models, each per axis: constant velocity, with state (position, velocity), and constant
-acceleration, with state (position, velocity, acceleration). What is held constant is driven by
-continuous white noise of spectral density q, so that predictions over irregular steps compose.
-Both axes have the same measurement variance and no correlation; they share one covariance.
+Two models, each per axis: constant velocity, with state (position, velocity), and
+constant acceleration, with state (position, velocity, acceleration). What is held
+constant is driven by continuous white noise of spectral density q, so that predictions
+over irregular steps compose. Both axes have the same measurement variance and no
+correlation; they share one covariance.
 
-Interacting multiple models (IMM) are two of constant velocity, each with a spectral density of its
-own; which one holds is a Markov chain in continuous time. One cycle is Blom and Bar-Shalom's: mix,
-predict, update, weigh; `docs/kernels.md` lists where filterpy's departs from it.
+Interacting multiple models (IMM) are two of constant velocity, each with a spectral
+density of its own; which one holds is a Markov chain in continuous time. One cycle is
+Blom and Bar-Shalom's: mix, predict, update, weigh; `docs/kernels.md` lists where
+filterpy's departs from it.
 
 Nothing here imports numba before the first call (see `prepare`).
 
 References
 ----------
-Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to Tracking and Navigation*, 2001:
-sections 5.2 (filter), 6.2 (models), 8.6 (smoother), 11.6.6 (IMM). Rauch, Tung, Striebel, AIAA J.
-3(8), 1965. Blom, Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian
-switching coefficients", IEEE Trans. Automatic Control 33(8), 1988, 780-783.
+Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to Tracking and Navigation*,
+2001: sections 5.2 (filter), 6.2 (models), 8.6 (smoother), 11.6.6 (IMM). Rauch, Tung,
+Striebel, AIAA J. 3(8), 1965. Blom, Bar-Shalom, "The interacting multiple model
+algorithm for systems with Markovian switching coefficients", IEEE Trans. Automatic
+Control 33(8), 1988, 780-783.
 """
 
 from dataclasses import dataclass
@@ -38,18 +41,20 @@ drop outliers, it may not lose a track."""
 class Batch:
     """N tracks of M noisy positions in all, and how little is known before the first of each.
 
-    That times increase and positions are finite is checked by the release that they come from; it
-    is a ValueError if shapes disagree, a track is empty, or a variance or standard deviation is not
-    positive.
+    That times increase and positions are finite is checked by the release that they
+    come from; it is a ValueError if shapes disagree, a track is empty, or a variance or
+    standard deviation is not positive.
     """
 
     t: Floats  # (M,) s, strictly increasing within a track.
     xy: Floats  # (M, 2) m
     variance: Floats  # (M,) m^2, of the measurement, per axis.
-    offsets: Ints  # (N + 1,) track i owns the samples ``offsets[i]:offsets[i + 1]``; none is empty.
+    # (N + 1,) track i owns the samples ``offsets[i]:offsets[i + 1]``; none is empty.
+    offsets: Ints
     prior_std: tuple[float, ...]
     """m around the first sample, m/s and, of acceleration, m/s^2 around rest, per axis and
-    independent: the state at the time of that sample, which is then measured like any other."""
+    independent: the state at the time of that sample, which is then measured like any
+    other."""
 
     def __post_init__(self) -> None:
         offsets = np.ascontiguousarray(self.offsets, dtype=np.int64)
@@ -73,7 +78,9 @@ class Batch:
         """Return what a compiled loop of that many states per axis takes, or raise ValueError."""
         if len(self.prior_std) not in n_states:
             numbers = " or ".join("two" if n == 2 else "three" for n in n_states)  # noqa: PLR2004 - the sizes that there are
-            raise ValueError(f"prior_std must have {numbers} numbers, got {len(self.prior_std)}")
+            raise ValueError(
+                f"prior_std must have {numbers} numbers, got {len(self.prior_std)}"
+            )
         return self.t, self.xy, self.variance, self.offsets, np.square(self.prior_std)
 
 
@@ -81,27 +88,37 @@ class Batch:
 class LastState:
     """States of N tracks after their last sample; d states per axis."""
 
-    mean: Floats  # (N, 2, d) m, m/s, m/s^2: per axis position, velocity, then acceleration.
+    # (N, 2, d) m, m/s, m/s^2: per axis position, velocity, then acceleration.
+    mean: Floats
     cov: Floats  # (N, d, d) covariance of either axis; the axes are independent.
-    log_likelihood: Floats  # (N,) log density of a track's accepted samples, 1/m^2 each.
+    log_likelihood: (
+        Floats  # (N,) log density of a track's accepted samples, 1/m^2 each.
+    )
 
 
 def kalman_last(batch: Batch, *, q: float, gate: float = np.inf) -> LastState:
     """Return the state of every track after its last sample.
 
-    With a prior of two states the model is constant velocity, of three constant acceleration. `q`
-    is the spectral density of the driving white noise, positive: of the acceleration (m^2/s^3) or,
-    for constant acceleration, of the jerk (m^2/s^5). A sample whose normalised innovation squared
-    exceeds the `gate` is not used, unless `MAX_REJECTIONS` samples before it were not. Chi-square
-    with 2 degrees of freedom: 13.8 keeps all but one sample in a thousand.
+    With a prior of two states the model is constant velocity, of three constant
+    acceleration. `q` is the spectral density of the driving white noise, positive: of
+    the acceleration (m^2/s^3) or, for constant acceleration, of the jerk (m^2/s^5). A
+    sample whose normalised innovation squared exceeds the `gate` is not used, unless
+    `MAX_REJECTIONS` samples before it were not. Chi-square with 2 degrees of freedom:
+    13.8 keeps all but one sample in a thousand.
 
-    ValueError if q or the gate is not positive, or for a prior of another number of states.
+    ValueError if q or the gate is not positive, or for a prior of another number of
+    states.
     """
     arrays, d = batch.arrays(2, 3), len(batch.prior_std)
     out = LastState(*(np.empty((len(batch), *size)) for size in ((2, d), (d, d), ())))
     loops = import_module("isac_track.kalman._linear_loops")
     (loops.cv_last if d == 2 else loops.ca_last)(  # noqa: PLR2004 - position and velocity
-        *(arrays, positive("q", q), positive("gate", gate, finite=False), MAX_REJECTIONS),
+        *(
+            arrays,
+            positive("q", q),
+            positive("gate", gate, finite=False),
+            MAX_REJECTIONS,
+        ),
         (out.mean, out.cov, out.log_likelihood),
     )
     return out
@@ -112,31 +129,38 @@ def smooth_positions(
 ) -> tuple[Floats, Floats]:
     """Return smoothed positions, (M, 2) m, and their variance per axis, (M,) m^2.
 
-    One pass is a Rauch-Tung-Striebel smoother of constant velocity; velocities are left out.
-    Further passes are for errors of the radial law, whose length is |N(0, sigma)| in any
-    direction. Its density in the plane, exp(-r^2 / 2 sigma^2) / r up to a constant, is infinite at
-    zero: a sample that lies close to the walk is very likely almost exact. The posterior mode
-    solves a smoother with the weights 1 / r^2 + 1 / sigma^2 per axis, r the sample's distance from
-    the smoothed position; they are iterated as 1 / (r^2 + delta^2) + 1 / sigma^2. With
-    delta^2 = 2 P + anneal^(m - 1) sigma^2 after the m-th pass a residual counts as no smaller than
-    the position itself is known (P is its variance per axis), and the first passes are nearly those
-    of Gaussian errors, lest the walk be drawn to samples that only happen to lie where it starts.
+    One pass is a Rauch-Tung-Striebel smoother of constant velocity; velocities are left
+    out. Further passes are for errors of the radial law, whose length is |N(0, sigma)|
+    in any direction. Its density in the plane, exp(-r^2 / 2 sigma^2) / r up to a
+    constant, is infinite at zero: a sample that lies close to the walk is very likely
+    almost exact. The posterior mode solves a smoother with the weights 1 / r^2 + 1 /
+    sigma^2 per axis, r the sample's distance from the smoothed position; they are
+    iterated as 1 / (r^2 + delta^2) + 1 / sigma^2. With delta^2 = 2 P + anneal^(m - 1)
+    sigma^2 after the m-th pass a residual counts as no smaller than the position itself
+    is known (P is its variance per axis), and the first passes are nearly those of
+    Gaussian errors, lest the walk be drawn to samples that only happen to lie where it
+    starts.
 
-    The `batch` has a prior of two states, and sigma^2 is twice its variance per axis; `q` is the
-    spectral density of the acceleration, m^2/s^3, positive. Of the `passes`, at least 1, the first
-    is that of Gaussian errors; `anneal` is in [0, 1). Anything else is a ValueError.
+    The `batch` has a prior of two states, and sigma^2 is twice its variance per axis;
+    `q` is the spectral density of the acceleration, m^2/s^3, positive. Of the `passes`,
+    at least 1, the first is that of Gaussian errors; `anneal` is in [0, 1). Anything
+    else is a ValueError.
 
     References
     ----------
-    Iterative re-weighting: Huber and Ronchetti, *Robust Statistics*, 2009, ch. 7.8; the mode of a
-    scale mixture: Dempster, Laird, Rubin, *Multivariate Analysis V*, 1980.
+    Iterative re-weighting: Huber and Ronchetti, *Robust Statistics*, 2009, ch. 7.8; the
+    mode of a scale mixture: Dempster, Laird, Rubin, *Multivariate Analysis V*, 1980.
     """
     if passes < 1 or not 0 <= anneal < 1:
-        raise ValueError(f"need passes >= 1 and 0 <= anneal < 1, got {passes} and {anneal}")
+        raise ValueError(
+            f"need passes >= 1 and 0 <= anneal < 1, got {passes} and {anneal}"
+        )
     out = np.empty((batch.t.size, 2)), np.empty(batch.t.size)
     order = np.argsort(np.diff(batch.offsets), kind="stable")
     loops = import_module("isac_track.kalman._linear_loops")
-    loops.smooth_positions(batch.arrays(2), order, positive("q", q), passes, float(anneal), out)
+    loops.smooth_positions(
+        batch.arrays(2), order, positive("q", q), passes, float(anneal), out
+    )
     return out
 
 
@@ -163,8 +187,8 @@ class Moods:
     def arrays(self, t: Floats) -> tuple[Floats, Floats, Floats]:
         """Return what the compiled loops take: q, `probability`, and exp(rates * step) of steps.
 
-        The last, (M, 2, 2), row by row of the mode before; no step counts to a track's first
-        sample.
+        The last, (M, 2, 2), row by row of the mode before; no step counts to a track's
+        first sample.
         """
         rates = 1.0 / np.array(self.stay_s)
         step_s = np.abs(np.diff(t, prepend=t[:1]))
@@ -186,19 +210,23 @@ class ImmStates:
     mean: Floats  # (N, 2, 2, 2) m, m/s: per mode and axis position and velocity.
     cov: Floats  # (N, 2, 4, 4) of (x, vx, y, vy) under each mode.
     probability: Floats  # (N, 2) of the modes.
-    log_likelihood: Floats  # (N,) log density of a track's accepted samples, 1/m^2 each.
+    log_likelihood: (
+        Floats  # (N,) log density of a track's accepted samples, 1/m^2 each.
+    )
 
 
 def imm_last(batch: Batch, moods: Moods, *, gate: float = np.inf) -> ImmStates:
     """Return the states of every track after its last sample.
 
-    The `batch` has a prior of two states, which holds under either mode. A sample is not used if
-    its normalised innovation squared exceeds the `gate` under every mode, unless `MAX_REJECTIONS`
-    samples before it were not. ValueError if the gate is not positive, or for a prior of another
-    number of states.
+    The `batch` has a prior of two states, which holds under either mode. A sample is
+    not used if its normalised innovation squared exceeds the `gate` under every mode,
+    unless `MAX_REJECTIONS` samples before it were not. ValueError if the gate is not
+    positive, or for a prior of another number of states.
     """
     n = len(batch)
-    out = ImmStates(np.empty((n, 2, 2, 2)), np.empty((n, 2, 4, 4)), np.empty((n, 2)), np.empty(n))
+    out = ImmStates(
+        np.empty((n, 2, 2, 2)), np.empty((n, 2, 4, 4)), np.empty((n, 2)), np.empty(n)
+    )
     import_module("isac_track.kalman._imm_loops").imm_last(
         *(batch.arrays(2), moods.arrays(batch.t)),
         *(positive("gate", gate, finite=False), MAX_REJECTIONS),
@@ -210,11 +238,12 @@ def imm_last(batch: Batch, moods: Moods, *, gate: float = np.inf) -> ImmStates:
 def imm_smoother(batch: Batch, moods: Moods) -> tuple[Floats, Floats]:
     """Return smoothed positions, (M, 2) m, and their mean variance over both axes, (M,) m^2.
 
-    Expectation correction (Barber 2006) with one Gaussian per mode: backwards in time, every
-    mode now is smoothed from every mode next by Rauch-Tung-Striebel; the pair's weight is that of
-    the filter times the density of the next smoothed mean under the pair's prediction; the
-    pairs of each mode are then collapsed into one Gaussian. Like the filter it is an
-    approximation: exact with modes of equal q. Parameters and errors are those of `imm_last`.
+    Expectation correction (Barber 2006) with one Gaussian per mode: backwards in time,
+    every mode now is smoothed from every mode next by Rauch-Tung-Striebel; the pair's
+    weight is that of the filter times the density of the next smoothed mean under the
+    pair's prediction; the pairs of each mode are then collapsed into one Gaussian. Like
+    the filter it is an approximation: exact with modes of equal q. Parameters and
+    errors are those of `imm_last`.
 
     References
     ----------
@@ -230,9 +259,10 @@ def imm_smoother(batch: Batch, moods: Moods) -> tuple[Floats, Floats]:
 def prepare() -> None:
     """Compile every loop of this package, or load it from the cache.
 
-    Otherwise a loop is compiled when it is first called. The machine code is cached beside the
-    package, or in the user's cache if that is read-only; where neither can be written it is
-    compiled in every process. Worth a call before a timing or before workers start.
+    Otherwise a loop is compiled when it is first called. The machine code is cached
+    beside the package, or in the user's cache if that is read-only; where neither can
+    be written it is compiled in every process. Worth a call before a timing or before
+    workers start.
     """
     from isac_track.compiling import loops_in  # noqa: PLC0415 - imports numba
 

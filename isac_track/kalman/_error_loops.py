@@ -1,11 +1,12 @@
 """Compiled loops for a walk of constant velocity that is seen through a slowly changing error.
 
-Per axis the state is (p, v, u): position, velocity, and an Ornstein-Uhlenbeck process of variance
-1; what is measured is p + s u plus white noise, with an amplitude s for every sample. The error
-itself is e = s u. The velocity may be such a process, too: of a `motion`, three numbers, it has the
-variance at the start, the correlation time (infinite: none, it wanders) and the spectral density of
-the acceleration. Neither the filter nor the smoother inverts a covariance: with a constant error,
-or none, it is singular.
+Per axis the state is (p, v, u): position, velocity, and an Ornstein-Uhlenbeck process
+of variance 1; what is measured is p + s u plus white noise, with an amplitude s for
+every sample. The error itself is e = s u. The velocity may be such a process, too: of a
+`motion`, three numbers, it has the variance at the start, the correlation time
+(infinite: none, it wanders) and the spectral density of the acceleration. Neither the
+filter nor the smoother inverts a covariance: with a constant error, or none, it is
+singular.
 """
 
 from math import exp, expm1, inf, log, pi
@@ -13,7 +14,15 @@ from typing import TypeAlias
 
 import numpy as np
 
-from isac_track.compiling import FLOAT, INT, compiled, part_of_loop, read, together, written
+from isac_track.compiling import (
+    FLOAT,
+    INT,
+    compiled,
+    part_of_loop,
+    read,
+    together,
+    written,
+)
 from isac_track.types import Floats, Ints
 
 _Batch: TypeAlias = tuple[Floats, Floats, Floats, Ints, Floats, Floats]
@@ -56,7 +65,9 @@ def _stepped(dt: float, tau_s: float, memory_s: float, q: float) -> _Step:
     if x == 0.0:
         return dt, 1.0, f, grown * dt * dt / 3, grown * dt / 2, grown
     left = -expm1(-x)
-    fades = x * x * x * (1 / 3 - x * (1 / 4 - x * (7 / 60 - x * (1 / 24 - x * 31 / 2520))))
+    fades = (
+        x * x * x * (1 / 3 - x * (1 / 4 - x * (7 / 60 - x * (1 / 24 - x * 31 / 2520))))
+    )
     both = left * (2.0 - left)  # 1 - exp(-2 x)
     if x > _SMALL:
         fades = x - 2 * left + both / 2
@@ -104,7 +115,12 @@ def _measured(cov: _Six, s: float, r: float, inverse: float) -> _Six:
 
 @compiled(_BATCH, FLOAT, FLOAT, FLOAT, INT, together(*map(written, (3, 3, 1, 2))))
 def filter_tracks(
-    batch: _Batch, tau_s: float, q: float, gate: float, patience: int, out: tuple[Floats, ...]
+    batch: _Batch,
+    tau_s: float,
+    q: float,
+    gate: float,
+    patience: int,
+    out: tuple[Floats, ...],
 ) -> None:
     """Filter to the last state (p, v, error) of every track; `causal` are positions by the way."""
     t, xy, variance, offsets, prior, amplitude = batch
@@ -146,7 +162,11 @@ def filter_tracks(
         pp, pv, vv, pu, vu, uu = cov
         mean[i, 0, 0], mean[i, 0, 1], mean[i, 0, 2] = px, vx, s * ux
         mean[i, 1, 0], mean[i, 1, 1], mean[i, 1, 2] = py, vy, s * uy
-        covariance[i, 0, 0], covariance[i, 1, 1], covariance[i, 2, 2] = pp, vv, s * s * uu
+        covariance[i, 0, 0], covariance[i, 1, 1], covariance[i, 2, 2] = (
+            pp,
+            vv,
+            s * s * uu,
+        )
         covariance[i, 0, 1] = covariance[i, 1, 0] = pv
         covariance[i, 0, 2] = covariance[i, 2, 0] = s * pu
         covariance[i, 1, 2] = covariance[i, 2, 1] = s * vu
@@ -192,7 +212,11 @@ def log_likelihoods(batch: _Batch, tau_s: float, motions: Floats, out: Floats) -
 
 @part_of_loop
 def _forward(
-    xy: Floats, amplitude: Floats, variance: Floats, start_m2: tuple[float, float], rows: Floats
+    xy: Floats,
+    amplitude: Floats,
+    variance: Floats,
+    start_m2: tuple[float, float],
+    rows: Floats,
 ) -> None:
     """Filter one track; `rows` hold the steps already."""
     px, py = xy[0, 0], xy[0, 1]
@@ -202,7 +226,9 @@ def _forward(
         row = rows[k]
         if k > 0:
             a, g, f = row[_STEP], row[_STEP + 1], row[_STEP + 2]
-            cov = _predicted(cov, (a, g, f, row[_STEP + 3], row[_STEP + 4], row[_STEP + 5]))
+            cov = _predicted(
+                cov, (a, g, f, row[_STEP + 3], row[_STEP + 4], row[_STEP + 5])
+            )
             px, py = px + a * vx, py + a * vy
             vx, vy, ux, uy = g * vx, g * vy, f * ux, f * uy
         s, r = amplitude[k], variance[k]
@@ -225,8 +251,9 @@ def _forward(
 def _backward(amplitude: Floats, rows: Floats) -> None:
     """Smooth one track: each row's p and u give way to the smoothed ones, pp to its variance.
 
-    Modified Bryson-Frazier: the adjoint l and its variance m = (pp, pv, vv, pu, vu, uu) run
-    backwards, x + = -P l and P + = -P m P. Row field 16 is then the variance of p + s u.
+    Modified Bryson-Frazier: the adjoint l and its variance m = (pp, pv, vv, pu, vu, uu)
+    run backwards, x + = -P l and P + = -P m P. Row field 16 is then the variance of p +
+    s u.
     """
     lxp = lxv = lxu = lyp = lyv = lyu = 0.0
     mpp = mpv = mvv = mpu = mvu = muu = 0.0
@@ -275,7 +302,12 @@ def _form(a: float, b: float, c: float, m: _Six) -> float:
 
 @part_of_loop
 def _again(
-    xy: Floats, amplitude: Floats, variance: Floats, blur: float, rows: Floats, noise: Floats
+    xy: Floats,
+    amplitude: Floats,
+    variance: Floats,
+    blur: float,
+    rows: Floats,
+    noise: Floats,
 ) -> None:
     """Weigh the samples of one track anew, by what the pass before left in its rows."""
     for k in range(len(xy)):
@@ -287,13 +319,17 @@ def _again(
 
 
 @part_of_loop
-def _mixed(rows: Floats, weight: float, before: float, position: Floats, spread: Floats) -> None:
+def _mixed(
+    rows: Floats, weight: float, before: float, position: Floats, spread: Floats
+) -> None:
     """Add one smoothed track of a `weight` to the mean of those `before`, and to its variance."""
     share = weight / (before + weight)
     for k in range(len(rows)):
         x, y = rows[k, 0] - position[k, 0], rows[k, 1] - position[k, 1]
         apart = before * share * (x * x + y * y) / 2
-        spread[k] = (before * spread[k] + weight * rows[k, 4] + apart) / (before + weight)
+        spread[k] = (before * spread[k] + weight * rows[k, 4] + apart) / (
+            before + weight
+        )
         position[k, 0] += share * x
         position[k, 1] += share * y
 
@@ -312,10 +348,14 @@ def smooth_tracks(
 ) -> None:
     """Smooth tracks, `passes` times, as `smooth_positions` re-weighs what is not the error.
 
-    Of the `runs` each has a track, a motion, (R, 3), and a weight; positions and their variances
-    are those of the mixture of a track's runs. `out` begins as zeros; the last holds the weights.
+    Of the `runs` each has a track, a motion, (R, 3), and a weight; positions and their
+    variances are those of the mixture of a track's runs. `out` begins as zeros; the
+    last holds the weights.
     """
-    (t, xy, variance, offsets, prior, amplitude), (position, spread, so_far) = batch, out
+    (t, xy, variance, offsets, prior, amplitude), (position, spread, so_far) = (
+        batch,
+        out,
+    )
     longest = 0
     for i in range(offsets.size - 1):
         longest = max(longest, offsets[i + 1] - offsets[i])
@@ -325,7 +365,12 @@ def smooth_tracks(
         i = track[run]
         first, end = offsets[i], offsets[i + 1]
         n = end - first
-        rows, own, places, noise = buffer[:n], amplitude[first:end], xy[first:end], weighed[:n]
+        rows, own, places, noise = (
+            buffer[:n],
+            amplitude[first:end],
+            xy[first:end],
+            weighed[:n],
+        )
         start_m2, memory_s, q = motion[run]
         for k in range(n):
             dt = t[first + k] - t[first + k - 1] if k > 0 else 0.0
@@ -349,8 +394,8 @@ LANES = 8
 _FAR = 2.0**600
 _NOTHING = 2.0**200
 
-# Where the fields of a row begin: sample, sigma^2, state and covariance, what the backward run
-# reads, and of the `_Step` what an error has no part in.
+# Where the fields of a row begin: sample, sigma^2, state and covariance, what the
+# backward run reads, and of the `_Step` what an error has no part in.
 _X, _Y, _SQUARE, _PX, _VX, _PY, _VY, _A, _B, _C, *_OTHER = range(0, 20 * LANES, LANES)
 _GP, _GV, _EX, _EY, _INVERSE, _MOVE, _LEFT, _QPP, _QPV, _QVV = _OTHER
 _LANE_ROW = 20 * LANES
@@ -383,7 +428,11 @@ def _lanes_forward(buffer: Floats, n: int, blur: float) -> None:
             rows[at + _PY], rows[at + _VY] = py + gain_p * ey, vy + gain_v * ey
             rows[at + _A], rows[at + _B] = gain_p * r, gain_v * r
             rows[at + _C] = (c * r + (a * c - b * b)) * inverse
-            rows[at + _GP], rows[at + _GV], rows[at + _INVERSE] = gain_p, gain_v, inverse
+            rows[at + _GP], rows[at + _GV], rows[at + _INVERSE] = (
+                gain_p,
+                gain_v,
+                inverse,
+            )
             rows[at + _EX], rows[at + _EY] = ex * inverse, ey * inverse
 
 
@@ -416,11 +465,15 @@ def _lanes_backward(buffer: Floats, n: int, adjoint: Floats) -> None:
             adjoint[lane + 3 * LANES] = left * lyv + move * lyp
             adjoint[lane + 4 * LANES] = mpp
             adjoint[lane + 5 * LANES] = left * mpv + move * mpp
-            adjoint[lane + 6 * LANES] = left * left * mvv + move * (2 * left * mpv + move * mpp)
+            adjoint[lane + 6 * LANES] = left * left * mvv + move * (
+                2 * left * mpv + move * mpp
+            )
 
 
 @part_of_loop
-def _filled(batch: _Batch, track: Ints, motion: Floats, group: int, buffer: Floats) -> None:
+def _filled(
+    batch: _Batch, track: Ints, motion: Floats, group: int, buffer: Floats
+) -> None:
     """Fill the rows of a group of runs; the shortest fills empty lanes."""
     t, xy, variance, offsets, prior, _ = batch
     n = offsets[track[group + LANES - 1] + 1] - offsets[track[group + LANES - 1]]
@@ -437,7 +490,11 @@ def _filled(batch: _Batch, track: Ints, motion: Floats, group: int, buffer: Floa
             move, left, _, qpp, qpv, qvv = _stepped(dt, 0.0, memory_s, q)
             row = buffer[(k + 1) * _LANE_ROW : (k + 2) * _LANE_ROW]
             row[lane + _X], row[lane + _Y] = xy[own, 0], xy[own, 1]
-            row[lane + _PX], row[lane + _PY], row[lane + _A] = xy[own, 0], xy[own, 1], 0.0
+            row[lane + _PX], row[lane + _PY], row[lane + _A] = (
+                xy[own, 0],
+                xy[own, 1],
+                0.0,
+            )
             row[lane + _SQUARE] = 2.0 * variance[own] if k < end - first else _NOTHING
             row[lane + _MOVE], row[lane + _LEFT] = move, left
             row[lane + _QPP], row[lane + _QPV], row[lane + _QVV] = qpp, qpv, qvv
@@ -459,7 +516,9 @@ def smooth_lanes(
     position, spread, so_far = out
     longest = offsets[track[-1] + 1] - offsets[track[-1]] if track.size > 0 else 0
     buffer, adjoint = np.zeros((longest + 1) * _LANE_ROW), np.empty(7 * LANES)
-    for group in range(-(-track.size % LANES), track.size, LANES):  # the first may be incomplete
+    for group in range(
+        -(-track.size % LANES), track.size, LANES
+    ):  # the first may be incomplete
         _filled(batch, track, motion, group, buffer)
         last = track[group + LANES - 1]
         n, blur = offsets[last + 1] - offsets[last], 1.0
@@ -474,7 +533,10 @@ def smooth_lanes(
             share = own / (before + own)
             for k in range(offsets[i + 1] - offsets[i]):
                 at, row = offsets[i] + k, (k + 1) * _LANE_ROW + lane
-                x, y = buffer[row + _PX] - position[at, 0], buffer[row + _PY] - position[at, 1]
+                x, y = (
+                    buffer[row + _PX] - position[at, 0],
+                    buffer[row + _PY] - position[at, 1],
+                )
                 apart = before * share * (x * x + y * y) / 2
                 total = before * spread[at] + own * buffer[row + _A] + apart
                 spread[at] = total / (before + own)

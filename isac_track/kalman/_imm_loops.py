@@ -1,6 +1,7 @@
 """Compiled loops of `isac_track.kalman`: several constant-velocity models that interact.
 
-The state is (x, vx, y, vy). Mixing couples the axes, hence the full 4 x 4 covariance per mode.
+The state is (x, vx, y, vy). Mixing couples the axes, hence the full 4 x 4 covariance
+per mode.
 """
 
 # ruff: noqa: C901, PLR0912 - small matrices are spelled out
@@ -9,7 +10,15 @@ from typing import TypeAlias
 
 import numpy as np
 
-from isac_track.compiling import FLOAT, INT, compiled, part_of_loop, read, together, written
+from isac_track.compiling import (
+    FLOAT,
+    INT,
+    compiled,
+    part_of_loop,
+    read,
+    together,
+    written,
+)
 from isac_track.types import Floats, Ints
 
 _Batch: TypeAlias = tuple[Floats, Floats, Floats, Ints, Floats]
@@ -68,7 +77,12 @@ def _update(zx: float, zy: float, r: float, state: _State) -> _State:
     x, vx, y, vy, p00, p10, p11, p20, p21, p22, p30, p31, p32, p33 = state
     inverse = 1 / (p00 + r)
     error, k1, k2, k3 = (zx - x), p10 * inverse, p20 * inverse, p30 * inverse
-    x, vx, y, vy = x + p00 * inverse * error, vx + k1 * error, y + k2 * error, vy + k3 * error
+    x, vx, y, vy = (
+        x + p00 * inverse * error,
+        vx + k1 * error,
+        y + k2 * error,
+        vy + k3 * error,
+    )
     p11, p21, p22 = p11 - k1 * p10, p21 - k2 * p10, p22 - k2 * p20
     p31, p32, p33 = p31 - k3 * p10, p32 - k3 * p20, p33 - k3 * p30
     shrink = r * inverse
@@ -76,7 +90,12 @@ def _update(zx: float, zy: float, r: float, state: _State) -> _State:
 
     inverse = 1 / (p22 + r)
     error, k0, k1, k3 = (zy - y), p20 * inverse, p21 * inverse, p32 * inverse
-    x, vx, y, vy = x + k0 * error, vx + k1 * error, y + p22 * inverse * error, vy + k3 * error
+    x, vx, y, vy = (
+        x + k0 * error,
+        vx + k1 * error,
+        y + p22 * inverse * error,
+        vy + k3 * error,
+    )
     p00, p10, p11 = p00 - k0 * p20, p10 - k1 * p20, p11 - k1 * p21
     p30, p31, p33 = p30 - k3 * p20, p31 - k3 * p21, p33 - k3 * p32
     shrink = r * inverse
@@ -124,12 +143,17 @@ def _collapse(weight: Floats, x: Floats, p: Floats, mean: Floats, cov: Floats) -
 
 @part_of_loop
 def _filter(
-    i: int, batch: _Batch, moods: _Moods, gate: float, patience: int, out: tuple[Floats, ...]
+    i: int,
+    batch: _Batch,
+    moods: _Moods,
+    gate: float,
+    patience: int,
+    out: tuple[Floats, ...],
 ) -> float:
     """Filter one track and return its log-likelihood.
 
-    Mean, covariance and probability after each sample are written to a row each, or those after the
-    last one to the only row.
+    Mean, covariance and probability after each sample are written to a row each, or
+    those after the last one to the only row.
     """
     t, xy, variance, offsets, prior = batch
     (q, probability, chances), (x, p, mu) = moods, out
@@ -217,11 +241,17 @@ def _factorise(matrix: Floats, work: Floats) -> None:
 def _orthogonal(dt: float, q: float, work: Floats) -> None:
     """Factorise F P F' + Q = M D' M' by modified weighted Gram-Schmidt, without a subtraction.
 
-    On entry ``weight[:4]`` and `lower` are D and L of P = L D L'. On return `rows` is (4, 8)
-    with ``M @ rows = [F L, Lq]``, its rows orthogonal under the eight weights (those of P, then
-    those of Q = Lq Dq Lq'), `factor` is M and `moved` D'.
+    On entry ``weight[:4]`` and `lower` are D and L of P = L D L'. On return `rows` is
+    (4, 8) with ``M @ rows = [F L, Lq]``, its rows orthogonal under the eight weights
+    (those of P, then those of Q = Lq Dq Lq'), `factor` is M and `moved` D'.
     """
-    weight, moved, lower, rows, factor = work[0, 0], work[0, 1], work[1], work[2], work[3]
+    weight, moved, lower, rows, factor = (
+        work[0, 0],
+        work[0, 1],
+        work[1],
+        work[2],
+        work[3],
+    )
     for m in range(_STATES):
         for j in range(_STATES, 8):
             rows[m, j] = 0.0
@@ -250,11 +280,18 @@ def _orthogonal(dt: float, q: float, work: Floats) -> None:
 
 @part_of_loop
 def _smooth_pair(
-    dt: float, x: Floats, next_x: Floats, next_p: Floats, work: Floats, out_x: Floats, out_p: Floats
+    dt: float,
+    x: Floats,
+    next_x: Floats,
+    next_p: Floats,
+    work: Floats,
+    out_x: Floats,
+    out_p: Floats,
 ) -> float:
     """Rauch-Tung-Striebel from one mode to one next mode, in Joseph's form.
 
-    Returns the log density of the next smoothed mean under the prediction, up to a constant.
+    Returns the log density of the next smoothed mean under the prediction, up to a
+    constant.
     """
     weight, moved, gap, solved = work[0, 0], work[0, 1], work[0, 2], work[0, 3]
     lower, rows, factor, left_open = work[1], work[2], work[3], work[4]
@@ -306,16 +343,24 @@ def _smooth_pair(
 
 
 @compiled(_BATCH, _MOODS, written(2), written(1))
-def imm_smoother(batch: _Batch, moods: _Moods, position: Floats, spread: Floats) -> None:
+def imm_smoother(
+    batch: _Batch, moods: _Moods, position: Floats, spread: Floats
+) -> None:
     """Filter, then smooth by expectation correction, one Gaussian per mode, from the last back."""
     t, offsets, (q, _, chances) = batch[0], batch[3], moods
     modes = q.size
     longest = 0
     for i in range(offsets.size - 1):
         longest = max(longest, offsets[i + 1] - offsets[i])
-    x, p = np.empty((longest, modes, _STATES)), np.empty((longest, modes, _STATES, _STATES))
+    x, p = (
+        np.empty((longest, modes, _STATES)),
+        np.empty((longest, modes, _STATES, _STATES)),
+    )
     mu = np.empty((longest, modes))
-    pair_x, pair_p = np.empty((modes, modes, _STATES)), np.empty((modes, modes, _STATES, _STATES))
+    pair_x, pair_p = (
+        np.empty((modes, modes, _STATES)),
+        np.empty((modes, modes, _STATES, _STATES)),
+    )
     share = np.empty((modes, modes))  # of mode m now and n next
     work = np.empty((8, _STATES, 8))  # some rows of it are half as long
     mean, cov = np.empty(_STATES), np.empty((_STATES, _STATES))
@@ -351,8 +396,11 @@ def imm_smoother(batch: _Batch, moods: _Moods, position: Floats, spread: Floats)
                 for m in range(modes):
                     mu[k, m] = share[m, 0] + share[m, 1]
                     for n in range(modes):
-                        # An impossible mode keeps an estimate, weighted as if it were possible.
-                        share[m, n] = share[m, n] / mu[k, m] if mu[k, m] > 0 else jump[m, n]
+                        # An impossible mode keeps an estimate, weighted as if it were
+                        # possible.
+                        share[m, n] = (
+                            share[m, n] / mu[k, m] if mu[k, m] > 0 else jump[m, n]
+                        )
                     _collapse(share[m], pair_x[m], pair_p[m], x[k, m], p[k, m])
                 mu[k] /= mu[k, 0] + mu[k, 1]
             _collapse(mu[k], x[k], p[k], mean, cov)

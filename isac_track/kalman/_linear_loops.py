@@ -1,15 +1,17 @@
 """Compiled loops of `isac_track.kalman`: filters to the last state, and the smoother of positions.
 
-The forms avoid every subtraction of nearly equal numbers that can be avoided, so that the
-covariance stays positive over ten decades of noise and step without a square-root filter.
+The forms avoid every subtraction of nearly equal numbers that can be avoided, so that
+the covariance stays positive over ten decades of noise and step without a square-root
+filter.
 
-For the smoother eight tracks lie side by side in one buffer, so that one vector instruction moves
-several of them: three times as fast as one track after the other. A row of the buffer is one
-sample, a field of the row eight numbers, one a track. The inner loops run over the tracks, from 0
-to `LANES`; all that they touch lies at fixed distances in one row and its neighbour, which is what
-a compiler needs to see to vectorise them. Tracks differ in length. Beyond its end a track has
-samples that change nothing, bit by bit: no time passes, and the variance is a power of two so large
-that its gain vanishes. A track's result thus does not depend on its neighbours.
+For the smoother eight tracks lie side by side in one buffer, so that one vector
+instruction moves several of them: three times as fast as one track after the other. A
+row of the buffer is one sample, a field of the row eight numbers, one a track. The
+inner loops run over the tracks, from 0 to `LANES`; all that they touch lies at fixed
+distances in one row and its neighbour, which is what a compiler needs to see to
+vectorise them. Tracks differ in length. Beyond its end a track has samples that change
+nothing, bit by bit: no time passes, and the variance is a power of two so large that
+its gain vanishes. A track's result thus does not depend on its neighbours.
 """
 
 from math import log, pi
@@ -17,7 +19,15 @@ from typing import TypeAlias
 
 import numpy as np
 
-from isac_track.compiling import FLOAT, INT, compiled, part_of_loop, read, together, written
+from isac_track.compiling import (
+    FLOAT,
+    INT,
+    compiled,
+    part_of_loop,
+    read,
+    together,
+    written,
+)
 from isac_track.types import Floats, Ints
 
 _Batch: TypeAlias = tuple[Floats, Floats, Floats, Ints, Floats]
@@ -28,14 +38,20 @@ _BATCH = together(read(1), read(2), read(1), read(1, "int64"), read(1))
 _LAST = _BATCH, FLOAT, FLOAT, INT, together(written(3), written(3), written(1))
 _LOG_2PI = log(2 * pi)
 _BIG = 1e100
-_THIRD, _SIXTH, _TWELFTH = 1 / 3, 1 / 6, 1 / 12  # to multiply by takes a tenth of the time
+_THIRD, _SIXTH, _TWELFTH = (
+    1 / 3,
+    1 / 6,
+    1 / 12,
+)  # to multiply by takes a tenth of the time
 
 LANES = 8
-_FAR = 2.0**600  # m^2, so far off are they that their weight is that of their variance alone.
+_FAR = (
+    2.0**600
+)  # m^2, so far off are they that their weight is that of their variance alone.
 _NOTHING = 2.0**200  # m^2, variance of the samples beyond the end of a track.
 
-# Where the fields of a row begin: sigma^2 of the error's length, and the state with its covariance
-# [[a, b], [b, c]].
+# Where the fields of a row begin: sigma^2 of the error's length, and the state with its
+# covariance [[a, b], [b, c]].
 _T, _X, _Y, _SQUARE, *_STATE = range(0, 12 * LANES, LANES)
 _PX, _VX, _PY, _VY, _A, _B, _C, _DET = _STATE
 _ROW = 12 * LANES
@@ -45,8 +61,9 @@ _ROW = 12 * LANES
 def cv_last(batch: _Batch, q: float, gate: float, patience: int, out: _Last) -> None:
     """Filter to the last state of every track.
 
-    Beside the covariance [[a, b], [b, c]] its determinant is carried: every update is then a
-    sum of positive terms, also where one measurement is worth all that was known before.
+    Beside the covariance [[a, b], [b, c]] its determinant is carried: every update is
+    then a sum of positive terms, also where one measurement is worth all that was known
+    before.
     """
     (t, xy, variance, offsets, prior), (mean, cov, log_likelihood) = batch, out
     for i in range(offsets.size - 1):
@@ -54,11 +71,14 @@ def cv_last(batch: _Batch, q: float, gate: float, patience: int, out: _Last) -> 
         vx = vy = b = 0.0
         a, c = prior[0], prior[1]
         det = a * c
-        # The scale is a product of innovation variances: one logarithm for many samples.
+        # The scale is a product of innovation variances: one logarithm for many
+        # samples.
         scale, total, misses = 1.0, 0.0, 0
         before = t[offsets[i]]
         for k in range(offsets[i], offsets[i + 1]):
-            dt = t[k] - before  # 0 at the first sample, where the prediction changes nothing
+            dt = (
+                t[k] - before
+            )  # 0 at the first sample, where the prediction changes nothing
             before = t[k]
             grown = q * dt
             det += grown * (a + dt * (b + dt * (c / 3 + grown / 12)))
@@ -99,7 +119,9 @@ def _innovation_square(t: Floats, xy: Floats, k: int) -> float:
     ratio = (t[k] - t[k - 1]) / (t[k - 1] - t[k - 2])
     ex = xy[k, 0] - xy[k - 1, 0] - ratio * (xy[k - 1, 0] - xy[k - 2, 0])
     ey = xy[k, 1] - xy[k - 1, 1] - ratio * (xy[k - 1, 1] - xy[k - 2, 1])
-    scaled: float = (ex * ex + ey * ey) / (1 + (1 + ratio) * (1 + ratio) + ratio * ratio)
+    scaled: float = (ex * ex + ey * ey) / (
+        1 + (1 + ratio) * (1 + ratio) + ratio * ratio
+    )
     return scaled
 
 
@@ -137,8 +159,8 @@ _Factors: TypeAlias = tuple[float, float, float, float, float, float]
 def _orthogonal(dt: float, q: float, factors: _Factors) -> _Factors:
     """Factorise F P F' + Q = M D M' by modified weighted Gram-Schmidt, without a subtraction.
 
-    The rows r, s, t of [F L, Lq] are made orthogonal under six weights: those of P = L D L', then
-    those of Q = Lq Dq Lq'. What they are made of below the diagonal is M.
+    The rows r, s, t of [F L, Lq] are made orthogonal under six weights: those of P = L
+    D L', then those of Q = Lq Dq Lq'. What they are made of below the diagonal is M.
     """
     d0, d1, d2, l10, l20, l21 = factors
     d3, d4, d5 = q * dt / 20, q * dt / 48, q * dt / 9
@@ -155,8 +177,16 @@ def _orthogonal(dt: float, q: float, factors: _Factors) -> _Factors:
     w0, w1, w2, w3, w4 = d0 * s0, d1 * s1, d2 * s2, d3 * s3, d4 * s4
     second = w0 * s0 + w1 * s1 + w2 * s2 + w3 * s3 + w4 * s4
     l21 = (w0 * t0 + w1 * t1 + w2 * t2 + w3 * t3 + w4 * t4) / second
-    t0, t1, t2, t3, t4 = t0 - l21 * s0, t1 - l21 * s1, t2 - l21 * s2, t3 - l21 * s3, t4 - l21 * s4
-    third = d0 * t0 * t0 + d1 * t1 * t1 + d2 * t2 * t2 + d3 * t3 * t3 + d4 * t4 * t4 + d5
+    t0, t1, t2, t3, t4 = (
+        t0 - l21 * s0,
+        t1 - l21 * s1,
+        t2 - l21 * s2,
+        t3 - l21 * s3,
+        t4 - l21 * s4,
+    )
+    third = (
+        d0 * t0 * t0 + d1 * t1 * t1 + d2 * t2 * t2 + d3 * t3 * t3 + d4 * t4 * t4 + d5
+    )
     return first, second, third, l10, l20, l21
 
 
@@ -164,8 +194,9 @@ def _orthogonal(dt: float, q: float, factors: _Factors) -> _Factors:
 def ca_last(batch: _Batch, q: float, gate: float, patience: int, out: _Last) -> None:
     """Filter, as `cv_last`, on the factors L D L' of the covariance.
 
-    The position comes first, so a measurement of it changes the first element of D and nothing
-    else: what is uncertain beyond the position stays, and so does its regression on it.
+    The position comes first, so a measurement of it changes the first element of D and
+    nothing else: what is uncertain beyond the position stays, and so does its
+    regression on it.
     """
     (t, xy, variance, offsets, prior), (mean, cov, log_likelihood) = batch, out
     for i in range(offsets.size - 1):
@@ -205,7 +236,11 @@ def ca_last(batch: _Batch, q: float, gate: float, patience: int, out: _Last) -> 
         cov[i, 0, 0], cov[i, 1, 0], cov[i, 2, 0] = d0, l10 * d0, l20 * d0
         cov[i, 1, 1], cov[i, 2, 1] = l10 * l10 * d0 + d1, l20 * l10 * d0 + l21 * d1
         cov[i, 2, 2] = l20 * l20 * d0 + l21 * l21 * d1 + d2
-        cov[i, 0, 1], cov[i, 0, 2], cov[i, 1, 2] = cov[i, 1, 0], cov[i, 2, 0], cov[i, 2, 1]
+        cov[i, 0, 1], cov[i, 0, 2], cov[i, 1, 2] = (
+            cov[i, 1, 0],
+            cov[i, 2, 0],
+            cov[i, 2, 1],
+        )
         log_likelihood[i] = -total - log(scale)
 
 
@@ -213,8 +248,9 @@ def ca_last(batch: _Batch, q: float, gate: float, patience: int, out: _Last) -> 
 def _forward(buffer: Floats, n: int, q: float, blur: float) -> None:
     """Filter as `cv_last`; row 0 is the prior at the first sample, which is row 1.
 
-    The weight of a sample is 1 / (r^2 + delta^2) + 1 / sigma^2, by what the pass before left in its
-    row: half of sigma^2 is the variance where that is the sample itself, known exactly.
+    The weight of a sample is 1 / (r^2 + delta^2) + 1 / sigma^2, by what the pass before
+    left in its row: half of sigma^2 is the variance where that is the sample itself,
+    known exactly.
     """
     for k in range(n):
         rows = buffer[k * _ROW : (k + 2) * _ROW]
@@ -232,7 +268,8 @@ def _forward(buffer: Floats, n: int, q: float, blur: float) -> None:
             px, py = rows[lane + _PX] + dt * vx, rows[lane + _PY] + dt * vy
             x, y, square = rows[at + _X], rows[at + _Y], rows[at + _SQUARE]
             rx, ry = x - rows[at + _PX], y - rows[at + _PY]
-            # Added, not chosen: a choice would be a branch around the division, lane by lane.
+            # Added, not chosen: a choice would be a branch around the division, lane by
+            # lane.
             far = _FAR if square == _NOTHING else 0.0
             near = rx * rx + ry * ry + 2 * rows[at + _A] + blur * square + far
             r = near * (square / (near + square))
@@ -249,10 +286,10 @@ def _forward(buffer: Floats, n: int, q: float, blur: float) -> None:
 def _backward(buffer: Floats, n: int, q: float) -> None:
     """Smooth: the filtered state of each row gives way to the smoothed one.
 
-    With P the filtered covariance, B = F^-1 Q F^-T and P' = F P F' + Q the smoothed one is
-    C + G Ps G', with the gain G and C = (|Q| P + |P| B) / |P'| (two-dimensional matrices only).
-    Both are multiplied out, so that little cancels, and made anew: to lay them beside the states
-    would take longer, since that fills the cache.
+    With P the filtered covariance, B = F^-1 Q F^-T and P' = F P F' + Q the smoothed one
+    is C + G Ps G', with the gain G and C = (|Q| P + |P| B) / |P'| (two-dimensional
+    matrices only). Both are multiplied out, so that little cancels, and made anew: to
+    lay them beside the states would take longer, since that fills the cache.
     """
     for step in range(1, n):
         first = (n - step) * _ROW
@@ -300,14 +337,21 @@ def _backward(buffer: Floats, n: int, q: float) -> None:
 
 @compiled(_BATCH, read(1, "int64"), FLOAT, INT, FLOAT, together(written(2), written(1)))
 def smooth_positions(
-    batch: _Batch, order: Ints, q: float, passes: int, anneal: float, out: tuple[Floats, Floats]
+    batch: _Batch,
+    order: Ints,
+    q: float,
+    passes: int,
+    anneal: float,
+    out: tuple[Floats, Floats],
 ) -> None:
     """Smooth the tracks in `order`, `passes` times; the longest comes last."""
     (t, xy, variance, offsets, prior), (position, spread) = batch, out
     longest = offsets[order[-1] + 1] - offsets[order[-1]] if order.size > 0 else 0
     buffer = np.zeros((longest + 1) * _ROW)
     first, size = np.empty((2, LANES), dtype=np.int64)
-    for group in range(-(-order.size % LANES), order.size, LANES):  # the first may be incomplete
+    for group in range(
+        -(-order.size % LANES), order.size, LANES
+    ):  # the first may be incomplete
         for lane in range(LANES):
             i = order[max(group + lane, 0)]  # the shortest track fills empty lanes
             first[lane], size[lane] = offsets[i], offsets[i + 1] - offsets[i]
@@ -326,7 +370,9 @@ def smooth_positions(
                 x, y = xy[own, 0], xy[own, 1]
                 row[lane + _T], row[lane + _X], row[lane + _Y] = t[own], x, y
                 row[lane + _PX], row[lane + _PY], row[lane + _A] = x, y, 0.0
-                row[lane + _SQUARE] = 2.0 * variance[own] if k < size[lane] else _NOTHING
+                row[lane + _SQUARE] = (
+                    2.0 * variance[own] if k < size[lane] else _NOTHING
+                )
         blur = 1.0
         for turn in range(passes):
             _forward(buffer, n, q, blur)
@@ -338,5 +384,8 @@ def smooth_positions(
             for lane in range(max(-group, 0), LANES):
                 if k < size[lane]:
                     own = first[lane] + k
-                    position[own, 0], position[own, 1] = row[lane + _PX], row[lane + _PY]
+                    position[own, 0], position[own, 1] = (
+                        row[lane + _PX],
+                        row[lane + _PY],
+                    )
                     spread[own] = row[lane + _A]

@@ -15,15 +15,21 @@ _WALKS = together(read(1), read(2), read(1), read(1, "int64"))
 
 @compiled(_WALKS, INT, _WALKS, read(1), read(1), FLOAT, written(3))
 def one_walk(
-    probe: _Walks, row: int, gallery: _Walks, lags_s: Floats, prior: Floats, q: float, out: Floats
+    probe: _Walks,
+    row: int,
+    gallery: _Walks,
+    lags_s: Floats,
+    prior: Floats,
+    q: float,
+    out: Floats,
 ) -> None:
     """Fill `out` (G, L, 2) for one walk of `probe` and all of `gallery`, at every lag.
 
-    Sides are times from each walk's own start, positions from its first sample, variances and
-    offsets. The state is (p, v, b), b how far the second frame is shifted; `prior`, (3,), are its
-    variances. What is measured is linear in either side's positions, so that one filter with a
-    column for each tells the density under any rotation: `out` is its log but for a term in the
-    angle, and how strong that is.
+    Sides are times from each walk's own start, positions from its first sample,
+    variances and offsets. The state is (p, v, b), b how far the second frame is
+    shifted; `prior`, (3,), are its variances. What is measured is linear in either
+    side's positions, so that one filter with a column for each tells the density under
+    any rotation: `out` is its log but for a term in the angle, and how strong that is.
     """
     t1, z1, r1, o1 = probe
     t2, z2, r2, o2 = gallery
@@ -36,7 +42,9 @@ def one_walk(
             square, volume, scale, along, across = 0.0, 0.0, 1.0, 0.0, 0.0
             now, started = 0.0, False
             while i < o1[row + 1] or j < o2[other + 1]:
-                mine = j >= o2[other + 1] or (i < o1[row + 1] and t1[i] <= t2[j] + lags_s[at])
+                mine = j >= o2[other + 1] or (
+                    i < o1[row + 1] and t1[i] <= t2[j] + lags_s[at]
+                )
                 then = t1[i] if mine else t2[j] + lags_s[at]
                 if started:
                     dt = then - now

@@ -1,15 +1,17 @@
 """A walk of constant velocity behind an error that changes slowly: filter and smoother.
 
-Per axis the state is (p, v, e): position and velocity as in `isac_track.kalman`, and an error that
-is an Ornstein-Uhlenbeck process of standard deviation s, correlated as exp(-dt / tau). What is
-measured is p + e plus white noise of the batch's variance. Whoever knows s and tau, and how people
-accelerate, tells p from e as well as Gaussian errors allow.
+Per axis the state is (p, v, e): position and velocity as in `isac_track.kalman`, and an
+error that is an Ornstein-Uhlenbeck process of standard deviation s, correlated as
+exp(-dt / tau). What is measured is p + e plus white noise of the batch's variance.
+Whoever knows s and tau, and how people accelerate, tells p from e as well as Gaussian
+errors allow.
 
 References
 ----------
-Colored measurement noise by augmenting the state: Bar-Shalom, Li, Kirubarajan, *Estimation with
-Applications to Tracking and Navigation*, 2001, section 8.2. Smoother: Bierman, "Fixed interval
-smoothing with discrete measurements", Int. J. Control 18(1), 1973, 65-75 (modified Bryson-Frazier).
+Colored measurement noise by augmenting the state: Bar-Shalom, Li, Kirubarajan,
+*Estimation with Applications to Tracking and Navigation*, 2001, section 8.2. Smoother:
+Bierman, "Fixed interval smoothing with discrete measurements", Int. J. Control 18(1),
+1973, 65-75 (modified Bryson-Frazier).
 """
 
 from dataclasses import dataclass
@@ -28,20 +30,25 @@ class SlowError:
 
     std_m: Floats | float
     """Per axis; one number, or (M,): the process of variance 1 that is scaled by it is one."""
-    tau_s: float  # Time over which its correlation falls to 1/e; 0: white, infinite: constant.
+    # Time over which its correlation falls to 1/e; 0: white, infinite: constant.
+    tau_s: float
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.std_m).all() and np.min(self.std_m, initial=0.0) >= 0.0):
+        if not (
+            np.isfinite(self.std_m).all() and np.min(self.std_m, initial=0.0) >= 0.0
+        ):
             raise ValueError(f"std_m must be finite and not negative, got {self.std_m}")
         if not self.tau_s >= 0.0:
             raise ValueError(f"tau_s must not be negative, got {self.tau_s}")
 
-    def innovation_share(self, *, t: Floats, offsets: Ints, running: bool = False) -> Floats:
+    def innovation_share(
+        self, *, t: Floats, offsets: Ints, running: bool = False
+    ) -> Floats:
         """Return how much of its variance each track's innovations take for noise, (N,).
 
-        Those are the innovations of `isac_track.noise`: their mean square, divided by s^2. Next to
-        nothing of a slow error, all of a white one. 1 for tracks of fewer than three samples. If
-        `running` it is that of the samples up to each one, (M,).
+        Those are the innovations of `isac_track.noise`: their mean square, divided by
+        s^2. Next to nothing of a slow error, all of a white one. 1 for tracks of fewer
+        than three samples. If `running` it is that of the samples up to each one, (M,).
         """
         if self.tau_s == 0.0:
             return np.ones(t.size if running else offsets.size - 1)
@@ -64,9 +71,10 @@ class SlowError:
 def added_error(mechanism: object) -> tuple[float, float]:
     """Return what a mechanism says of the error that it adds: std per axis, m, and tau, s.
 
-    tau is 0 for white errors, infinite for one that is constant along a track. Read are `std_m`
-    (per axis), `distance`, `alpha` and `beta` (where the rule adds most) or `d_sigma`, of radial
-    errors unless `law` says isotropic, and `tau_s`. (0, 0) for a mechanism that has none of them.
+    tau is 0 for white errors, infinite for one that is constant along a track. Read are
+    `std_m` (per axis), `distance`, `alpha` and `beta` (where the rule adds most) or
+    `d_sigma`, of radial errors unless `law` says isotropic, and `tau_s`. (0, 0) for a
+    mechanism that has none of them.
     """
     said = {
         name: float(getattr(mechanism, name, 0.0) or 0.0)
@@ -87,9 +95,9 @@ def filter_tracks(
 ) -> tuple[LastState, Floats]:
     """Return the state (p, v, e) of every track after its last sample, and p after each, (M, 2) m.
 
-    Parameters and errors are those of `isac_track.kalman.kalman_last`; `batch` has a prior of two
-    states, the error's own is its stationary law. A position is estimated from its own sample and
-    those before.
+    Parameters and errors are those of `isac_track.kalman.kalman_last`; `batch` has a
+    prior of two states, the error's own is its stationary law. A position is estimated
+    from its own sample and those before.
     """
     n, causal = len(batch), np.empty((batch.t.size, 2))
     out = LastState(np.empty((n, 2, 3)), np.empty((n, 3, 3)), np.empty(n))
@@ -106,8 +114,9 @@ def smooth_tracks(
 ) -> tuple[Floats, Floats]:
     """Return smoothed positions, (M, 2) m, and their variance per axis, (M,) m^2.
 
-    Parameters and errors are those of `isac_track.kalman.smooth_positions`: further passes take
-    what is neither walk nor slow error for a radial error and weigh it anew.
+    Parameters and errors are those of `isac_track.kalman.smooth_positions`: further
+    passes take what is neither walk nor slow error for a radial error and weigh it
+    anew.
     """
     alone = Motions(np.array([positive("q", q)]), np.array([np.inf]))
     return smooth_mixture(
@@ -119,14 +128,14 @@ def smooth_tracks(
 class Motions:
     """K motions of a walk: the velocity, per axis, is an Ornstein-Uhlenbeck process.
 
-    A bank of them is a mixture of Gaussian-process kernels: the covariance of the velocity falls as
-    exp(-dt / tau). ValueError for what cannot be.
+    A bank of them is a mixture of Gaussian-process kernels: the covariance of the
+    velocity falls as exp(-dt / tau). ValueError for what cannot be.
 
     References
     ----------
-    Uhlenbeck, Ornstein, Physical Review 36, 1930 (integrated: eq. 23); Hartikainen, Sarkka, "Kalman
-    filtering and smoothing solutions to temporal Gaussian process regression models", IEEE MLSP,
-    2010.
+    Uhlenbeck, Ornstein, Physical Review 36, 1930 (integrated: eq. 23); Hartikainen,
+    Sarkka, "Kalman filtering and smoothing solutions to temporal Gaussian process
+    regression models", IEEE MLSP, 2010.
     """
 
     q: Floats  # (K,) m^2/s^3, spectral density of the acceleration.
@@ -183,19 +192,24 @@ def smooth_mixture(
 ) -> tuple[Floats, Floats]:
     """Return the mean of smoothed positions under several motions, (M, 2) m, and the variance.
 
-    `weight`, (N, K), is that of each motion for each track, none negative and not all 0: those of 0
-    cost nothing. With the posterior probabilities of the motions, mean and variance are those of
-    the posterior mixture. Other parameters and errors are those of `smooth_tracks`.
+    `weight`, (N, K), is that of each motion for each track, none negative and not all
+    0: those of 0 cost nothing. With the posterior probabilities of the motions, mean
+    and variance are those of the posterior mixture. Other parameters and errors are
+    those of `smooth_tracks`.
     """
     if passes < 1 or not 0 <= anneal < 1:
-        raise ValueError(f"need passes >= 1 and 0 <= anneal < 1, got {passes} and {anneal}")
+        raise ValueError(
+            f"need passes >= 1 and 0 <= anneal < 1, got {passes} and {anneal}"
+        )
     if weight.shape != (len(batch), len(motions)) or not (weight >= 0.0).all():
         raise ValueError("need a weight, not negative, of each motion for each track")
     if not (weight.sum(axis=1) > 0.0).all():
         raise ValueError("need a motion of positive weight for each track")
     track, which = np.nonzero(weight)
     motion = motions.arrays(batch.prior_std)[which]
-    return _smooth_runs(batch, error, track, motion, weight[track, which], passes, anneal)
+    return _smooth_runs(
+        batch, error, track, motion, weight[track, which], passes, anneal
+    )
 
 
 def smooth_each(
@@ -203,8 +217,8 @@ def smooth_each(
 ) -> tuple[Floats, Floats]:
     """Return smoothed positions and variance where each track has a motion of its own, once.
 
-    `q`, m^2/s^3, and `speed_mps`, the standard deviation of the first velocity per axis, are (N,)
-    and positive; what else the batch says of velocity does not count.
+    `q`, m^2/s^3, and `speed_mps`, the standard deviation of the first velocity per
+    axis, are (N,) and positive; what else the batch says of velocity does not count.
     """
     track, forever = np.arange(len(batch)), np.full(len(batch), np.inf)
     motion = np.column_stack([np.square(speed_mps), forever, q])
@@ -228,5 +242,7 @@ def _smooth_runs(
     if not np.any(error.std_m):
         loops.smooth_lanes(error.arrays(batch), runs, passes, float(anneal), out)
     else:
-        loops.smooth_tracks(error.arrays(batch), error.tau_s, runs, passes, float(anneal), out)
+        loops.smooth_tracks(
+            error.arrays(batch), error.tau_s, runs, passes, float(anneal), out
+        )
     return out[:2]

@@ -1,19 +1,22 @@
 """What is left of white noise after a filter or smoother, in closed form, and a bound without one.
 
-Steady state of constant velocity driven by white acceleration of spectral density q (m^2/s^3),
-measured every dt (s) with the variance r (m^2) per axis, in the limit of frequent samples: only
-rho = r dt counts (the Wiener-Kolmogorov filter of a double integrator). Gaussian errors alone.
-`attacked_plr_bound` holds for any motion and any attack, within its conditions: docs/mechanisms.md.
+Steady state of constant velocity driven by white acceleration of spectral density q
+(m^2/s^3), measured every dt (s) with the variance r (m^2) per axis, in the limit of
+frequent samples: only rho = r dt counts (the Wiener-Kolmogorov filter of a double
+integrator). Gaussian errors alone. `attacked_plr_bound` holds for any motion and any
+attack, within its conditions: docs/mechanisms.md.
 
 References
 ----------
-Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to Tracking and Navigation*, 2001,
-section 6.5; van Trees, *Detection, Estimation and Modulation Theory* I, 1968, ch. 6.
+Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to Tracking and Navigation*,
+2001, section 6.5; van Trees, *Detection, Estimation and Modulation Theory* I, 1968, ch.
+6.
 """
 
 import math
 
-Q_M2_PER_S3 = 0.057  # Spectral density of the acceleration of pedestrians, as fitted on Students03.
+# Spectral density of the acceleration of pedestrians, as fitted on Students03.
+Q_M2_PER_S3 = 0.057
 INTERVAL_S = 0.0836  # Mean time between two samples of the paper's histories.
 EPSILON_M = 0.3  # Distance below which a sample counts as known: the paper's.
 
@@ -30,10 +33,14 @@ def filtered_variance_m2(*, variance_m2: float, dt_s: float, q: float) -> float:
 
 def plr_of_variance(*, variance_m2: float, epsilon_m: float) -> float:
     """Return the share of positions known to `epsilon_m` under a Gaussian error per axis, 0..1."""
-    return -math.expm1(-(epsilon_m**2) / (2.0 * variance_m2)) if variance_m2 > 0 else 1.0
+    return (
+        -math.expm1(-(epsilon_m**2) / (2.0 * variance_m2)) if variance_m2 > 0 else 1.0
+    )
 
 
-def attacked_plr(*, variance_m2: float, dt_s: float, q: float, epsilon_m: float) -> float:
+def attacked_plr(
+    *, variance_m2: float, dt_s: float, q: float, epsilon_m: float
+) -> float:
     """Return the PLR that a smoother reaches against white Gaussian errors in all, 0..1."""
     left = smoothed_variance_m2(variance_m2=variance_m2, dt_s=dt_s, q=q)
     return plr_of_variance(variance_m2=left, epsilon_m=epsilon_m)
@@ -42,7 +49,8 @@ def attacked_plr(*, variance_m2: float, dt_s: float, q: float, epsilon_m: float)
 def variance_for(*, plr: float, dt_s: float, q: float, epsilon_m: float) -> float:
     """Return the variance of the whole error per axis that leaves a smoother so much PLR, m^2.
 
-    r = [(sqrt 2 eps^2 / -ln(1 - PLR))^4 / (q dt^3)]^(1/3). ValueError unless 0 < PLR < 1.
+    r = [(sqrt 2 eps^2 / -ln(1 - PLR))^4 / (q dt^3)]^(1/3). ValueError unless 0 < PLR <
+    1.
     """
     if not 0.0 < plr < 1.0:
         raise ValueError(f"the limit on PLR must lie between 0 and 1, got {plr:g}")
@@ -50,14 +58,16 @@ def variance_for(*, plr: float, dt_s: float, q: float, epsilon_m: float) -> floa
     return float((smoothed**4 / (q * dt_s**3)) ** (1.0 / 3.0))
 
 
-def attacked_plr_bound(*, std_m: float, tau_s: float, duration_s: float, epsilon_m: float) -> float:
+def attacked_plr_bound(
+    *, std_m: float, tau_s: float, duration_s: float, epsilon_m: float
+) -> float:
     """Return what no attack's expected PLR exceeds, whatever the motion, under a slow error.
 
-    The error is Ornstein-Uhlenbeck of `std_m` per axis and correlation time `tau_s`, seen for
-    `duration_s`; an infinite `tau_s` is a constant Gaussian offset. With a prior that does not
-    change when everything is shifted nobody can tell a shift of the walk from one of the error: 1 -
-    exp(-eps^2 / 2 V), V = 2 std^2 / (2 + duration / tau) the variance of the best estimate of a
-    constant in that error.
+    The error is Ornstein-Uhlenbeck of `std_m` per axis and correlation time `tau_s`,
+    seen for `duration_s`; an infinite `tau_s` is a constant Gaussian offset. With a
+    prior that does not change when everything is shifted nobody can tell a shift of the
+    walk from one of the error: 1 - exp(-eps^2 / 2 V), V = 2 std^2 / (2 + duration /
+    tau) the variance of the best estimate of a constant in that error.
     """
     spread = 2.0 * std_m**2 / (2.0 + duration_s / tau_s)
     return plr_of_variance(variance_m2=spread, epsilon_m=epsilon_m)

@@ -1,9 +1,10 @@
 """Linkage attacks, scored: who is who across two pseudonymous releases.
 
-A *search* holds the scores of P probes, the people of one release, against the gallery, the G
-people of another; the *mate* of a probe is the same person. Everything is a pure function of
-scores and mates: `ranks`, `scores` (as evidence), tests of `significance`, and `scoring`, all of
-them at once with intervals. Where an attack's scores are all equal, every metric is at chance.
+A *search* holds the scores of P probes, the people of one release, against the gallery,
+the G people of another; the *mate* of a probe is the same person. Everything is a pure
+function of scores and mates: `ranks`, `scores` (as evidence), tests of `significance`,
+and `scoring`, all of them at once with intervals. Where an attack's scores are all
+equal, every metric is at chance.
 """
 
 from isac_track.linkability.matches import fit_scale, open_matches
@@ -31,7 +32,12 @@ from isac_track.linkability.scores import (
     fit_calibration,
     tpr_at_fpr,
 )
-from isac_track.linkability.scoring import ProbeRanks, Scorecard, rank_scorecard, scorecard
+from isac_track.linkability.scoring import (
+    ProbeRanks,
+    Scorecard,
+    rank_scorecard,
+    scorecard,
+)
 from isac_track.linkability.significance import (
     LEVEL,
     Outcome,
@@ -44,7 +50,21 @@ from isac_track.linkability.significance import (
 __all__ = ["Calibration", "Outcome", "ProbeRanks", "Scorecard", "Search"]
 __all__ += ["GALLERY", "LEVEL", "SCORE_REPLICATES", "assign", "chance", "log_rank"]
 __all__ += ["mean_log_rank", "rank1", "rank1_among", "reciprocal_rank", "residual_risk"]
-__all__ += ["auc", "cllr", "cllr_min", "d_sys", "d_sys_published", "eer", "fit_calibration"]
+__all__ += [
+    "auc",
+    "cllr",
+    "cllr_min",
+    "d_sys",
+    "d_sys_published",
+    "eer",
+    "fit_calibration",
+]
 __all__ += ["fit_scale", "open_matches"]
-__all__ += ["minimum_detectable_rank1", "outcome", "permutation_p", "rank1_p", "rank_scorecard"]
+__all__ += [
+    "minimum_detectable_rank1",
+    "outcome",
+    "permutation_p",
+    "rank1_p",
+    "rank_scorecard",
+]
 __all__ += ["scorecard", "tpr_at_fpr"]

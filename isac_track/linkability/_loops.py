@@ -1,7 +1,7 @@
 """Compiled loops of the linkage scorecard: ranks, shuffled mates, ROCs and assignments.
 
-A pair's weight is a product of two clusters' weights; all bootstrap replicates lie side by side in
-memory, so that one vector instruction treats several.
+A pair's weight is a product of two clusters' weights; all bootstrap replicates lie side
+by side in memory, so that one vector instruction treats several.
 """
 
 # ruff: noqa: C901, PLR0912, FURB136 - written out as they compile to the fastest code
@@ -32,13 +32,19 @@ _ASIDE = 8  # Minima kept side by side.
     together(written(2), written(2, "int32"), written(2, "int64"), written(2, "int64")),
 )
 def rank_rows(
-    scores: Floats, order: Ints, breaks: Floats, log_factorial: Floats, mate: Ints, out: _Ranked
+    scores: Floats,
+    order: Ints,
+    breaks: Floats,
+    log_factorial: Floats,
+    mate: Ints,
+    out: _Ranked,
 ) -> None:
     """Write -log(rank / G), expected under ties, and the cell of every score.
 
-    `order` sorts each row, ascending; `breaks` ascends. Cell 2 k + 1 is the k-th break point, cell
-    2 k the gap below it. `standing`, (P, 2), gets how many stand above the probe's mate and how
-    many as high. To `counts`, (cells, 2), are added the non-mated and the mated scores in each.
+    `order` sorts each row, ascending; `breaks` ascends. Cell 2 k + 1 is the k-th break
+    point, cell 2 k the gap below it. `standing`, (P, 2), gets how many stand above the
+    probe's mate and how many as high. To `counts`, (cells, 2), are added the non-mated
+    and the mated scores in each.
     """
     (log_rank, cell, standing, counts), (n_probes, n_gallery) = out, scores.shape
     log_gallery, n_breaks = np.log(n_gallery), breaks.size
@@ -53,8 +59,8 @@ def rank_rows(
         for row in range(n_rows):
             for place in range(n_gallery):
                 ordered[row, place] = scores[first + row, order[first + row, place]]
-        # Two ascending lists are merged without a branch, which no processor could predict; one
-        # step of a row does not wait for those of the others.
+        # Two ascending lists are merged without a branch, which no processor could
+        # predict; one step of a row does not wait for those of the others.
         places[:], passed[:] = 0, 0
         for _ in range(n_gallery + n_breaks):
             for row in range(_ROWS):
@@ -91,13 +97,18 @@ def rank_rows(
     *(written(1, "uint16"), written(2, "uint16")),
 )
 def shuffle(
-    uniform: Floats, sizes: Ints, n_alike: Ints, first: int, now: Places, columns: Places
+    uniform: Floats,
+    sizes: Ints,
+    n_alike: Ints,
+    first: int,
+    now: Places,
+    columns: Places,
 ) -> None:
     """Write whose mate each of N mated probes gets, (N, n), as `permutation_p` says.
 
-    Fisher and Yates, from uniforms, a row for each shuffle from the `first` on. The probes come
-    cluster by cluster: ``n_alike[a]`` clusters of ``sizes[a]`` probes each, for every a. `now` is
-    the order to start from.
+    Fisher and Yates, from uniforms, a row for each shuffle from the `first` on. The
+    probes come cluster by cluster: ``n_alike[a]`` clusters of ``sizes[a]`` probes each,
+    for every a. `now` is the order to start from.
     """
     # The order that one draw leaves behind is as good a start for the next as any.
     for row in range(len(uniform)):
@@ -108,7 +119,8 @@ def shuffle(
         for a in range(sizes.size):
             size, n_clusters = sizes[a], n_alike[a]
             for c in range(n_clusters):
-                # The last cluster has no choice left, nor has the last member: no uniform.
+                # The last cluster has no choice left, nor has the last member: no
+                # uniform.
                 start = base + c * size
                 if c < n_clusters - 1:
                     far = start + size * int(uniforms[drawn] * (n_clusters - c))
@@ -130,7 +142,12 @@ def shuffle(
     *(written(1), written(2, "uint16")),
 )
 def add_shuffles(
-    columns: Places, probes: Ints, log_rank: Floats, score_bin: Bins, total: Floats, bins: Places
+    columns: Places,
+    probes: Ints,
+    log_rank: Floats,
+    score_bin: Bins,
+    total: Floats,
+    bins: Places,
 ) -> None:
     """Add the log-rank statistic, (n,), and the histogram of mated scores, (bins, n), of shuffles.
 
@@ -173,7 +190,9 @@ def _sorted_pairs(ones: int, pairs: _Pairs) -> tuple[Ints, Places, Places]:
 
 
 @part_of_loop
-def _weigh(table: Bins, most: int, a_of: Places, b_of: Places, some: Places, total: Floats) -> None:
+def _weigh(
+    table: Bins, most: int, a_of: Places, b_of: Places, some: Places, total: Floats
+) -> None:
     """Write the weight of some pairs in every replicate, (R,); in 16 bits, `most` at a time."""
     total[:] = 0.0
     for start in range(0, a_of.size, most):
@@ -242,7 +261,9 @@ def _read_hull(blocks: Floats, totals: tuple[float, float]) -> tuple[float, floa
 
 
 @part_of_loop
-def _read_threshold(true: Floats, false: Floats, r: int, limit: float) -> tuple[float, float]:
+def _read_threshold(
+    true: Floats, false: Floats, r: int, limit: float
+) -> tuple[float, float]:
     """Return the counts at the highest threshold of the most hits with no more false links.
 
     Of column `r`. The search is written out: numpy's takes seconds to compile.
@@ -285,7 +306,9 @@ def _occupied(counts: Ints) -> tuple[Ints, int]:
 
 @compiled(
     read(2, "uint8"),
-    together(read(2, "int64"), *[read(1, "int64")] * 3, read(1, "int32"), read(2, "int64")),
+    together(
+        read(2, "int64"), *[read(1, "int64")] * 3, read(1, "int32"), read(2, "int64")
+    ),
     *(read(1, "uint8"), read(2), read(1), written(2)),
 )
 def read_scores(
@@ -293,18 +316,24 @@ def read_scores(
 ) -> None:
     """Write `d_sys`, `d_sys_published`, AUC, EER, Cllr_min, then TPR and FPR at each level.
 
-    `out` is (5 + 2 levels, R). `table`, (C + 1, R), holds the weights of the clusters in every
-    replicate, then a row of ones. The `bins` of the cells ascend; `totals`, (2, R), are the weights
-    of all mated and of all non-mated scores. A TPR is that of the lowest threshold with FPR <=
-    level. The hull is that of pooled adjacent violators.
+    `out` is (5 + 2 levels, R). `table`, (C + 1, R), holds the weights of the clusters
+    in every replicate, then a row of ones. The `bins` of the cells ascend; `totals`,
+    (2, R), are the weights of all mated and of all non-mated scores. A TPR is that of
+    the lowest threshold with FPR <= level. The hull is that of pooled adjacent
+    violators.
     """
     n_replicates, counts = table.shape[1], pairs[5]
     starts, a_of, b_of = _sorted_pairs(table.shape[0] - 1, pairs)
-    # As narrow as they come, sixteen to thirty-two in a vector instruction; so few cannot overflow.
+    # As narrow as they come, sixteen to thirty-two in a vector instruction; so few
+    # cannot overflow.
     most = _MOST // _heaviest(table) ** 2
     some = np.empty(n_replicates, dtype=np.uint16)
     own, other = np.empty(n_replicates), np.empty(n_replicates)
-    true, false, waiting = np.zeros(n_replicates), np.zeros(n_replicates), np.zeros(n_replicates)
+    true, false, waiting = (
+        np.zeros(n_replicates),
+        np.zeros(n_replicates),
+        np.zeros(n_replicates),
+    )
     occupied, n_mated = _occupied(counts)
     sums, n_thresholds = np.zeros((2, n_replicates)), 0
     hits, alarms = np.empty((n_mated, n_replicates)), np.empty((n_mated, n_replicates))
@@ -346,7 +375,8 @@ def read_scores(
             hits[n_thresholds], alarms[n_thresholds] = true, false
             n_thresholds += 1
         if place == 0 or bins[occupied[place - 1]] != bins[k]:
-            # Of the trapezia between bin centres the outer bins have one instead of two.
+            # Of the trapezia between bin centres the outer bins have one instead of
+            # two.
             inner = 1.0 - 0.5 * (bins[k] == lowest) - 0.5 * (bins[k] == highest)
             _add_share(sums, totals, inner, out[:2])
     for r in range(n_replicates):
@@ -358,19 +388,23 @@ def read_scores(
         for number in range(levels.size):
             limit = levels[number] * non_mated
             true_r, false_r = _read_threshold(hits, alarms, r, limit)
-            out[5 + 2 * number, r], out[6 + 2 * number, r] = true_r / mated, false_r / non_mated
+            out[5 + 2 * number, r], out[6 + 2 * number, r] = (
+                true_r / mated,
+                false_r / non_mated,
+            )
 
 
 @compiled(read(2), written(1, "int64"))
 def assign(cost: Floats, column_of: Ints) -> None:
     """Write the column of each row, (P,), of the least total cost; (P, G), P <= G.
 
-    By shortest augmenting paths (Crouse, IEEE T-AES 52(4), 2016), with ties broken as scipy's
-    `linear_sum_assignment` does.
+    By shortest augmenting paths (Crouse, IEEE T-AES 52(4), 2016), with ties broken as
+    scipy's `linear_sum_assignment` does.
     """
     n_rows, n = cost.shape
     u, v, row_of = np.zeros(n_rows), np.zeros(n), np.full(n, -1)
-    # Lengths of the paths to columns that wait, infinite beyond them; and to those reached.
+    # Lengths of the paths to columns that wait, infinite beyond them; and to those
+    # reached.
     front, reached_at, left = np.full(n + _ASIDE, np.inf), np.empty(n), np.empty(n)
     path, waiting, place_of, reached = np.empty((4, n), dtype=np.int64)
     least = np.empty(_ASIDE)

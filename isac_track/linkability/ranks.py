@@ -1,8 +1,8 @@
 """Where the mate stands among the gallery: rank metrics, and the assignment of all at once.
 
-Ties carry no information: rank metrics are expectations under a random order of equal scores, and
-assignments are made in a random order of the columns. `scores`, (P, G), and `mate`, (P,), are as in
-`Search`, which says what is a ValueError.
+Ties carry no information: rank metrics are expectations under a random order of equal
+scores, and assignments are made in a random order of the columns. `scores`, (P, G), and
+`mate`, (P,), are as in `Search`, which says what is a ValueError.
 
 References
 ----------
@@ -40,29 +40,38 @@ class Search:
     Raises
     ------
     ValueError
-        If a shape is wrong, a score is not finite, a mate is no column or two probes share one, or
-        a cluster is negative.
+        If a shape is wrong, a score is not finite, a mate is no column or two probes
+        share one, or a cluster is negative.
     """
 
     scores: Floats  # (P, G) the higher, the rather the same person; finite.
-    mate: Ints  # (P,) column of the probe's mate; -1 if it has none in this gallery (open set).
+    # (P,) column of the probe's mate; -1 if it has none in this gallery (open set).
+    mate: Ints
     probe_cluster: Ints  # (P,) cluster (person or walking group) of each probe.
     gallery_cluster: Ints  # (G,)
-    scale: int = 0  # Searches of one scale come from one fitted attack: their scores compare.
+    scale: int = (
+        0  # Searches of one scale come from one fitted attack: their scores compare.
+    )
 
     def __post_init__(self) -> None:
         _check_scores(self.scores, self.mate)
-        for name, n in zip(("probe_cluster", "gallery_cluster"), self.scores.shape, strict=True):
+        for name, n in zip(
+            ("probe_cluster", "gallery_cluster"), self.scores.shape, strict=True
+        ):
             cluster = getattr(self, name)
             if cluster.shape != (n,) or cluster.dtype.kind not in "iu":
-                raise ValueError(f"{name} must be integers of shape ({n},), got {cluster.shape}")
+                raise ValueError(
+                    f"{name} must be integers of shape ({n},), got {cluster.shape}"
+                )
             if cluster.min() < 0:
                 raise ValueError(f"{name} must not be negative")
 
 
 def _check_finite(scores: Floats) -> None:
     if scores.ndim != 2 or 0 in scores.shape:  # noqa: PLR2004 - a matrix
-        raise ValueError(f"scores must have shape (P, G), neither 0, got {scores.shape}")
+        raise ValueError(
+            f"scores must have shape (P, G), neither 0, got {scores.shape}"
+        )
     if not np.isfinite(scores).all():
         raise ValueError("scores must be finite")
 
@@ -71,7 +80,9 @@ def _check_scores(scores: Floats, mate: Ints) -> None:
     _check_finite(scores)
     n_probes, n_gallery = scores.shape
     if mate.shape != (n_probes,) or mate.dtype.kind not in "iu":
-        raise ValueError(f"mate must be integers of shape ({n_probes},), got {mate.shape}")
+        raise ValueError(
+            f"mate must be integers of shape ({n_probes},), got {mate.shape}"
+        )
     mated = mate[mate != -1]
     if mated.size and not 0 <= mated.min() <= mated.max() < n_gallery:
         raise ValueError(f"mates must be columns, 0..{n_gallery - 1}, or -1 for none")
@@ -88,13 +99,16 @@ def rank1(*, scores: Floats, mate: Ints) -> Floats:
     return np.where(mate < 0, np.nan, expected_hit(*standing(scores, mate)))
 
 
-def rank1_among(*, above: Ints, tied: Ints, candidates: Ints, gallery: int = GALLERY) -> Floats:
+def rank1_among(
+    *, above: Ints, tied: Ints, candidates: Ints, gallery: int = GALLERY
+) -> Floats:
     """Return how often each probe's mate comes first among candidates drawn at random, (P,).
 
-    Exact over all galleries that hold the mate and gallery - 1 of the N - 1 others:
-    C(N - 1 - m, gallery - 1) / C(N - 1, gallery - 1) with m others at or above the mate, the mean
-    over the places that a tie leaves it. NaN where there are fewer candidates than that. Of each
-    probe are told the candidates `above` the mate, as high (the mate included), and in all, (P,).
+    Exact over all galleries that hold the mate and gallery - 1 of the N - 1 others: C(N
+    - 1 - m, gallery - 1) / C(N - 1, gallery - 1) with m others at or above the mate,
+    the mean over the places that a tie leaves it. NaN where there are fewer candidates
+    than that. Of each probe are told the candidates `above` the mate, as high (the mate
+    included), and in all, (P,).
     """
     first: Floats = np.full(above.shape, np.nan)
     for n in np.unique(candidates[candidates >= gallery]).tolist():
@@ -122,8 +136,9 @@ def reciprocal_rank(*, scores: Floats, mate: Ints) -> Floats:
 def log_rank(*, scores: Floats, mate: Ints) -> Floats:
     """Return the expected -log(rank / G) of each probe's mate, (P,); NaN for one without.
 
-    Zero at the bottom, log G at the top: every halving of the rank counts the same, in galleries of
-    any size. The logarithm of a mid-rank would rate a tie above what it is worth.
+    Zero at the bottom, log G at the top: every halving of the rank counts the same, in
+    galleries of any size. The logarithm of a mid-rank would rate a tie above what it is
+    worth.
     """
     _check_scores(scores, mate)
     (above, tied), n_gallery = standing(scores, mate), scores.shape[1]
@@ -144,10 +159,11 @@ def assign(
 ) -> Ints:
     """Return the column assigned to each probe, (P,), at most one probe a column; -1 for none.
 
-    The sum of the assigned scores is the largest there is. The columns are put in a random order
-    first, one permutation from `rng`, so that ties cannot tell the mate by its place. A pair must
-    score more than `no_match_score`, which is what leaving a probe unassigned scores; without it
-    every probe is assigned, as far as the gallery reaches.
+    The sum of the assigned scores is the largest there is. The columns are put in a
+    random order first, one permutation from `rng`, so that ties cannot tell the mate by
+    its place. A pair must score more than `no_match_score`, which is what leaving a
+    probe unassigned scores; without it every probe is assigned, as far as the gallery
+    reaches.
     """
     _check_finite(scores)
     return assign_in(rng.permutation(scores.shape[1]), scores, no_match_score)
@@ -155,12 +171,14 @@ def assign(
 
 def assign_in(order: Ints, scores: Floats, no_match_score: float | None) -> Ints:
     """Return `assign` of finite scores whose columns are put in this order."""
-    from isac_track.linkability import _loops  # noqa: PLC0415 - heavy, and not all assign
+    from isac_track.linkability import (  # noqa: PLC0415 - heavy, and not all assign
+        _loops,
+    )
 
     gain = scores[:, order]
     if no_match_score is not None:
-        # As good as a column of its own for every probe, and half the matrix: a probe that would
-        # be left alone may as well take a column where it gains nothing.
+        # As good as a column of its own for every probe, and half the matrix: a probe
+        # that would be left alone may as well take a column where it gains nothing.
         gain = np.maximum(gain - no_match_score, 0.0)
     is_tall = gain.shape[0] > gain.shape[1]
     columns = np.empty(min(gain.shape), dtype=np.int64)
@@ -178,8 +196,8 @@ def assign_in(order: Ints, scores: Floats, no_match_score: float | None) -> Ints
 def log_sum_exp(values: Floats, *, axis: int) -> Floats:
     """Return log(sum(exp(values))) along an axis, which stays with length 1.
 
-    `values` are finite real numbers, not empty. scipy's `logsumexp` takes four times as long on the
-    small matrices here: it provides for complex, infinite and empty input.
+    `values` are finite real numbers, not empty. scipy's `logsumexp` takes four times as
+    long on the small matrices here: it provides for complex, infinite and empty input.
     """
     largest = values.max(axis=axis, keepdims=True)
     total = np.exp(values - largest).sum(axis=axis, keepdims=True)
@@ -189,10 +207,11 @@ def log_sum_exp(values: Floats, *, axis: int) -> Floats:
 def soft_matches(scores: Floats) -> Floats:
     """Return the log probability of every pair where each probe has a mate and nobody two, (N, N).
 
-    Scores are log likelihood ratios; a matching is as likely as the product of its pairs'. How
-    probable a pair is takes permanents: Sinkhorn's scaling (Annals of Mathematical Statistics 35,
-    1964) approximates them. Rows and columns of exp(scores) are divided by their sums, in turn,
-    until they are 1, to 1e-6, or 100 times. ValueError unless (N, N) and finite.
+    Scores are log likelihood ratios; a matching is as likely as the product of its
+    pairs'. How probable a pair is takes permanents: Sinkhorn's scaling (Annals of
+    Mathematical Statistics 35, 1964) approximates them. Rows and columns of exp(scores)
+    are divided by their sums, in turn, until they are 1, to 1e-6, or 100 times.
+    ValueError unless (N, N) and finite.
     """
     _check_finite(scores)
     if scores.shape[0] != scores.shape[1]:
@@ -214,8 +233,9 @@ def soft_matches(scores: Floats) -> Floats:
 def _scaled_by_factors(log_p: Floats, *, most: int) -> tuple[Floats, int, bool]:
     """Return a matrix after at most so many sweeps, their number, and whether rows were 1.
 
-    Factors of rows and columns take a fraction of the time of logarithms of sums. They stop
-    before a sum leaves the range of numbers: the caller's next sweep is of logarithms.
+    Factors of rows and columns take a fraction of the time of logarithms of sums. They
+    stop before a sum leaves the range of numbers: the caller's next sweep is of
+    logarithms.
     """
     p = np.exp(log_p)
     rows, columns = np.ones(len(p)), np.ones(len(p))
@@ -238,13 +258,16 @@ def chance(searches: Sequence[Search]) -> float:
     """Return the expected rank-1 rate of guessing: the mean of 1 / G over mated probes."""
     counts = np.array([(search.mate >= 0).sum() for search in searches])
     sizes = np.array([search.scores.shape[1] for search in searches])
-    return float(np.average(1.0 / sizes, weights=counts)) if counts.any() else float("nan")
+    return (
+        float(np.average(1.0 / sizes, weights=counts)) if counts.any() else float("nan")
+    )
 
 
 def residual_risk(*, success: float, control: float) -> float:
     """Return (success - control) / (1 - control): what an attack adds to its control.
 
-    Negative where the attack is worse, 1 where it always succeeds, NaN where the control does.
+    Negative where the attack is worse, 1 where it always succeeds, NaN where the
+    control does.
     """
     return (success - control) / (1.0 - control) if control != 1.0 else float("nan")
 
@@ -296,19 +319,22 @@ def predicted_rank1(
 ) -> Floats:
     """Return rank 1 in a `gallery` by the law through two rates, (B,), of galleries of two `sizes`.
 
-    With p_i the share of impostors ahead of a probe's mate, r(G) = mean of (1 - p_i)^(G - 1) probes
-    find their mate first among G candidates. Beyond the gallery that was measured, a probe with
-    nobody ahead is not one whom nobody would ever be ahead of: here the p_i have a gamma
-    distribution, so that r(G) = (1 + (G - 1) / b)^-a, through the two rates. It is 1 where the
-    larger has no failure, 0 where it has no hit. ValueError unless sizes[0] is at least 2 and
-    below sizes[1], and this no more than `gallery`.
+    With p_i the share of impostors ahead of a probe's mate, r(G) = mean of (1 - p_i)^(G
+    - 1) probes find their mate first among G candidates. Beyond the gallery that was
+    measured, a probe with nobody ahead is not one whom nobody would ever be ahead of:
+    here the p_i have a gamma distribution, so that r(G) = (1 + (G - 1) / b)^-a, through
+    the two rates. It is 1 where the larger has no failure, 0 where it has no hit.
+    ValueError unless sizes[0] is at least 2 and below sizes[1], and this no more than
+    `gallery`.
     """
     if not 2 <= sizes[0] < sizes[1] <= gallery:  # noqa: PLR2004 - a mate and an impostor
         raise ValueError(f"galleries must grow from 2, got {sizes} and {gallery}")
     first, second, wanted = (float(one - 1) for one in (*sizes, gallery))
     with np.errstate(divide="ignore", invalid="ignore"):
         logs = np.log(np.clip(large, 0.0, 1.0))
-        steepness = np.nan_to_num(logs / np.log(np.clip(small, 0.0, 1.0)), nan=1.0, posinf=np.inf)
+        steepness = np.nan_to_num(
+            logs / np.log(np.clip(small, 0.0, 1.0)), nan=1.0, posinf=np.inf
+        )
     # The ratio of both logarithms grows with b, from 1 to that of the galleries.
     low, high = np.full(large.shape, _ENDS[0]), np.full(large.shape, _ENDS[1])
     for _ in range(_STEPS):
@@ -324,8 +350,8 @@ def predicted_rank1(
 def reach(measured: int) -> int:
     """Return the largest gallery that is predicted from one that was measured; 0 for none.
 
-    At most `REACH` times as large, and such that the same step could be tried within what was
-    measured: from galleries of `FEWEST` and more.
+    At most `REACH` times as large, and such that the same step could be tried within
+    what was measured: from galleries of `FEWEST` and more.
     """
     most = min(REACH * measured, measured * measured // (REACH * FEWEST))
     return most if most > measured else 0

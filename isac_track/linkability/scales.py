@@ -2,8 +2,8 @@
 
 References
 ----------
-Pairs of resampled clusters: Snijders and Borgatti, Connections 22(2), 1999; Owen, Annals of Applied
-Statistics 1(2), 2007.
+Pairs of resampled clusters: Snijders and Borgatti, Connections 22(2), 1999; Owen,
+Annals of Applied Statistics 1(2), 2007.
 """
 
 import math
@@ -22,8 +22,8 @@ from isac_track.types import Floats, Ints
 
 SCORE_REPLICATES = 200
 """Bootstrap replicates of score metrics; one visits every pair, where a rank metric visits every
-probe. The ends of a 95 % interval from 200 replicates have a standard error of 0.19 standard
-deviations of the estimate (0.08 from 1,000)."""
+probe. The ends of a 95 % interval from 200 replicates have a standard error of 0.19
+standard deviations of the estimate (0.08 from 1,000)."""
 
 LEVELS = {"tpr_at_fpr_1pct": 0.01, "tpr_at_fpr_01pct": 0.001}
 METRICS = ("auc", "eer", "cllr_min", *LEVELS, "d_sys", "d_sys_published", "cllr")
@@ -32,14 +32,16 @@ _COLUMNS = (
     *("tpr_at_fpr_1pct", "realised_fpr_1pct", "tpr_at_fpr_01pct", "realised_fpr_01pct"),
 )
 """What the loop over the scores writes."""
-_LANES = 16  # Numbers that a vector instruction treats at most: replicates are a multiple of it.
+# Numbers that a vector instruction treats at most: replicates are a multiple of it.
+_LANES = 16
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Cells:
     """The scores of one scale, cut where a metric can tell two apart.
 
-    A replicate needs the weight of mated and of non-mated scores in each cell and nothing else.
+    A replicate needs the weight of mated and of non-mated scores in each cell and
+    nothing else.
     """
 
     breaks: Floats
@@ -63,7 +65,9 @@ class _Weighed:
     """(2, R or a few more) of all mated and of all non-mated scores."""
     rows: tuple[tuple[Floats, Floats], ...]
     """(P, R) of the probes of each search, and (G, R) of its candidates."""
-    within: tuple[tuple[Ints, ...], ...]  # Which pairs of each search are of one cluster.
+    within: tuple[
+        tuple[Ints, ...], ...
+    ]  # Which pairs of each search are of one cluster.
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,11 +113,15 @@ def cut_scores(trials: Sequence[tuple[Search, People]], n_shuffles: int) -> Cell
 
 
 def score_scale(
-    cut: Cells, weights: Floats, calibration: Calibration | None, without: tuple[int, ...]
+    cut: Cells,
+    weights: Floats,
+    calibration: Calibration | None,
+    without: tuple[int, ...],
 ) -> Scale:
     """Return the score metrics of one scale.
 
-    After the data and the replicates come those of the data without each of some clusters.
+    After the data and the replicates come those of the data without each of some
+    clusters.
     """
     searches = tuple(people for _, people in cut.trials)
     # The next attack on the same people has the same weights.
@@ -140,7 +148,10 @@ def score_scale(
     total_mated, total_non_mated = people.totals[:, :n_replicates]
     is_defined = (total_mated > 0) & (total_non_mated > 0)
     defined = np.where(is_defined, columns[:, :n_replicates], np.nan)
-    values = {**dict(zip(_COLUMNS, defined, strict=True)), "cllr": np.full(n_replicates, np.nan)}
+    values = {
+        **dict(zip(_COLUMNS, defined, strict=True)),
+        "cllr": np.full(n_replicates, np.nan),
+    }
     if calibration is not None:
         mated_cost, non_mated_cost = _costs(people, cut.trials, calibration)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -151,15 +162,21 @@ def score_scale(
 
 
 @lru_cache(maxsize=8)
-def _weighed(searches: tuple[People, ...], same: _Same, without: tuple[int, ...]) -> _Weighed:
-    arrays = [[np.frombuffer(each, dtype=np.int64) for each in search] for search in searches]
+def _weighed(
+    searches: tuple[People, ...], same: _Same, without: tuple[int, ...]
+) -> _Weighed:
+    arrays = [
+        [np.frombuffer(each, dtype=np.int64) for each in search] for search in searches
+    ]
     mate = np.concatenate([each for each, *_ in arrays])
     shapes = np.array([[one.size, two.size] for _, one, two in arrays])
     clusters = np.unique(np.concatenate([each for _, *both in arrays for each in both]))
     drawn = same.weights[:SCORE_REPLICATES, clusters].T
     others = clusters[:, None] != np.array(without)
     rows = np.column_stack([np.ones(clusters.size), drawn, others])
-    table = np.zeros((len(rows) + 1, -(-rows.shape[1] // _LANES) * _LANES), dtype=np.uint8)
+    table = np.zeros(
+        (len(rows) + 1, -(-rows.shape[1] // _LANES) * _LANES), dtype=np.uint8
+    )
     table[:-1, : rows.shape[1]], table[-1] = rows, 1
     if not np.array_equal(table[:-1, : rows.shape[1]], rows):
         raise ValueError("weights must be counts, 0 to 255")
@@ -181,7 +198,9 @@ def _costs(
 ) -> tuple[Floats, Floats]:
     """Return the summed cost of either class as evidence, (R,) each, in nats."""
     own, between = np.zeros((2, people.rows[0][0].shape[1]))
-    for (search, who), rows, within in zip(trials, people.rows, people.within, strict=True):
+    for (search, who), rows, within in zip(
+        trials, people.rows, people.within, strict=True
+    ):
         mated = mated_probes(who)
         mates = mated.probes, mated.mate
         llr = calibration.slope * search.scores + calibration.intercept
@@ -192,7 +211,9 @@ def _costs(
     return own, between
 
 
-def _summed(of_pairs: Floats, first: Floats, second: Floats, within: tuple[Ints, ...]) -> Floats:
+def _summed(
+    of_pairs: Floats, first: Floats, second: Floats, within: tuple[Ints, ...]
+) -> Floats:
     """Return the weighted sum over non-mated pairs, (R,); `of_pairs`, (P, G), is overwritten."""
     # Within a cluster, a pair weighs no more than the probe.
     once = np.bincount(within[0], weights=of_pairs[within], minlength=len(first))
@@ -203,14 +224,17 @@ def _summed(of_pairs: Floats, first: Floats, second: Floats, within: tuple[Ints,
 def over_scales(results: Sequence[Scale], *, n_searches: int) -> dict[str, Floats]:
     """Return the values of `Scale`: means, weighted by each replicate's mass of mated scores.
 
-    NaN where no scale has both classes, and where a TPR is refused: on the non-mated pairs of one
-    of `n_searches`, in the mean, since those of several are of the same few people again.
+    NaN where no scale has both classes, and where a TPR is refused: on the non-mated
+    pairs of one of `n_searches`, in the mean, since those of several are of the same
+    few people again.
     """
     mass = np.stack([one.mass for one in results])[:, None]
     of_scales = np.stack([[*one.values.values()] for one in results])
     with np.errstate(invalid="ignore"):
         weighted = np.where(mass > 0, of_scales * mass, 0.0)
-        mean = dict(zip(results[0].values, weighted.sum(axis=0) / mass.sum(axis=0), strict=True))
+        mean = dict(
+            zip(results[0].values, weighted.sum(axis=0) / mass.sum(axis=0), strict=True)
+        )
     n_non_mated = sum(result.n_non_mated for result in results) / n_searches
     for name, alpha in LEVELS.items():
         if scores.is_refused(n_non_mated, alpha):

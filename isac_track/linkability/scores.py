@@ -1,13 +1,14 @@
 """How well one threshold, or the score as evidence, tells mated from non-mated pairs.
 
-`mated`, (M,), and `non_mated`, (N,), are the scores of either class; it is a ValueError if a class
-is empty or a score is not finite.
+`mated`, (M,), and `non_mated`, (N,), are the scores of either class; it is a ValueError
+if a class is empty or a score is not finite.
 
 References
 ----------
-Likelihood ratios: Bruemmer and du Preez, Computer Speech and Language 20, 2006 (Cllr). Hull:
-Fawcett and Niculescu-Mizil, Machine Learning 68, 2007 (the ROC's hull is isotonic regression).
-D_sys: Gomez-Barrero, Galbally, Rathgeb, Busch, IEEE TIFS 13(6), 2018, with prior odds of 1.
+Likelihood ratios: Bruemmer and du Preez, Computer Speech and Language 20, 2006 (Cllr).
+Hull: Fawcett and Niculescu-Mizil, Machine Learning 68, 2007 (the ROC's hull is isotonic
+regression). D_sys: Gomez-Barrero, Galbally, Rathgeb, Busch, IEEE TIFS 13(6), 2018, with
+prior odds of 1.
 """
 
 import math
@@ -20,11 +21,13 @@ from isac_track.types import Floats
 
 MIN_EXPECTED = 30
 """A TPR at the FPR alpha needs 30 / alpha non-mated scores, thirty above the threshold: pairs of
-the same people depend on each other. In a closed gallery of N people there are N (N - 1)."""
+the same people depend on each other. In a closed gallery of N people there are N (N -
+1)."""
 
 SLOPE_PENALTY = 1e-6
 """Of the squared slope per standard deviation of the score, where each class weighs 1: it keeps the
-slope finite where the classes do not overlap, and otherwise changes nothing that matters."""
+slope finite where the classes do not overlap, and otherwise changes nothing that
+matters."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +51,14 @@ def eer(*, mated: Floats, non_mated: Floats) -> float:
     return float(_read(mated, non_mated)[3])
 
 
-def tpr_at_fpr(*, mated: Floats, non_mated: Floats, alpha: float) -> tuple[float, float]:
+def tpr_at_fpr(
+    *, mated: Floats, non_mated: Floats, alpha: float
+) -> tuple[float, float]:
     """Return the largest TPR of a threshold with FPR <= alpha, and the FPR of that threshold.
 
-    Of the thresholds with that TPR it is the highest: the lowest mated score that it accepts. NaN
-    twice for fewer than 30 / alpha non-mated scores (`MIN_EXPECTED`). ValueError for an alpha that
-    is not in (0, 1), too.
+    Of the thresholds with that TPR it is the highest: the lowest mated score that it
+    accepts. NaN twice for fewer than 30 / alpha non-mated scores (`MIN_EXPECTED`).
+    ValueError for an alpha that is not in (0, 1), too.
     """
     _check_classes(mated, non_mated)
     if not 0 < alpha < 1:
@@ -67,10 +72,11 @@ def tpr_at_fpr(*, mated: Floats, non_mated: Floats, alpha: float) -> tuple[float
 def fit_calibration(*, mated: Floats, non_mated: Floats) -> Calibration:
     """Return the calibration of scores as log-likelihood ratios, by logistic regression.
 
-    Both classes weigh the same in all, which is prior odds of 1. A score that speaks against the
-    same person gets the slope 0, and so does one that is constant: then every LLR is 0, which is no
-    evidence. Classes that do not overlap get a steep, finite slope (`SLOPE_PENALTY`). The scores
-    are of people other than those whom the calibration is to judge.
+    Both classes weigh the same in all, which is prior odds of 1. A score that speaks
+    against the same person gets the slope 0, and so does one that is constant: then
+    every LLR is 0, which is no evidence. Classes that do not overlap get a steep,
+    finite slope (`SLOPE_PENALTY`). The scores are of people other than those whom the
+    calibration is to judge.
     """
     _check_classes(mated, non_mated)
     scores = np.concatenate([mated, non_mated])
@@ -78,14 +84,19 @@ def fit_calibration(*, mated: Floats, non_mated: Floats) -> Calibration:
     if not spread > 0:
         return Calibration(0.0, 0.0)
     sign = np.repeat([1.0, -1.0], [mated.size, non_mated.size])
-    mass = np.repeat([1.0 / mated.size, 1.0 / non_mated.size], [mated.size, non_mated.size])
+    mass = np.repeat(
+        [1.0 / mated.size, 1.0 / non_mated.size], [mated.size, non_mated.size]
+    )
     design = sign * np.stack([(scores - centre) / spread, np.ones(scores.size)])
 
     def gradient_at(parameters: Floats) -> tuple[Floats, Floats]:
         with np.errstate(over="ignore"):
             wrong = 1.0 / (1.0 + np.exp(parameters @ design))
         pull = mass * wrong
-        return np.array([SLOPE_PENALTY, 0.0]) * parameters - design @ pull, pull - pull * wrong
+        return (
+            np.array([SLOPE_PENALTY, 0.0]) * parameters - design @ pull,
+            pull - pull * wrong,
+        )
 
     # The intercept gets a little of it too, lest rounding make the curvature singular.
     parameters, least = np.zeros(2), np.diag([SLOPE_PENALTY, 1e-12])
@@ -98,7 +109,8 @@ def fit_calibration(*, mated: Floats, non_mated: Floats) -> Calibration:
             parameters -= step
             break
         gradient, bend = gradient_at(parameters - step)
-        # The loss is convex: where it rises more steeply than it fell, the step was too long.
+        # The loss is convex: where it rises more steeply than it fell, the step was too
+        # long.
         while -float(gradient @ step) > fall:
             step, fall = step / 2, fall / 2
             gradient, bend = gradient_at(parameters - step)
@@ -112,7 +124,8 @@ def fit_calibration(*, mated: Floats, non_mated: Floats) -> Calibration:
 def cllr(*, llr_mated: Floats, llr_non_mated: Floats) -> float:
     """Return the cost of log-likelihood ratios (nats in) as evidence, in bits.
 
-    0 for a perfect attack, 1 for one that says nothing (every LLR 0), more for one that misleads.
+    0 for a perfect attack, 1 for one that says nothing (every LLR 0), more for one that
+    misleads.
     """
     _check_classes(llr_mated, llr_non_mated)
     cost = softplus(-llr_mated).mean() + softplus(llr_non_mated).mean()
@@ -134,10 +147,11 @@ def cllr_min(*, mated: Floats, non_mated: Floats) -> float:
 def d_sys(*, mated: Floats, non_mated: Floats) -> tuple[float, int]:
     """Return the system's linkability D_sys, 0..1, and the number of bins.
 
-    With the likelihood ratio LR(s) = p(s | mated) / p(s | non-mated) of histograms over the joint
-    range, D(s) = 2 LR / (1 + LR) - 1 where LR > 1 and 0 elsewhere; D_sys is the mean of D over
-    mated scores. There is a bin for every ten mated scores, but at least 1 and at most 100. It
-    ignores direction, and is biased upwards where scores are few.
+    With the likelihood ratio LR(s) = p(s | mated) / p(s | non-mated) of histograms over
+    the joint range, D(s) = 2 LR / (1 + LR) - 1 where LR > 1 and 0 elsewhere; D_sys is
+    the mean of D over mated scores. There is a bin for every ten mated scores, but at
+    least 1 and at most 100. It ignores direction, and is biased upwards where scores
+    are few.
     """
     return float(_read(mated, non_mated)[0]), default_bins(mated.size)
 
@@ -145,9 +159,9 @@ def d_sys(*, mated: Floats, non_mated: Floats) -> tuple[float, int]:
 def d_sys_published(*, mated: Floats, non_mated: Floats) -> float:
     """Return D_sys as the program of its authors computes it, 0..1.
 
-    It has the bins of `d_sys`, but takes the integral by trapezia between their centres. So it
-    leaves out half of what lies in the first and in the last bin, up to 0.5 where the mated scores
-    are there, and is 0 with a single bin.
+    It has the bins of `d_sys`, but takes the integral by trapezia between their
+    centres. So it leaves out half of what lies in the first and in the last bin, up to
+    0.5 where the mated scores are there, and is 0 with a single bin.
     """
     return float(_read(mated, non_mated)[1])
 
@@ -171,7 +185,9 @@ def is_refused(n_non_mated: float, alpha: float) -> bool:
 def _check_classes(mated: Floats, non_mated: Floats) -> None:
     for name, scores in (("mated", mated), ("non-mated", non_mated)):
         if scores.ndim != 1 or not scores.size:
-            raise ValueError(f"{name} scores must have shape (N,), N > 0, got {scores.shape}")
+            raise ValueError(
+                f"{name} scores must have shape (N,), N > 0, got {scores.shape}"
+            )
         if not np.isfinite(scores).all():
             raise ValueError(f"{name} scores must be finite")
 
@@ -182,15 +198,31 @@ def _read(mated: Floats, non_mated: Floats, *levels: float) -> Floats:
     distinct, place = np.unique(np.concatenate([non_mated, mated]), return_inverse=True)
     which = 2 * place + (np.arange(place.size) >= non_mated.size)
     counts = np.bincount(which, minlength=2 * distinct.size).reshape(-1, 2)
-    edges = inner_edges(float(distinct[0]), float(distinct[-1]), default_bins(mated.size))
+    edges = inner_edges(
+        float(distinct[0]), float(distinct[-1]), default_bins(mated.size)
+    )
     bins = np.searchsorted(edges, distinct, side="right").astype(np.uint8)
-    # One search for nobody among all non-mated scores, and one a mated score among that alone.
-    shapes, mate = np.ones((1 + mated.size, 2), dtype=np.int64), np.zeros(1 + mated.size, np.int64)
+    # One search for nobody among all non-mated scores, and one a mated score among that
+    # alone.
+    shapes, mate = (
+        np.ones((1 + mated.size, 2), dtype=np.int64),
+        np.zeros(1 + mated.size, np.int64),
+    )
     shapes[0, 1], mate[0] = non_mated.size, -1
-    totals, out = np.array([[mated.size], [non_mated.size]]), np.empty((5 + 2 * len(levels), 1))
+    totals, out = (
+        np.array([[mated.size], [non_mated.size]]),
+        np.empty((5 + 2 * len(levels), 1)),
+    )
     import_loops().read_scores(
         np.ones((2, 1), np.uint8),
-        (shapes, np.zeros_like(mate), np.zeros_like(place), mate, place.astype(np.int32), counts),
+        (
+            shapes,
+            np.zeros_like(mate),
+            np.zeros_like(place),
+            mate,
+            place.astype(np.int32),
+            counts,
+        ),
         *(bins, totals.astype(float), np.array(levels, float), out),
     )
     return np.asarray(out[:, 0])

@@ -13,12 +13,25 @@ from isac_track.intervals import FEW_CLUSTERS, LEAST_CLUSTERS, Estimate
 from isac_track.linkability import ranks, scales, significance
 from isac_track.linkability.matches import most_probable
 from isac_track.linkability.ranks import Search
-from isac_track.linkability.scales import LEVELS, METRICS, SCORE_REPLICATES, Scale, score_scale
+from isac_track.linkability.scales import (
+    LEVELS,
+    METRICS,
+    SCORE_REPLICATES,
+    Scale,
+    score_scale,
+)
 from isac_track.linkability.scores import Calibration
 from isac_track.linkability.significance import People, rank_rows
 from isac_track.types import Floats, Ints
 
-RANK_METRICS = ("rank1", "rank1_assigned", "mrr", "chance", "rank1_g100", "false_link_rate")
+RANK_METRICS = (
+    "rank1",
+    "rank1_assigned",
+    "mrr",
+    "chance",
+    "rank1_g100",
+    "false_link_rate",
+)
 """Means over probes: `ProbeRanks.values`."""
 _FITTED = {"eer": 0.5, "cllr_min": 1.0}
 """Metrics whose hull is fitted to the very scores that it judges, and their upper bounds."""
@@ -32,7 +45,8 @@ class ProbeRanks:
     """How each of P probes fared: what rank metrics are means of."""
 
     above: Ints  # (P,) candidates that score above its mate; -1 without one
-    tied: Ints  # (P,) candidates that score as high as its mate, the mate included; 0 without one
+    # (P,) candidates that score as high as its mate, the mate included; 0 without one
+    tied: Ints
     chance: Floats  # (P,) of rank 1
     companions: Ints
     """(P, 3) candidates of its cluster beside its mate: how many, and of these above and as high"""
@@ -42,11 +56,13 @@ class ProbeRanks:
     cluster: Ints  # (P,)
     n_gallery: int  # Of the largest gallery.
 
-    def values(self, names: Collection[str] = RANK_METRICS) -> dict[str, tuple[Floats, Ints]]:
+    def values(
+        self, names: Collection[str] = RANK_METRICS
+    ) -> dict[str, tuple[Floats, Ints]]:
         """Return the values that some metrics are the means of, and their clusters, (N,) each.
 
-        All are of probes with a mate, but `false_link_rate`, which is of the others, if there are
-        any.
+        All are of probes with a mate, but `false_link_rate`, which is of the others, if
+        there are any.
         """
         mated = self.above >= 0
         above, tied, cluster = self.above[mated], self.tied[mated], self.cluster[mated]
@@ -61,7 +77,11 @@ class ProbeRanks:
                 ranks.among_strangers(above, tied, chance, companions)
             ),
         }
-        found = {name: (value(), cluster) for name, value in of_mated.items() if name in names}
+        found = {
+            name: (value(), cluster)
+            for name, value in of_mated.items()
+            if name in names
+        }
         if "false_link_rate" in names and not mated.all():
             linked = (self.assigned[~mated] >= 0).astype(np.float64)
             found["false_link_rate"] = linked, self.cluster[~mated]
@@ -73,7 +93,9 @@ class ProbeRanks:
         """Return the sum and the number of some metrics' values in each cluster, (C,) each."""
         return {
             name: (
-                intervals.cluster_sums(values=values, cluster=cluster, n_clusters=n_clusters),
+                intervals.cluster_sums(
+                    values=values, cluster=cluster, n_clusters=n_clusters
+                ),
                 np.bincount(cluster, minlength=n_clusters).astype(np.float64),
             )
             for name, (values, cluster) in self.values(names).items()
@@ -84,7 +106,9 @@ class ProbeRanks:
 class Scorecard:
     """How well one attack links, over all of its searches."""
 
-    estimates: dict[str, Estimate]  # By metric; NaN where undefined or refused. See `scorecard`.
+    estimates: dict[
+        str, Estimate
+    ]  # By metric; NaN where undefined or refused. See `scorecard`.
     probes: ProbeRanks  # Of all searches, one after the other.
     p_value: float  # Of `permutation_p`.
     p_value_low: float
@@ -127,41 +151,48 @@ def scorecard(
     | d_sys, d_sys_corrected | `d_sys`, and less its mean under `permutation_p`'s shuffles |
     | d_sys_published | `d_sys_published`: as its authors' program computes it |
 
-    Rank metrics pool the probes of all searches. Score metrics pool the scores within a scale, a
-    non-mated pair being of one search; over scales they are averaged, weighted by mated probes.
+    Rank metrics pool the probes of all searches. Score metrics pool the scores within a
+    scale, a non-mated pair being of one search; over scales they are averaged, weighted
+    by mated probes.
 
-    Intervals resample clusters. Galleries of rank metrics stay as they are (`ratio_estimates`).
-    A mated score weighs w, how often its probe's cluster is drawn, a non-mated score the product of
-    its two clusters' w. Two people of one cluster who are no mates weigh w, not w^2: the pair is
-    drawn as often as the cluster, and a pair of a cluster with its own copy is not one that any
-    population holds. Score metrics take the first `SCORE_REPLICATES` rows of `weights`.
+    Intervals resample clusters. Galleries of rank metrics stay as they are
+    (`ratio_estimates`). A mated score weighs w, how often its probe's cluster is drawn,
+    a non-mated score the product of its two clusters' w. Two people of one cluster who
+    are no mates weigh w, not w^2: the pair is drawn as often as the cluster, and a pair
+    of a cluster with its own copy is not one that any population holds. Score metrics
+    take the first `SCORE_REPLICATES` rows of `weights`.
 
-    Intervals are percentile intervals, but those of eer and cllr_min, read off a hull that is
-    fitted to the scores, basic ones, 2 value - quantile (Davison and Hinkley, 1997, ch. 5.2), and
-    those of d_sys less what resampling adds, mean - value: what such a study gives on average. A
-    metric that is bounded by 0 and 1 and does not vary over replicates (a perfect AUC) has
-    Wilson's, with the clusters as the sample size; of few clusters all are as in
-    `intervals.ratio_estimates`. How often they hold the truth: docs/metrics.md. Whether there is a
-    link at all is for `p_value` to say.
+    Intervals are percentile intervals, but those of eer and cllr_min, read off a hull
+    that is fitted to the scores, basic ones, 2 value - quantile (Davison and Hinkley,
+    1997, ch. 5.2), and those of d_sys less what resampling adds, mean - value: what
+    such a study gives on average. A metric that is bounded by 0 and 1 and does not vary
+    over replicates (a perfect AUC) has Wilson's, with the clusters as the sample size;
+    of few clusters all are as in `intervals.ratio_estimates`. How often they hold the
+    truth: docs/metrics.md. Whether there is a link at all is for `p_value` to say.
 
-    The clusters of `searches` are the columns of `weights`, (B, C) from `cluster_weights`. The
-    `calibration` of each scale is fitted on other people; without it `cllr` is NaN. The
-    `no_match_score` of each search is as in `assign`; without it every probe is assigned. `rng`
-    draws, search by search, the order of columns for `assign`, then what `permutation_p` does:
-    `n_shuffles`, at least 999, are for `p_value`, `p_value_low` and `d_sys_corrected`.
+    The clusters of `searches` are the columns of `weights`, (B, C) from
+    `cluster_weights`. The `calibration` of each scale is fitted on other people;
+    without it `cllr` is NaN. The `no_match_score` of each search is as in `assign`;
+    without it every probe is assigned. `rng` draws, search by search, the order of
+    columns for `assign`, then what `permutation_p` does: `n_shuffles`, at least 999,
+    are for `p_value`, `p_value_low` and `d_sys_corrected`.
 
-    ValueError without a search, for too few shuffles, for clusters beyond `weights`, if these are
-    no counts up to 255, if `calibration` lacks a scale, or if `no_match_score` is not as long as
-    `searches`.
+    ValueError without a search, for too few shuffles, for clusters beyond `weights`, if
+    these are no counts up to 255, if `calibration` lacks a scale, or if
+    `no_match_score` is not as long as `searches`.
     """
     significance.check_searches(searches, n_shuffles)
     fitted = {search.scale for search in searches}
     if calibration is not None and not calibration.keys() >= fitted:
-        raise ValueError(f"calibration lacks the scales {sorted(fitted - set(calibration))}")
+        raise ValueError(
+            f"calibration lacks the scales {sorted(fitted - set(calibration))}"
+        )
     if no_match_score is not None and len(no_match_score) != len(searches):
         numbers = f"{len(searches)}, got {len(no_match_score)}"
         raise ValueError(f"no_match_score must be one a search, {numbers}")
-    last = max(int(max(s.probe_cluster.max(), s.gallery_cluster.max())) for s in searches)
+    last = max(
+        int(max(s.probe_cluster.max(), s.gallery_cluster.max())) for s in searches
+    )
     if weights.ndim != 2 or last >= weights.shape[1]:  # noqa: PLR2004 - a matrix
         raise ValueError(f"weights must be (B, C), C > {last}, got {weights.shape}")
     return scorecard_of(
@@ -169,7 +200,9 @@ def scorecard(
         weights=weights,
         calibration=calibration,
         no_match_score=no_match_score,
-        draws=draw([significance.people_of(search) for search in searches], rng, n_shuffles),
+        draws=draw(
+            [significance.people_of(search) for search in searches], rng, n_shuffles
+        ),
     )
 
 
@@ -182,12 +215,16 @@ class Drawn:
     columns: NDArray[np.uint16]  # (N, n_shuffles) `shuffled_mates`
 
 
-def draw(people: Sequence[People], rng: np.random.Generator, n_shuffles: int) -> tuple[Drawn, ...]:
+def draw(
+    people: Sequence[People], rng: np.random.Generator, n_shuffles: int
+) -> tuple[Drawn, ...]:
     """Return what `scorecard` draws for searches of these people."""
     return tuple(
         Drawn(
             *(one, rng.permutation(significance.n_candidates(one))),
-            significance.shuffled_mates(significance.mated_probes(one), rng, n_shuffles),
+            significance.shuffled_mates(
+                significance.mated_probes(one), rng, n_shuffles
+            ),
         )
         for one in people
     )
@@ -204,13 +241,18 @@ def scorecard_of(
 ) -> Scorecard:
     """Return `scorecard` of what is drawn already; nothing is checked.
 
-    `matched` are of each search how probable its pairs are, (P, G), as from `open_matches`: every
-    probe is then assigned the most probable candidate instead of the one of `assign`.
+    `matched` are of each search how probable its pairs are, (P, G), as from
+    `open_matches`: every probe is then assigned the most probable candidate instead of
+    the one of `assign`.
     """
     n_shuffles = draws[0].columns.shape[1]
-    trials = [(search, drawn.people) for search, drawn in zip(searches, draws, strict=True)]
+    trials = [
+        (search, drawn.people) for search, drawn in zip(searches, draws, strict=True)
+    ]
     cells = {
-        scale: scales.cut_scores([one for one in trials if one[0].scale == scale], n_shuffles)
+        scale: scales.cut_scores(
+            [one for one in trials if one[0].scale == scale], n_shuffles
+        )
         for scale in sorted({search.scale for search in searches})
     }
     null, observed = np.zeros(n_shuffles), 0.0
@@ -219,7 +261,9 @@ def scorecard_of(
     no_match: Sequence[float | None] = no_match_score or [None] * len(searches)
     for search, least, drawn in zip(searches, no_match, draws, strict=True):
         cut = cells[search.scale]
-        log_rank, cell, standing = rank_rows(search.scores, search.mate, cut.breaks, cut.counts)
+        log_rank, cell, standing = rank_rows(
+            search.scores, search.mate, cut.breaks, cut.counts
+        )
         if matched is None:
             columns = ranks.assign_in(drawn.order, search.scores, least)
             assigned = np.where(columns < 0, -1, columns == search.mate)
@@ -229,7 +273,9 @@ def scorecard_of(
             assigned = np.where(is_alone, np.where(is_mate, 2, -1), is_mate)
         shuffled = significance.mated_probes(drawn.people), drawn.columns
         of_score = cut.bins.take(cell)
-        observed += significance.add_shuffles(*shuffled, log_rank, of_score, null, cut.null_bins)
+        observed += significance.add_shuffles(
+            *shuffled, log_rank, of_score, null, cut.null_bins
+        )
         cut.places.append(cell)
         standings.append(standing)
         assignments.append(assigned)
@@ -239,7 +285,10 @@ def scorecard_of(
     is_few = LEAST_CLUSTERS <= intervals.effective_clusters(sizes) < FEW_CLUSTERS
     without = tuple(np.flatnonzero(sizes).tolist()) if is_few else ()
     fitted = dict.fromkeys(cells) if calibration is None else calibration
-    results = [score_scale(cut, weights, fitted[scale], without) for scale, cut in cells.items()]
+    results = [
+        score_scale(cut, weights, fitted[scale], without)
+        for scale, cut in cells.items()
+    ]
     values = scales.over_scales(results, n_searches=len(searches))
     estimates = _rank_estimates(probes, weights)
     estimates |= _score_estimates(results, values, sizes, n_without=len(without))
@@ -254,18 +303,26 @@ def scorecard_of(
 
 
 def rank_scorecard(
-    searches: Sequence[Search], *, weights: Floats, rng: np.random.Generator, n_shuffles: int = 999
+    searches: Sequence[Search],
+    *,
+    weights: Floats,
+    rng: np.random.Generator,
+    n_shuffles: int = 999,
 ) -> Scorecard:
     """Return a `scorecard` of scores that rank candidates and say no more, in any two rows.
 
-    So it is where few pairs of a gallery were scored and the others put below them. Metrics that
-    need the score of every pair are refused (NaN): those of `METRICS`, d_sys_corrected, and what is
-    assigned. The tests of p_value and p_rank1 ask for ranks alone and hold as they do there.
+    So it is where few pairs of a gallery were scored and the others put below them.
+    Metrics that need the score of every pair are refused (NaN): those of `METRICS`,
+    d_sys_corrected, and what is assigned. The tests of p_value and p_rank1 ask for
+    ranks alone and hold as they do there.
 
-    Parameters and errors are those of `scorecard`; the generator draws what `permutation_p` does.
+    Parameters and errors are those of `scorecard`; the generator draws what
+    `permutation_p` does.
     """
     significance.check_searches(searches, n_shuffles)
-    observed, null, standings = significance.shuffled_log_ranks(searches, rng, n_shuffles)
+    observed, null, standings = significance.shuffled_log_ranks(
+        searches, rng, n_shuffles
+    )
     nobody = [np.full(search.mate.size, -1) for search in searches]
     of_ranks = _of_ranks(searches, standings, nobody, observed, null)
     unknown = np.full(min(len(weights), SCORE_REPLICATES), np.nan)
@@ -291,7 +348,9 @@ def _of_ranks(
     probes = ProbeRanks(
         above=above,
         tied=tied,
-        chance=np.repeat(1.0 / np.array(sizes), [search.mate.size for search in searches]),
+        chance=np.repeat(
+            1.0 / np.array(sizes), [search.mate.size for search in searches]
+        ),
         companions=np.concatenate([_companions(search) for search in searches]),
         assigned=np.concatenate(assignments),
         cluster=np.concatenate([search.probe_cluster for search in searches]),
@@ -345,7 +404,9 @@ def _residual_risk(success: Estimate, control: Estimate) -> Estimate:
         for one in (success.value, success.ci_low, success.ci_high)
     )
     with np.errstate(divide="ignore", invalid="ignore"):
-        replicates = (success.replicates - control.replicates) / (1.0 - control.replicates)
+        replicates = (success.replicates - control.replicates) / (
+            1.0 - control.replicates
+        )
     replicates[control.replicates == 1.0] = np.nan
     # The share's own ends, where it has no percentiles; guessing's chance is known.
     if not (success.effective < FEW_CLUSTERS or success.value in {0.0, 1.0}):
@@ -354,36 +415,57 @@ def _residual_risk(success: Estimate, control: Estimate) -> Estimate:
 
 
 def _score_estimates(
-    results: Sequence[Scale], values: dict[str, Floats], sizes: Floats, *, n_without: int
+    results: Sequence[Scale],
+    values: dict[str, Floats],
+    sizes: Floats,
+    *,
+    n_without: int,
 ) -> dict[str, Estimate]:
     """Return the estimates of score metrics; of very few clusters they have no interval.
 
-    `sizes`, (C,), are of the clusters; the last `n_without` values are those without each of them.
+    `sizes`, (C,), are of the clusters; the last `n_without` values are those without
+    each of them.
     """
     n, effective = int((sizes > 0).sum()), intervals.effective_clusters(sizes)
     every = np.stack([values[name] for name in METRICS])
-    drawn, without_each = np.split(every[:, 1:], [every.shape[1] - 1 - n_without], axis=1)
+    drawn, without_each = np.split(
+        every[:, 1:], [every.shape[1] - 1 - n_without], axis=1
+    )
     ends, estimates = intervals.percentile_intervals(drawn).T.tolist(), {}
     for place, (name, replicates) in enumerate(zip(METRICS, drawn, strict=True)):
         value, low, high = float(every[place, 0]), math.nan, math.nan
         if n_without:
             left, is_share = np.append(value, without_each[place]), name != "cllr"
-            ends[place] = intervals.jackknife_interval(left, effective=effective, is_share=is_share)
+            ends[place] = intervals.jackknife_interval(
+                left, effective=effective, is_share=is_share
+            )
         if effective >= LEAST_CLUSTERS and not math.isnan(value):
-            low, high = _interval(name, value, replicates, ends[place], n, is_few=n_without > 0)
+            low, high = _interval(
+                name, value, replicates, ends[place], n, is_few=n_without > 0
+            )
         estimates[name] = Estimate(value, low, high, n, replicates)
 
     linked = estimates["d_sys"]
     defined = [r for r in results if r.n_mated and r.n_non_mated]
     n_mated = sum(r.n_mated for r in defined)
     bias = sum(r.n_mated * r.bias for r in defined) / n_mated if defined else math.nan
-    value, low, high = (one - bias for one in (linked.value, linked.ci_low, linked.ci_high))
-    estimates["d_sys_corrected"] = Estimate(value, low, high, linked.n, linked.replicates - bias)
+    value, low, high = (
+        one - bias for one in (linked.value, linked.ci_low, linked.ci_high)
+    )
+    estimates["d_sys_corrected"] = Estimate(
+        value, low, high, linked.n, linked.replicates - bias
+    )
     return estimates
 
 
 def _interval(
-    name: str, value: float, replicates: Floats, ends: Sequence[float], n: int, *, is_few: bool
+    name: str,
+    value: float,
+    replicates: Floats,
+    ends: Sequence[float],
+    n: int,
+    *,
+    is_few: bool,
 ) -> tuple[float, float]:
     """Return a score metric's interval, given percentiles or, of few clusters, the jackknife's."""
     is_constant = not (np.abs(replicates - value) > _NO_SPREAD).any()

@@ -20,7 +20,9 @@ People: TypeAlias = tuple[bytes, bytes, bytes]
 """Mates and clusters of a search, as 64-bit integers: unlike arrays, bytes are hashed."""
 
 LEVEL = 0.05  # Of the tests.
-_AT_ONCE = 2**20  # Scores that are ranked at a time: of thousands of people all take 400 MB.
+_AT_ONCE = (
+    2**20
+)  # Scores that are ranked at a time: of thousands of people all take 400 MB.
 _SPARE = 2**29 - 1  # Bits that a number in single precision leaves unused in double.
 
 
@@ -39,25 +41,29 @@ def permutation_p(
 ) -> float:
     """Return the one-sided p-value of `mean_log_rank` against random mates.
 
-    (1 + #{shuffled >= observed}) / (1 + n_shuffles), which is valid for any number of shuffles.
-    1 without a mated probe.
+    (1 + #{shuffled >= observed}) / (1 + n_shuffles), which is valid for any number of
+    shuffles. 1 without a mated probe.
 
-    People of one walking group resemble each other within a release, linked or not: mates that are
-    shuffled one by one vary too little, and reject far too often. So in each search whole clusters
-    of mated probes are permuted among those with equally many, and members freely within each: a
-    mated probe gets the mate of some member of the cluster that its own is mapped to. With one
-    probe a cluster this is a uniform permutation of the mates; who is nobody's mate is never drawn.
+    People of one walking group resemble each other within a release, linked or not:
+    mates that are shuffled one by one vary too little, and reject far too often. So in
+    each search whole clusters of mated probes are permuted among those with equally
+    many, and members freely within each: a mated probe gets the mate of some member of
+    the cluster that its own is mapped to. With one probe a cluster this is a uniform
+    permutation of the mates; who is nobody's mate is never drawn.
 
-    The test has its level where, under the null, equally large clusters of one release may be
-    exchanged, and so may the members of each, without a change in the law of the scores. Rare sizes
-    cost power, not validity. Of several searches no two may be of the same two releases.
+    The test has its level where, under the null, equally large clusters of one release
+    may be exchanged, and so may the members of each, without a change in the law of the
+    scores. Rare sizes cost power, not validity. Of several searches no two may be of
+    the same two releases.
 
-    Search by search, a shuffle draws one uniform number for each mated probe, less one for each
-    size of a cluster. ValueError without a search or for fewer than 999 shuffles.
+    Search by search, a shuffle draws one uniform number for each mated probe, less one
+    for each size of a cluster. ValueError without a search or for fewer than 999
+    shuffles.
 
     References
     ----------
-    p-value: Phipson and Smyth, Statistical Applications in Genetics and Molecular Biology 9(1),
+    p-value: Phipson and Smyth, Statistical Applications in Genetics and Molecular
+    Biology 9(1),
     2010. Blocks permuted whole and within: Winkler, Webster, Vidaurre, Nichols, Smith, NeuroImage
     123, 2015 (multi-level block permutation).
     """
@@ -77,11 +83,18 @@ def shuffled_log_ranks(
         columns = shuffled_mates(mated, rng, n_shuffles)
         n_at_once = max(1, _AT_ONCE // search.scores.shape[1])
         for first in range(0, search.mate.size, n_at_once):
-            rows, unused = slice(first, first + n_at_once), np.zeros((1, 2), dtype=np.int64)
+            rows, unused = (
+                slice(first, first + n_at_once),
+                np.zeros((1, 2), dtype=np.int64),
+            )
             scores, mate = search.scores[rows], search.mate[rows]
             ranks, cell, standing = rank_rows(scores, mate, np.empty(0), unused)
-            some = np.flatnonzero((mated.probes >= first) & (mated.probes < first + mate.size))
-            part = replace(mated, probes=mated.probes[some] - first, mate=mated.mate[some])
+            some = np.flatnonzero(
+                (mated.probes >= first) & (mated.probes < first + mate.size)
+            )
+            part = replace(
+                mated, probes=mated.probes[some] - first, mate=mated.mate[some]
+            )
             bins = cell.astype(np.uint8)
             observed += add_shuffles(part, columns[some], ranks, bins, null, nowhere)
             parts.append(standing)
@@ -92,11 +105,12 @@ def shuffled_log_ranks(
 def rank1_p(*, hits: Floats, chance: Floats) -> float:
     """Return the p-value of so many hits at rank 1 or more, if all are guesses.
 
-    Exact for independent probes: binomial where all have one chance, else Poisson-binomial. A
-    fraction of a hit, left by ties, does not count: the sum is rounded down. 1 without a probe.
+    Exact for independent probes: binomial where all have one chance, else
+    Poisson-binomial. A fraction of a hit, left by ties, does not count: the sum is
+    rounded down. 1 without a probe.
 
-    `hits`, (N,), are from `rank1`, mated probes only, and `chance`, (N,), is that of each, 1 / G.
-    ValueError if shapes differ, or a hit or a chance lies outside of 0..1.
+    `hits`, (N,), are from `rank1`, mated probes only, and `chance`, (N,), is that of
+    each, 1 / G. ValueError if shapes differ, or a hit or a chance lies outside of 0..1.
     """
     if hits.shape != chance.shape or hits.ndim != 1:
         shapes = f"{hits.shape}, {chance.shape}"
@@ -129,8 +143,9 @@ def _tail_of(chance: bytes) -> Floats:
 def minimum_detectable_rank1(*, n: int, chance: float) -> float:
     """Return the smallest rank-1 rate that the exact binomial test at `LEVEL` finds in 80 %.
 
-    Of `n` mated probes, taken as independent, whose rate of guessing is `chance`. Infinity where no
-    rate does: not even n hits of n are significant. ValueError if a number is out of range.
+    Of `n` mated probes, taken as independent, whose rate of guessing is `chance`.
+    Infinity where no rate does: not even n hits of n are significant. ValueError if a
+    number is out of range.
     """
     if n < 0 or not 0 <= chance <= 1:
         raise ValueError(f"need n >= 0 and chance in 0..1, got {n} and {chance}")
@@ -145,8 +160,8 @@ def minimum_detectable_rank1(*, n: int, chance: float) -> float:
 def outcome(*, p_value: float, ceiling_p_value: float) -> Outcome:
     """Return what a test at `LEVEL` says, given the same attack's p-value on unperturbed tracks.
 
-    An attack that cannot link even those says nothing of a mechanism by failing. ValueError if a
-    p-value is not in 0..1.
+    An attack that cannot link even those says nothing of a mechanism by failing.
+    ValueError if a p-value is not in 0..1.
     """
     for p in (p_value, ceiling_p_value):
         if not 0 <= p <= 1:
@@ -187,7 +202,9 @@ def mated_probes(people: People) -> Mated:
     """Return who has a mate."""
     mate, cluster = (np.frombuffer(each, dtype=np.int64) for each in people[:2])
     probes = np.flatnonzero(mate >= 0)
-    _, place, counts = np.unique(cluster[probes], return_inverse=True, return_counts=True)
+    _, place, counts = np.unique(
+        cluster[probes], return_inverse=True, return_counts=True
+    )
     probes = probes[np.lexsort((place, counts[place]))]
     return Mated(probes, mate[probes], *np.unique(counts, return_counts=True))
 
@@ -197,7 +214,9 @@ def companions_of(people: People) -> tuple[Ints, Ints]:
     """Return probes with a mate and the other candidates of their cluster, (n,) each, in pairs."""
     mate, probes, gallery = (np.frombuffer(each, dtype=np.int64) for each in people)
     order = np.argsort(gallery, kind="stable")
-    first, last = (np.searchsorted(gallery[order], probes, side=end) for end in ("left", "right"))
+    first, last = (
+        np.searchsorted(gallery[order], probes, side=end) for end in ("left", "right")
+    )
     probe = np.repeat(np.arange(mate.size), last - first)
     column = order[stretches(first, last - first)[0]]
     others = (mate[probe] >= 0) & (mate[probe] != column)
@@ -209,9 +228,9 @@ def rank_rows(
 ) -> tuple[Floats, NDArray[np.int32], Ints]:
     """Return `log_rank` of every column were it the mate, (P, G), its cell, and `standing`, (P, 2).
 
-    Cell 2 k + 1 is the k-th of the ascending `breaks`, cell 2 k the gap below it. To `counts`,
-    (cells, 2), are added the non-mated and the mated scores in each. Without a mate -1 stand above
-    it and 0 as high.
+    Cell 2 k + 1 is the k-th of the ascending `breaks`, cell 2 k the gap below it. To
+    `counts`, (cells, 2), are added the non-mated and the mated scores in each. Without
+    a mate -1 stand above it and 0 as high.
     """
     scores = np.ascontiguousarray(scores, dtype=np.float64)
     log_rank, cell = np.empty(scores.shape), np.empty(scores.shape, dtype=np.int32)
@@ -229,13 +248,16 @@ def _ascending(scores: Floats) -> Ints:
     bits = scores.view(np.int64)
     if (bits & _SPARE).any():
         return np.argsort(scores, axis=1)
-    # Of single precision, scores have room for their own column: plain numbers sort faster.
+    # Of single precision, scores have room for their own column: plain numbers sort
+    # faster.
     packed = (bits | np.arange(scores.shape[1])).view(np.float64)
     packed.sort(axis=1)
     return np.asarray(packed.view(np.int64) & _SPARE)
 
 
-def shuffled_mates(mated: Mated, rng: np.random.Generator, n: int) -> NDArray[np.uint16]:
+def shuffled_mates(
+    mated: Mated, rng: np.random.Generator, n: int
+) -> NDArray[np.uint16]:
     """Return the column of the mate that each of N probes gets, (N, n), as `permutation_p` draws.
 
     Of more candidates than 16 bits can count no memory holds the scores.
@@ -244,9 +266,13 @@ def shuffled_mates(mated: Mated, rng: np.random.Generator, n: int) -> NDArray[np
     n_probes, rows = mated.probes.size, 64
     uniform = np.empty((rows, n_probes - sizes.size))
     if sizes.size and sizes[0] == 1:
-        # Permuting clusters of one is permuting the members of one cluster, which is faster.
+        # Permuting clusters of one is permuting the members of one cluster, which is
+        # faster.
         sizes[0], n_alike[0] = n_alike[0], 1
-    columns, now = np.empty((n_probes, n), dtype=np.uint16), mated.mate.astype(np.uint16)
+    columns, now = (
+        np.empty((n_probes, n), dtype=np.uint16),
+        mated.mate.astype(np.uint16),
+    )
     # As few at a time as the cache holds.
     for first in range(0, n, rows):
         some = uniform[: n - first]
@@ -265,9 +291,12 @@ def add_shuffles(
 ) -> float:
     """Return the sum of `log_rank`, (P, G), over mates; add those of n shuffles to `null`.
 
-    To `null_bins`, (bins, n), are added their mated scores, whose bins are `score_bin`, (P, G).
+    To `null_bins`, (bins, n), are added their mated scores, whose bins are `score_bin`,
+    (P, G).
     """
-    import_loops().add_shuffles(columns, mated.probes, log_rank, score_bin, null, null_bins)
+    import_loops().add_shuffles(
+        columns, mated.probes, log_rank, score_bin, null, null_bins
+    )
     return float(log_rank[mated.probes, mated.mate].sum())
 
 
@@ -279,8 +308,8 @@ def import_loops() -> Any:  # noqa: ANN401 - a module of compiled functions, whi
 def holm(p_values: Floats) -> Floats:
     """Return p-values adjusted for all of them, (K,): Holm (Scand. J. Statistics 6, 1979).
 
-    The chance of even one false discovery is at most the level, however the numbers depend on each
-    other. An unknown one (NaN) stays so and does not count.
+    The chance of even one false discovery is at most the level, however the numbers
+    depend on each other. An unknown one (NaN) stays so and does not count.
     """
     adjusted: Floats = np.full(p_values.shape, np.nan)
     known = np.flatnonzero(~np.isnan(p_values))

@@ -59,7 +59,11 @@ class Query:
         Without a window all their samples are meant.
         """
         chosen: Bools = np.repeat(people, np.diff(self.offsets))
-        return chosen if window_s is None else chosen & (self.age_s <= window_s + _ROUNDING_S)
+        return (
+            chosen
+            if window_s is None
+            else chosen & (self.age_s <= window_s + _ROUNDING_S)
+        )
 
     def near_robot(self, *, radius_m: float, select_on: SelectOn) -> Bools:
         """Return who stands less than `radius_m` from the robot now, (P,)."""
@@ -67,13 +71,18 @@ class Query:
         return np.asarray(squared_lengths(last - self.robot_xy[0]) < radius_m**2)
 
     def forecast_near_route(
-        self, *, margin_m: float, horizon_s: float, stds: float = 0.0, select_on: SelectOn
+        self,
+        *,
+        margin_m: float,
+        horizon_s: float,
+        stds: float = 0.0,
+        select_on: SelectOn,
     ) -> Bools:
         """Return who is forecast within a margin of the robot's route, (P,).
 
-        Distances are time-aligned, up to `horizon_s`. The margin grows by `stds` standard
-        deviations of the forecast, per axis. ValueError if it shall grow but the forecast
-        has no covariance.
+        Distances are time-aligned, up to `horizon_s`. The margin grows by `stds`
+        standard deviations of the forecast, per axis. ValueError if it shall grow but
+        the forecast has no covariance.
         """
         forecast = self.view(select_on).forecast
         n_steps = int((self.ahead_s <= horizon_s + _ROUNDING_S).sum())

@@ -80,7 +80,9 @@ class Ahead:
 
     metres: float  # m, margin around the route.
     window_s: float | None = WINDOW_S  # None: all history.
-    horizon_s: float = HORIZON_S  # How far ahead the forecast is held against the route.
+    horizon_s: float = (
+        HORIZON_S  # How far ahead the forecast is held against the route.
+    )
     stds: float = 0.0  # Standard deviations of the forecast that widen the margin.
     select_on: SelectOn = "raw"
 
@@ -97,7 +99,10 @@ class Ahead:
     def select(self, query: Query) -> Bools:
         """Return the samples of those in the way, (M,)."""
         ahead = query.forecast_near_route(
-            margin_m=self.metres, horizon_s=self.horizon_s, stds=self.stds, select_on=self.select_on
+            margin_m=self.metres,
+            horizon_s=self.horizon_s,
+            stds=self.stds,
+            select_on=self.select_on,
         )
         return query.recent_samples(ahead, window_s=self.window_s)
 

@@ -16,14 +16,22 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = Parser(
         prog="python -m isac_track.testing",
-        description="Check an implementation of PLR, AEL, MEL and the conflict metrics.",
+        description=(
+            "Check an implementation of PLR, AEL, MEL and the conflict metrics."
+        ),
         epilog="This project's own functions: isac_track.testing:OWN",
     )
     parser.add_argument(
-        "target", nargs="?", metavar="package.module:OBJECT", help="an isac_track.testing.Metrics"
+        "target",
+        nargs="?",
+        metavar="package.module:OBJECT",
+        help="an isac_track.testing.Metrics",
     )
     parser.add_argument(
-        "--check", action="append", metavar="NAME", help="run only this check (repeatable)"
+        "--check",
+        action="append",
+        metavar="NAME",
+        help="run only this check (repeatable)",
     )
     parser.add_argument("--list", action="store_true", help="name all checks and exit")
 
@@ -37,17 +45,28 @@ def main(arguments: list[str] | None = None) -> int:
             raise SettingsError("name the functions to check: package.module:OBJECT")
         try:
             metrics = resolve_name(options.target)
-        except (Exception, SystemExit) as error:  # a stranger's import may raise anything at all
-            expected = f"cannot import {options.target!r}, expected package.module:OBJECT"
+        except (
+            Exception,
+            SystemExit,
+        ) as error:  # a stranger's import may raise anything at all
+            expected = (
+                f"cannot import {options.target!r}, expected package.module:OBJECT"
+            )
             raise PluginError(f"{expected}: {told(error)}") from error
         if not isinstance(metrics, Metrics):
             got = type(metrics).__name__
-            raise PluginError(f"{options.target} must be an isac_track.testing.Metrics, got {got}")
+            raise PluginError(
+                f"{options.target} must be an isac_track.testing.Metrics, got {got}"
+            )
         if all(one.missing(metrics) for one in select_checks(options.check)):
-            raise SettingsError(f"{options.target} offers no function for the checks chosen")
+            raise SettingsError(
+                f"{options.target} offers no function for the checks chosen"
+            )
         found = run_checks(metrics, names=options.check)
         shown = "{one.status:8}{one.name}: {one.message}"
-        none_failed = report(found, line=lambda one: shown.format(one=one).removesuffix(": "))
+        none_failed = report(
+            found, line=lambda one: shown.format(one=one).removesuffix(": ")
+        )
         return DONE if none_failed else LIMIT_NOT_MET
 
     return exit_code(check)

@@ -6,7 +6,14 @@ from math import dist, exp, inf, nan
 import numpy as np
 from numpy.random import Generator
 
-from isac_track.testing._metrics import Function, check, expect, expect_call, expect_that, show
+from isac_track.testing._metrics import (
+    Function,
+    check,
+    expect,
+    expect_call,
+    expect_that,
+    show,
+)
 from isac_track.types import Floats
 
 
@@ -14,7 +21,11 @@ from isac_track.types import Floats
 def grid_starts_now(prediction_grid: Function) -> None:
     """Step 0 is the last sample, step h lies h mean intervals of the window later."""
     t = np.array([0.0, 7.0, 8.0, 10.0])
-    for window, grid in ((2, [10, 12, 14]), (3, [10, 11.5, 13]), (4, [10, 40 / 3, 50 / 3])):
+    for window, grid in (
+        (2, [10, 12, 14]),
+        (3, [10, 11.5, 13]),
+        (4, [10, 40 / 3, 50 / 3]),
+    ):
         expect_call(prediction_grid, t, window, 3, gives=grid)
 
 
@@ -60,7 +71,8 @@ def path_matches_brute_force(robot_path: Function, rng: Generator) -> None:
 def separation_hand_examples(minimum_separation: Function) -> None:
     """The separation is the smallest distance at equal steps, not between the curves."""
     robot = np.array([[[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]])
-    # Stands where the robot was one step before: on its curve, but never closer than 1 m.
+    # Stands where the robot was one step before: on its curve, but never closer than 1
+    # m.
     follower = np.array([[[-1.0, 0.0], [0.0, 0.0], [1.0, 0.0]]])
     expect_call(minimum_separation, robot, follower, gives=1.0)
     # A second agent passes at 0.5 m at step 1.
@@ -69,11 +81,15 @@ def separation_hand_examples(minimum_separation: Function) -> None:
 
 
 @check
-def separation_matches_brute_force(minimum_separation: Function, rng: Generator) -> None:
+def separation_matches_brute_force(
+    minimum_separation: Function, rng: Generator
+) -> None:
     """The separation equals the minimum over all agents and steps."""
     robot, agents = _scene(rng)
     pairs = zip(robot.reshape(-1, 2), agents.reshape(-1, 2), strict=True)
-    expect_call(minimum_separation, robot, agents, gives=min(dist(a, b) for a, b in pairs))
+    expect_call(
+        minimum_separation, robot, agents, gives=min(dist(a, b) for a, b in pairs)
+    )
 
 
 @check
@@ -81,13 +97,21 @@ def separation_symmetries(minimum_separation: Function, rng: Generator) -> None:
     """The separation ignores rigid motion, the order of the agents, and who is the robot."""
     turn = np.array([[0.6, 0.8], [0.8, -0.6]])
     robot, agents = _scene(rng)
-    value, case = minimum_separation(robot, agents), f"robot {show(robot)}, {show(agents)} m"
+    value, case = (
+        minimum_separation(robot, agents),
+        f"robot {show(robot)}, {show(agents)} m",
+    )
     for change, other in (
         ("after a rigid motion", (robot @ turn + 7.0, agents @ turn + 7.0)),
         ("with the agents in reverse", (robot[::-1], agents[::-1])),
         ("with the roles exchanged", (agents, robot)),
     ):
-        expect(minimum_separation(*other), value, what=f"the separation {change}", case=case)
+        expect(
+            minimum_separation(*other),
+            value,
+            what=f"the separation {change}",
+            case=case,
+        )
 
 
 @check
@@ -101,25 +125,39 @@ def conflict_boundary_is_strict(is_conflict: Function) -> None:
 @check
 def missed_rate_hand_examples(missed_conflict_rate: Function) -> None:
     """The missed rate is the share of true conflicts that were not predicted."""
-    examples = {"1110 1000": 2 / 3, "1100 1111": 0.0, "1111 0000": 1.0, "0000 1010": nan}
+    examples = {
+        "1110 1000": 2 / 3,
+        "1100 1111": 0.0,
+        "1111 0000": 1.0,
+        "0000 1010": nan,
+    }
     _rates(missed_conflict_rate, examples | {"10000000 00000000": 1.0})
 
 
 @check
 def false_alarm_rate_hand_examples(false_alarm_rate: Function) -> None:
     """The false-alarm rate is the share of conflict-free scenes with a predicted conflict."""
-    examples = {"1000 1011": 2 / 3, "1100 1100": 0.0, "0000 1111": 1.0, "1111 0101": nan}
+    examples = {
+        "1000 1011": 2 / 3,
+        "1100 1100": 0.0,
+        "0000 1111": 1.0,
+        "1111 0101": nan,
+    }
     _rates(false_alarm_rate, examples | {"01111111 10000000": 1.0})
 
 
 @check
-def missed_rate_matches_brute_force(missed_conflict_rate: Function, rng: Generator) -> None:
+def missed_rate_matches_brute_force(
+    missed_conflict_rate: Function, rng: Generator
+) -> None:
     """The missed rate equals the count on random scenes; conflict-free scenes do not matter."""
     _wrong_among(missed_conflict_rate, rng, truth=True)
 
 
 @check
-def false_alarm_rate_matches_brute_force(false_alarm_rate: Function, rng: Generator) -> None:
+def false_alarm_rate_matches_brute_force(
+    false_alarm_rate: Function, rng: Generator
+) -> None:
     """The false-alarm rate equals the count on random scenes; true conflicts do not matter."""
     _wrong_among(false_alarm_rate, rng, truth=False)
 
@@ -136,7 +174,9 @@ def distance_mae_hand_examples(distance_mae_m: Function) -> None:
 def distance_mae_matches_brute_force(distance_mae_m: Function, rng: Generator) -> None:
     """The distance MAE equals the sum over scenes, and is symmetric."""
     true_m, predicted_m = rng.exponential(1.0, (2, int(rng.integers(1, 12))))
-    mean = sum(abs(a - b) for a, b in zip(true_m, predicted_m, strict=True)) / len(true_m)
+    mean = sum(abs(a - b) for a, b in zip(true_m, predicted_m, strict=True)) / len(
+        true_m
+    )
     expect_call(distance_mae_m, true_m, predicted_m, gives=mean)
     expect_call(distance_mae_m, predicted_m, true_m, gives=mean)
 
@@ -166,20 +206,29 @@ def fid_rule_monotone(fid_d_sigma: Function) -> None:
     fid, etas = np.geomspace(0.1, 1e5, 200), (0.5, 5.0, 50.0, 500.0)
     d_sigma = np.stack([fid_d_sigma(fid, eta, 0.5, 1.5) for eta in etas])
     case = f"fid from 0.1 to 1e5, eta {etas}, alpha 0.5 m, beta 1.5"
-    expect_that((np.diff(d_sigma, axis=1) >= 0).all(), what="d_sigma falls with fid", case=case)
-    expect_that((np.diff(d_sigma, axis=0) <= 0).all(), what="d_sigma grows with eta", case=case)
+    expect_that(
+        (np.diff(d_sigma, axis=1) >= 0).all(), what="d_sigma falls with fid", case=case
+    )
+    expect_that(
+        (np.diff(d_sigma, axis=0) <= 0).all(), what="d_sigma grows with eta", case=case
+    )
 
 
 def _rates(rate_of: Function, examples: dict[str, float]) -> None:
     """Compare rates by the scenes in conflict and those predicted to be, "1" for either."""
     for text, rate in examples.items():
-        conflict, predicted = (np.array([scene == "1" for scene in one]) for one in text.split())
+        conflict, predicted = (
+            np.array([scene == "1" for scene in one]) for one in text.split()
+        )
         expect_call(rate_of, conflict, predicted, gives=rate)
 
 
 def _wrong_among(rate_of: Function, rng: Generator, *, truth: bool) -> None:
     size = int(rng.integers(1, 15))
-    conflict, predicted = rng.random(size) < rng.random(), rng.random(size) < rng.random()
+    conflict, predicted = (
+        rng.random(size) < rng.random(),
+        rng.random(size) < rng.random(),
+    )
     decided = predicted[conflict == truth].tolist()
     rate = decided.count(not truth) / len(decided) if decided else nan
     expect_call(rate_of, conflict, predicted, gives=rate)

@@ -1,7 +1,7 @@
 """Checks of PLR (eq. plr_definition), of AEL and MEL (the text below it), and of batches.
 
-Most are held against trajectories whose leakage pattern is known: text, one character a sample, "1"
-for leaked. Its segments are what remains between the zeros.
+Most are held against trajectories whose leakage pattern is known: text, one character a
+sample, "1" for leaked. Its segments are what remains between the zeros.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -39,7 +39,10 @@ class Track:
 
     def __str__(self) -> str:
         times = ", ".join(f"{moment:.6g}" for moment in self.t)
-        return f"leakage pattern {self.pattern}, t = [{times}] s, epsilon {self.epsilon_m:g} m"
+        return (
+            f"leakage pattern {self.pattern}, t = [{times}] s, epsilon"
+            f" {self.epsilon_m:g} m"
+        )
 
 
 def of(function: Function, track: Track) -> float:
@@ -56,7 +59,8 @@ def expect_of(function: Function, track: Track, value: float) -> None:
 def by_definition(track: Track) -> dict[str, float]:
     """Return PLR, AEL (s) and MEL (s) by function: share, mean and longest of the segments.
 
-    A sample lasts half of either interval beside it, at an end all of it; a single one has none.
+    A sample lasts half of either interval beside it, at an end all of it; a single one
+    has none.
     """
     steps = np.diff(track.t)
     lasting_s = (np.append(steps[:1], steps) + np.append(steps, steps[-1:])) / 2
@@ -75,7 +79,9 @@ def plain_track(pattern: str, *, t: Sequence[float] = ()) -> Track:
     moments: Floats = np.array(t, float) if t else 0.25 * np.arange(float(len(pattern)))
     true_xy = np.column_stack([1.2 * moments, np.zeros_like(moments)])
     error_m = np.array([0.1 if sample == "1" else 0.5 for sample in pattern])
-    return Track(pattern, moments, true_xy, shared_xy=true_xy + error_m[:, None] * [0.0, 1.0])
+    return Track(
+        pattern, moments, true_xy, shared_xy=true_xy + error_m[:, None] * [0.0, 1.0]
+    )
 
 
 def random_tracks(
@@ -92,7 +98,9 @@ def random_tracks(
         drawn_m = float(rng.uniform(0.05, 1.5))
         limit_m = epsilon_m or drawn_m
         t: Floats = rng.uniform(-50.0, 50.0) + np.cumsum(rng.uniform(0.03, 0.4, size))
-        true_xy = np.cumsum(rng.normal(0.0, 0.1, (size, 2)), axis=0) + rng.uniform(-30.0, 30.0, 2)
+        true_xy = np.cumsum(rng.normal(0.0, 0.1, (size, 2)), axis=0) + rng.uniform(
+            -30.0, 30.0, 2
+        )
         near, far = rng.uniform(0, 0.98, size), rng.uniform(1.02, 4, size)
         error_m: Floats = limit_m * np.where(leaked, near, far)
         angle_rad = rng.uniform(0.0, 2.0 * np.pi, size)
@@ -104,7 +112,9 @@ def random_tracks(
 def moved(track: Track) -> Track:
     """Return the trajectory turned, mirrored and shifted."""
     turn = np.array([[0.6, 0.8], [0.8, -0.6]])  # a reflection as well
-    true_xy, shared_xy = (xy @ turn + [120.0, -45.0] for xy in (track.true_xy, track.shared_xy))
+    true_xy, shared_xy = (
+        xy @ turn + [120.0, -45.0] for xy in (track.true_xy, track.shared_xy)
+    )
     return replace(track, true_xy=true_xy, shared_xy=shared_xy)
 
 
@@ -126,7 +136,9 @@ def _check_each(*needs: str) -> Callable[[Callable[[Function], None]], None]:
     return register_all
 
 
-def _by_hand(function: Function, examples: dict[str, float], t: Sequence[float] = ()) -> None:
+def _by_hand(
+    function: Function, examples: dict[str, float], t: Sequence[float] = ()
+) -> None:
     for pattern, value in examples.items():
         expect_of(function, plain_track(pattern, t=t), value)
 
@@ -145,8 +157,12 @@ def _hand_examples(function: Function) -> None:
 @_check_each("plr", "ael_s", "mel_s")
 def _boundary_is_strict(function: Function) -> None:
     """{of} is 0 when every sample lies at exactly epsilon: such a sample does not leak."""
-    # Exact in binary, as are their squares: 0.75, 1 and 1.25 are a right-angled triangle.
-    t, errors = np.array([0.0, 1.0, 2.0]), np.array([[0.75, 1.0], [1.25, 0.0], [0.0, -1.25]])
+    # Exact in binary, as are their squares: 0.75, 1 and 1.25 are a right-angled
+    # triangle.
+    t, errors = (
+        np.array([0.0, 1.0, 2.0]),
+        np.array([[0.75, 1.0], [1.25, 0.0], [0.0, -1.25]]),
+    )
     above = 1.0 if function.__name__ == "plr" else 3.0
     for epsilon_m, value in ((1.25, 0.0), (float(np.nextafter(1.25, 2.0)), above)):
         case = f"errors {errors.tolist()} m, all of length 1.25 m, 1 s apart"
@@ -186,16 +202,22 @@ def _single_sample(function: Function) -> None:
 @_check_each("plr", "ael_s", "mel_s")
 def _matches_brute_force(function: Function) -> None:
     """{of} equals its definition on random walks with a known pattern."""
-    for track in random_tracks(f"{_NAMES[function.__name__].lower()}_matches_brute_force"):
+    for track in random_tracks(
+        f"{_NAMES[function.__name__].lower()}_matches_brute_force"
+    ):
         expect_of(function, track, by_definition(track)[function.__name__])
 
 
-def _after(function: Function, change: Callable[[Track], Track], factor: float = 1.0) -> None:
+def _after(
+    function: Function, change: Callable[[Track], Track], factor: float = 1.0
+) -> None:
     """Compare a descriptor of random walks after a change with that before it, times `factor`."""
     name = _NAMES[function.__name__]
     for track in random_tracks(f"invariances of {name}", count=60):
         changed, value = change(track), factor * of(function, track)
-        expect(of(function, changed), value, what=f"{name} after a change", case=changed)
+        expect(
+            of(function, changed), value, what=f"{name} after a change", case=changed
+        )
 
 
 @_check_each("ael_s", "mel_s")
@@ -208,7 +230,11 @@ def _rigid_motion_and_clock(function: Function) -> None:
 
 
 for _name, _change, _statement in (
-    ("rigid_motion", moved, "does not change when both walks are turned, shifted and mirrored"),
+    (
+        "rigid_motion",
+        moved,
+        "does not change when both walks are turned, shifted and mirrored",
+    ),
     ("time_reversal", backwards, "does not depend on the order of the samples"),
 ):
     _body = partial(_after, change=_change)
@@ -219,10 +245,14 @@ for _name, _change, _statement in (
 def _monotone_in_epsilon(function: Function) -> None:
     """{of} never falls when epsilon grows."""
     name = _NAMES[function.__name__]
-    for track in random_tracks(f"{name.lower()}_monotone_in_epsilon", count=48, least=2):
+    for track in random_tracks(
+        f"{name.lower()}_monotone_in_epsilon", count=48, least=2
+    ):
         values = [of(function, replace(track, epsilon_m=one_m)) for one_m in EPSILONS_M]
         rising = all(low <= high for low, high in pairwise(values))
-        expect_that(rising, what=f"{name} falls: {values}", case=f"epsilon {EPSILONS_M} m")
+        expect_that(
+            rising, what=f"{name} falls: {values}", case=f"epsilon {EPSILONS_M} m"
+        )
 
 
 @check
@@ -232,7 +262,9 @@ def ael_may_fall_as_epsilon_grows(ael_s: Function) -> None:
     shared_xy = walk.true_xy + np.outer(errors_m, [0.0, 1.0])
     examples = (0.3, "11100", 0.75), (0.6, "11101", 0.5), (1.0, "11111", 1.25)
     for epsilon_m, pattern, value in examples:
-        expect_of(ael_s, Track(pattern, walk.t, walk.true_xy, shared_xy, epsilon_m), value)
+        expect_of(
+            ael_s, Track(pattern, walk.t, walk.true_xy, shared_xy, epsilon_m), value
+        )
 
 
 @_check_each("ael_s", "mel_s")
@@ -246,7 +278,10 @@ def _of_independent_samples(function: Function) -> None:
     leaked = np.array([one.count("1") for one in patterns])
     for p in (0.2, 0.6):
         weight = p**leaked * (1.0 - p) ** (size - leaked)
-        case = f"all patterns of {size} samples 0.25 s apart, each sample leaked with p = {p}"
+        case = (
+            f"all patterns of {size} samples 0.25 s apart, each sample leaked with p"
+            f" = {p}"
+        )
         expect(values @ weight, exact @ weight, what=f"mean {name}", case=case)
 
 
@@ -274,7 +309,9 @@ def plr_distance_is_euclidean(plr: Function) -> None:
     true_xy = np.array([[2.0, -1.0]])
     for error, share in (([0.25, 0.25], 0.0), ([0.2, 0.2], 1.0), ([-0.25, -0.1], 1.0)):
         shared_xy = true_xy + np.array(error)
-        expect(plr(shared_xy, true_xy, 0.3), share, what="PLR", case=f"one error {error} m")
+        expect(
+            plr(shared_xy, true_xy, 0.3), share, what="PLR", case=f"one error {error} m"
+        )
 
 
 @check
@@ -293,7 +330,10 @@ def _tends_to(plr: Function, law: ErrorLaw, limit_of: Callable[[float], float]) 
     for sigma_m in (0.1, 0.3, 0.75):
         rng = stream(0, "testing", f"plr_{law}_gaussian", str(sigma_m))
         error = sigma_m * unit_errors(n_samples=_LARGE, law=law, rng=rng)
-        share, limit = plr(error, np.zeros_like(error), EPSILON_M), limit_of(EPSILON_M / sigma_m)
+        share, limit = (
+            plr(error, np.zeros_like(error), EPSILON_M),
+            limit_of(EPSILON_M / sigma_m),
+        )
         tolerance = STANDARD_ERRORS * sqrt(limit * (1.0 - limit) / _LARGE)
         what = f"PLR is {share!r}, expected {limit:.6f} within {tolerance:.6f}"
         case = f"{law}, s = {sigma_m} m, {_LARGE} samples"
@@ -304,7 +344,9 @@ def _tends_to(plr: Function, law: ErrorLaw, limit_of: Callable[[float], float]) 
 def exposure_stops_at_the_end_of_a_track(exposure: Function) -> None:
     """In a batch, no segment runs on into the next trajectory, and each has its own interval."""
     slow = plain_track("110", t=[0.0, 2.0, 4.0])
-    _expect_batch(exposure, [plain_track("0011"), slow, plain_track("1"), plain_track("1111")])
+    _expect_batch(
+        exposure, [plain_track("0011"), slow, plain_track("1"), plain_track("1111")]
+    )
 
 
 @check
@@ -322,7 +364,12 @@ def exposure_order_of_tracks(exposure: Function) -> None:
     order = stream(0, "testing", "exposure_order").permutation(len(tracks))
     straight = _of_batch(exposure, tracks)
     mixed = _of_batch(exposure, [tracks[place] for place in order])
-    expect(mixed, straight[:, order], what="PLR, AEL, MEL in the new order", case="40 tracks")
+    expect(
+        mixed,
+        straight[:, order],
+        what="PLR, AEL, MEL in the new order",
+        case="40 tracks",
+    )
 
 
 def _of_batch(exposure: Function, tracks: list[Track]) -> Floats:
@@ -330,12 +377,17 @@ def _of_batch(exposure: Function, tracks: list[Track]) -> Floats:
     offsets = np.cumsum([0, *(len(track.pattern) for track in tracks)])
     found: Floats = exposure(*map(np.concatenate, each), offsets, tracks[0].epsilon_m)
     what = f"PLR, AEL and MEL have the shape {found.shape}, expected (3, {len(tracks)})"
-    expect_that(found.shape == (3, len(tracks)), what=what, case=f"{len(tracks)} tracks")
+    expect_that(
+        found.shape == (3, len(tracks)), what=what, case=f"{len(tracks)} tracks"
+    )
     return found
 
 
 def _expect_batch(exposure: Function, tracks: list[Track]) -> None:
-    found, wanted = _of_batch(exposure, tracks), [by_definition(track) for track in tracks]
+    found, wanted = (
+        _of_batch(exposure, tracks),
+        [by_definition(track) for track in tracks],
+    )
     for name, values in zip(_NAMES, found, strict=True):
         case = " | ".join(map(str, tracks))
         expect(values, [one[name] for one in wanted], what=_NAMES[name], case=case)

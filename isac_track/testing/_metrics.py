@@ -23,7 +23,8 @@ DRAWS = 100  # Random cases of a check that asks for `rng`.
 class Metrics:
     """Functions to check, each for one trajectory or one scene; None: not offered.
 
-    Arguments are passed by position. T samples, A agents, H steps, S scenes; NaN: undefined.
+    Arguments are passed by position. T samples, A agents, H steps, S scenes; NaN:
+    undefined.
     """
 
     plr: Callable[[Floats, Floats, float], float] | None = None
@@ -31,7 +32,9 @@ class Metrics:
     ael_s: Callable[[Floats, Floats, Floats, float], float] | None = None
     mel_s: Callable[[Floats, Floats, Floats, float], float] | None = None
     """Either: (shared_xy (T, 2) m, true_xy (T, 2) m, t (T,) s, epsilon_m) -> s."""
-    exposure: Callable[[Floats, Floats, Floats, Ints, float], tuple[Floats, ...]] | None = None
+    exposure: (
+        Callable[[Floats, Floats, Floats, Ints, float], tuple[Floats, ...]] | None
+    ) = None
     """(shared_xy (M, 2) m, true_xy (M, 2) m, t (M,) s, offsets (N + 1,), epsilon_m) -> PLR, AEL
     and MEL, (N,) each: all trajectories in one call, end to end in flat arrays."""
     prediction_grid: Callable[[Floats, int, int], Floats] | None = None
@@ -54,12 +57,16 @@ class Metrics:
 def _exposure(
     shared_xy: Floats, true_xy: Floats, t: Floats, offsets: Ints, epsilon_m: float
 ) -> tuple[Floats, Floats, Floats]:
-    leaked = privacy.leakage_indicator(shared_xy=shared_xy, true_xy=true_xy, epsilon_m=epsilon_m)
+    leaked = privacy.leakage_indicator(
+        shared_xy=shared_xy, true_xy=true_xy, epsilon_m=epsilon_m
+    )
     found = privacy.exposure(leaked=leaked, t=t, offsets=offsets)
     return found.plr, found.ael_s, found.mel_s
 
 
-def _of_one(shared_xy: Floats, true_xy: Floats, t: Floats, epsilon_m: float) -> list[float]:
+def _of_one(
+    shared_xy: Floats, true_xy: Floats, t: Floats, epsilon_m: float
+) -> list[float]:
     whole = np.array([0, len(t)])
     return [float(one[0]) for one in _exposure(shared_xy, true_xy, t, whole, epsilon_m)]
 
@@ -71,7 +78,9 @@ def _by_position(function: Function) -> Function:
 
 OWN = Metrics(
     # Any clock: PLR counts samples.
-    plr=lambda shared, true, eps: _of_one(shared, true, np.arange(1.0 * len(true)), eps)[0],
+    plr=lambda shared, true, eps: _of_one(
+        shared, true, np.arange(1.0 * len(true)), eps
+    )[0],
     ael_s=lambda *walk: _of_one(*walk)[1],
     mel_s=lambda *walk: _of_one(*walk)[2],
     exposure=_exposure,
@@ -79,9 +88,14 @@ OWN = Metrics(
         t=t, offsets=np.array([0, len(t)]), window=window, horizon_steps=horizon_steps
     )[0],
     robot_path=lambda start, end, speed, elapsed: conflict.robot_path(
-        start=start[None], destination=end[None], speed_mps=speed, elapsed_s=elapsed[None, None]
+        start=start[None],
+        destination=end[None],
+        speed_mps=speed,
+        elapsed_s=elapsed[None, None],
     )[0, 0],
-    minimum_separation=lambda a, b: conflict.minimum_separation(robot=a[None], agents=b[None])[0],
+    minimum_separation=lambda a, b: conflict.minimum_separation(
+        robot=a[None], agents=b[None]
+    )[0],
     is_conflict=_by_position(conflict.is_conflict),
     missed_conflict_rate=_by_position(conflict.missed_conflict_rate),
     false_alarm_rate=_by_position(conflict.false_alarm_rate),
@@ -94,7 +108,11 @@ CHECKS: dict[str, Check] = {}  # Filled as the modules of checks are imported.
 
 
 def check(
-    body: Callable[..., None], *, name: str = "", statement: str = "", needs: tuple[str, ...] = ()
+    body: Callable[..., None],
+    *,
+    name: str = "",
+    statement: str = "",
+    needs: tuple[str, ...] = (),
 ) -> Callable[..., None]:
     """Register a check; it receives, guarded, the functions that its parameters are called after.
 
@@ -153,20 +171,29 @@ def _guarded(name: str, function: Function) -> Function:
     """Wrap a function: whatever goes wrong inside it is a failed check, not a crash."""
 
     def guarded(*arguments: object) -> object:
-        # Copies: a function that changes its input must not spoil the case for the next one.
-        given = [one.copy() if isinstance(one, np.ndarray) else one for one in arguments]
+        # Copies: a function that changes its input must not spoil the case for the next
+        # one.
+        given = [
+            one.copy() if isinstance(one, np.ndarray) else one for one in arguments
+        ]
         case = _call(name, arguments)
         try:
             result = function(*given)
         except (Exception, SystemExit) as error:
             raise AssertionError(f"{name} raised {told(error)}; {case}") from error
         for before, after in zip(arguments, given, strict=True):
-            if isinstance(after, np.ndarray) and after.tobytes() != np.asarray(before).tobytes():
+            if (
+                isinstance(after, np.ndarray)
+                and after.tobytes() != np.asarray(before).tobytes()
+            ):
                 raise AssertionError(f"{name} changed its input; {case}")
         try:
             return _READ.get(name, float)(result)
         except (TypeError, ValueError) as error:
-            wrong = f"{name} returned {result!r}, which cannot be read as its result: {error}"
+            wrong = (
+                f"{name} returned {result!r}, which cannot be read as its result:"
+                f" {error}"
+            )
             raise AssertionError(f"{wrong}; {case}") from error
 
     guarded.__name__ = name

@@ -1,6 +1,7 @@
 """The engine of the conformance kits: named checks, run one by one on a stranger's code.
 
-A kit is a dictionary of `Check`s by name. What its checks are held against is the kit's own.
+A kit is a dictionary of `Check`s by name. What its checks are held against is the kit's
+own.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -11,7 +12,9 @@ from unittest import SkipTest
 
 from isac_track.errors import SettingsError, did_you_mean, raised_at, told
 
-Body: TypeAlias = Callable[..., None]  # Raises AssertionError, SkipTest where it says nothing.
+Body: TypeAlias = Callable[
+    ..., None
+]  # Raises AssertionError, SkipTest where it says nothing.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -21,7 +24,9 @@ class Check:
     name: str
     statement: str  # What it shows, one line.
     body: Body
-    needs: tuple[str, ...] = ()  # Names of the attributes of its subject that it cannot do without.
+    needs: tuple[
+        str, ...
+    ] = ()  # Names of the attributes of its subject that it cannot do without.
 
     def missing(self, subject: object) -> str:
         """Return what the check needs and the subject does not offer."""
@@ -75,17 +80,24 @@ def by_name(*bodies: Body) -> dict[str, Body]:
 
 
 def select(
-    checks: Mapping[str, Check], names: Sequence[str] | None, *, kit: str = "", known: str
+    checks: Mapping[str, Check],
+    names: Sequence[str] | None,
+    *,
+    kit: str = "",
+    known: str,
 ) -> tuple[Check, ...]:
     """Return the checks called `names`, each once, or all.
 
-    SettingsError for a wrong name, with the nearest right one, or how to learn of them, `known`.
+    SettingsError for a wrong name, with the nearest right one, or how to learn of them,
+    `known`.
     """
     for name in names or ():
         if name not in checks:
             hint = did_you_mean(name, checks, quote="'") or f"; {known}"
             raise SettingsError(f"unknown check {name!r}{kit}{hint}")
-    return tuple(checks[name] for name in dict.fromkeys(checks if names is None else names))
+    return tuple(
+        checks[name] for name in dict.fromkeys(checks if names is None else names)
+    )
 
 
 def outcomes(checks: Iterable[Check], subject: object) -> Iterator[Outcome]:

@@ -22,8 +22,12 @@ def installed(monkeypatch):
     """Pretend that somebody has installed these attacks."""
 
     def install(kind="attacks", **points):
-        found = tuple(EntryPoint(*point, group=f"isac_track.{kind}") for point in points.items())
-        monkeypatch.setattr(plugins, "_entry_points", lambda asked: found * (asked == kind))
+        found = tuple(
+            EntryPoint(*point, group=f"isac_track.{kind}") for point in points.items()
+        )
+        monkeypatch.setattr(
+            plugins, "_entry_points", lambda asked: found * (asked == kind)
+        )
 
     return install
 
@@ -53,13 +57,19 @@ def test_list_names_rows_and_what_they_do_and_skips_broken_ones(capsys, installe
         "fusion +linkage +informed +[A-Z]",
         "posterior +reconstruction +blind, informed, oracle +slow ",
         "gaussian_process +reconstruction +blind, informed, oracle +slow ",
-        "(profile|dtw|shape|behaviour|histogram|kinematic|likelihood_ratio) +linkage +blind, info",
+        (
+            "(profile|dtw|shape|behaviour|histogram|kinematic|likelihood_ratio)"
+            " +linkage +blind, info"
+        ),
         "mine +reconstruction +oracle +Averages repeats as if",
         "linker +linkage +blind +Scores have",
         "fine +reconstruction +blind$",  # it has no docstring
     ):
         assert re.search(f"^{row}", captured.out, re.MULTILINE)
-    assert "skipped lost: attack 'lost' cannot be loaded from no_such_module" in captured.err
+    assert (
+        "skipped lost: attack 'lost' cannot be loaded from no_such_module"
+        in captured.err
+    )
     assert "skipped many: attack NeedsRepeats requires REPEATS" in captured.err
 
 
@@ -83,7 +93,10 @@ class TestCheck:
         assert main(["check", "averaging"]) == 0
         shown = capsys.readouterr().out
         assert shown.startswith("averaging as oracle:\n")
-        assert f"  skip  {'frame_and_clock_do_not_matter':<33}  granted SCENE in every row" in shown
+        assert (
+            f"  skip  {'frame_and_clock_do_not_matter':<33}  granted SCENE in every row"
+            in shown
+        )
         assert shown.endswith(f"{len(CHECKS) - 1} passed, 0 failed, 1 skipped\n")
 
     @pytest.mark.parametrize(
@@ -136,7 +149,12 @@ class TestNew:
         folder.mkdir()  # an empty folder is taken
         assert main(["new", name, "--kind", kind]) == 0
         texts = {path.name: path.read_text("utf-8") for path in folder.iterdir()}
-        assert texts.keys() == {f"{name}.py", f"test_{name}.py", "pyproject.toml", "README.md"}
+        assert texts.keys() == {
+            f"{name}.py",
+            f"test_{name}.py",
+            "pyproject.toml",
+            "README.md",
+        }
         assert not any("$" in text for text in texts.values())
         for file in ("README.md", "pyproject.toml"):
             assert re.search(f"A .*{kind}( attack)? for isac-track", texts[file])
@@ -154,7 +172,9 @@ class TestNew:
         entry_points = project["entry-points"][f"isac_track.{noun}s"]
         assert (project["name"], entry_points) == (name, {name: f"{name}:{class_name}"})
         # Its own tests, from where it was made.
-        done = pytester.runpytest_inprocess("-W", "error", "-p", "no:cacheprovider", name)
+        done = pytester.runpytest_inprocess(
+            "-W", "error", "-p", "no:cacheprovider", name
+        )
         without = 2 * (kind == "predictor")  # it has no `track`, which is optional
         done.assert_outcomes(passed=2 * len(checks) - without, skipped=without)
         capsys.readouterr()
@@ -182,7 +202,10 @@ class TestNew:
     @pytest.mark.parametrize(
         ("name", "message"),
         [
-            ("My_Attack", "must be a lower-case Python identifier, .* did you mean 'my_attack'?"),
+            (
+                "My_Attack",
+                "must be a lower-case Python identifier, .* did you mean 'my_attack'?",
+            ),
             ("my attack!", "did you mean 'my_attack'?"),
             ("2nd", "'2nd' must be a lower-case Python identifier, as my_attack is\n"),
             ("", "must be a lower-case Python identifier, as my_attack is\n"),
@@ -190,7 +213,10 @@ class TestNew:
             ("knowledge", "'knowledge' would call its class Knowledge, which is taken"),
             ("kalman_rts", "'kalman_rts' is the name of an attack already"),
             ("theirs", "'theirs' is the name of an attack already"),
-            ("statistics", "'statistics' is the name of a Python module already; take another"),
+            (
+                "statistics",
+                "'statistics' is the name of a Python module already; take another",
+            ),
             ("isac_track", "'isac_track' is the name of a Python module already"),
         ],
     )
@@ -225,7 +251,14 @@ class TestNew:
 class TestCommandLine:
     @pytest.mark.parametrize(
         "words",
-        [[], ["chekc"], ["check"], ["new"], ["list", "--all"], ["new", "mine", "--kind", "other"]],
+        [
+            [],
+            ["chekc"],
+            ["check"],
+            ["new"],
+            ["list", "--all"],
+            ["new", "mine", "--kind", "other"],
+        ],
     )
     def test_wrong_usage_is_one_line(self, words, capsys):
         assert main(words) == 2

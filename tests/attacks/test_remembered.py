@@ -7,7 +7,14 @@ from helpers.walks import smooth_walks, two_releases
 
 from attacks.linkage.behaviour import features
 from attacks.linkage.signals import on_grid
-from attacks.remembered import as_shared, noise_m2, part, reconstructed_from, remembered, whole
+from attacks.remembered import (
+    as_shared,
+    noise_m2,
+    part,
+    reconstructed_from,
+    remembered,
+    whole,
+)
 from isac_track.types import derived
 
 
@@ -20,8 +27,20 @@ def test_it_is_made_once_for_each_release_and_dies_with_it():
         return len(made)
 
     one, other = (smooth_walks(3)[0] for _ in range(2))
-    asked = [(one, 1), (one, 1), (one, 2), (other, 1), (one, other), (one, 1), (one, other)]
-    asked += [(other, one), (one, one), (other, one)]  # nobody keeps itself or its partner alive
+    asked = [
+        (one, 1),
+        (one, 1),
+        (one, 2),
+        (other, 1),
+        (one, other),
+        (one, 1),
+        (one, other),
+    ]
+    asked += [
+        (other, one),
+        (one, one),
+        (other, one),
+    ]  # nobody keeps itself or its partner alive
     assert [counted(*each) for each in asked] == [1, 1, 2, 3, 4, 1, 4, 5, 6, 5]
     alive = [weakref.ref(each) for each in (one, other)]
     assert counted(one, factor=2) == 7
@@ -42,7 +61,9 @@ def test_what_is_known_of_a_part_is_what_is_made_of_its_tracks_alone():
     walks, by_itself = on_grid(some), on_grid(alone)
     assert np.array_equal(walks.sizes, by_itself.sizes)
     for row, cells in enumerate(walks.sizes):
-        assert np.array_equal(walks.values[:, row, :cells], by_itself.values[:, row, :cells])
+        assert np.array_equal(
+            walks.values[:, row, :cells], by_itself.values[:, row, :cells]
+        )
 
 
 def test_a_reconstruction_and_its_parts_know_what_was_shared_for_as_long_as_they_live():

@@ -43,7 +43,11 @@ TRAINS = "corrector"
 
 def built_in(kind):
     names = plugins.names(kind).items()
-    ours = [name for name, origin in names if origin.startswith(f"{kind}.") and name != TRAINS]
+    ours = [
+        name
+        for name, origin in names
+        if origin.startswith(f"{kind}.") and name != TRAINS
+    ]
     # What takes minutes as it is used draws or grows less here.
     cheap = {"posterior": "posterior:draws=20,burn_in=5"}
     return [plugins.parse(kind, cheap.get(name, name))[0].instance for name in ours]
@@ -52,11 +56,32 @@ def built_in(kind):
 MECHANISMS = [
     plugins.parse("mechanisms", spec)[0]
     for spec in (
-        *("raw", "clean", "offset:0.3", "thin:3", "thin:3,d_sigma=0.5,adding=independent"),
-        *("fixed:0", "fixed:0.5", "fixed:0.5,adding=independent", "fixed:0,adding=independent"),
-        *("fixed:0.5,adding=independent,law=isotropic", "fid:100", "fid:1000,adding=independent"),
+        *(
+            "raw",
+            "clean",
+            "offset:0.3",
+            "thin:3",
+            "thin:3,d_sigma=0.5,adding=independent",
+        ),
+        *(
+            "fixed:0",
+            "fixed:0.5",
+            "fixed:0.5,adding=independent",
+            "fixed:0,adding=independent",
+        ),
+        *(
+            "fixed:0.5,adding=independent,law=isotropic",
+            "fid:100",
+            "fid:1000,adding=independent",
+        ),
         *("correlated:0.5", "correlated:0.5,tau_s=9,adding=independent"),
-        *("ou:1", "ou:1,tau_s=0.5,reuse=session", "ou_fid:100", "laplace:0.7", "forecast:0.3"),
+        *(
+            "ou:1",
+            "ou:1,tau_s=0.5,reuse=session",
+            "ou_fid:100",
+            "laplace:0.7",
+            "forecast:0.3",
+        ),
         *("window:0.7", "window:0.7,d_sigma=0.5"),
     )
 ]
@@ -96,7 +121,9 @@ def test_a_mistake_fails_the_one_check_about_it(broken, name, message):
     assert [result.name for result in failed] == [name]
     pattern = re.escape(message).replace(r"\.\*", ".*")
     assert re.search(pattern, failed[0].message)
-    assert failed[0].message.startswith((f"{broken.__name__} as ", f"{broken.__name__}, "))
+    assert failed[0].message.startswith(
+        (f"{broken.__name__} as ", f"{broken.__name__}, ")
+    )
 
 
 def test_every_check_catches_a_mistake():
@@ -104,7 +131,9 @@ def test_every_check_catches_a_mistake():
     assert caught == CHECKS.keys()
     # Some checks of the two kits are one.
     both = {"same_seed_same_result", "only_granted_knowledge_is_touched"}
-    assert {name for _, name, _ in broken_linkers.BROKEN} == LINKAGE_CHECKS.keys() - both
+    assert {
+        name for _, name, _ in broken_linkers.BROKEN
+    } == LINKAGE_CHECKS.keys() - both
     caught = {name for _, name, _ in broken_plugins.BROKEN}
     assert caught == MECHANISM_CHECKS.keys() | PREDICTOR_CHECKS.keys()
 
@@ -112,7 +141,11 @@ def test_every_check_catches_a_mistake():
 def failed(made, names=None):
     """Return the messages of what does not pass, of an attack or the class of one."""
     subject = made() if isinstance(made, type) else made
-    return {one.name: one.message for one in run_checks(subject, names=names) if not one.passed}
+    return {
+        one.name: one.message
+        for one in run_checks(subject, names=names)
+        if not one.passed
+    }
 
 
 def fitted(function):
@@ -146,7 +179,9 @@ class TestMistakesWithoutEnd:
                 "ValueError: a reconstructed position is not finite",
             ),
             (
-                linker(lambda probe, gallery: np.full((len(probe), len(gallery)), np.nan)),
+                linker(
+                    lambda probe, gallery: np.full((len(probe), len(gallery)), np.nan)
+                ),
                 {MUTATED, GRANTED},
                 "63 of 63 scores are not finite",
             ),
@@ -160,9 +195,18 @@ class TestMistakesWithoutEnd:
     @pytest.mark.parametrize(
         ("made", "message"),
         [
-            (lambda sensed, rng: Noise().share(sensed, rng).tracks([0]), "of 24 tracks it retu"),
-            (lambda sensed, _rng: sensed.xy, "share must return a Release, got ndarray"),
-            (lambda _release, _t_future: np.zeros((1, 2)), "must return a Prediction, got ndarray"),
+            (
+                lambda sensed, rng: Noise().share(sensed, rng).tracks([0]),
+                "of 24 tracks it retu",
+            ),
+            (
+                lambda sensed, _rng: sensed.xy,
+                "share must return a Release, got ndarray",
+            ),
+            (
+                lambda _release, _t_future: np.zeros((1, 2)),
+                "must return a Prediction, got ndarray",
+            ),
             (broken_plugins.skewed, "a predicted covariance is not symmetric"),
         ],
     )
@@ -175,15 +219,51 @@ class TestMistakesWithoutEnd:
     @pytest.mark.parametrize(
         ("made", "name", "message"),
         [
-            (fitted(lambda release: release.xy[1:]), ORDER, "shape (271, 2), expected (272, 2)"),
-            (fitted(lambda release: release.xy * np.nan), NULL, "reconstructed position is not fi"),
-            (fitted(lambda release: [["a", "b"]] * len(release.t)), SHORT, "struction, got list"),
-            (fitted(3), NULL, "asked for release, it raised TypeError: 'int' object is not"),
-            (attack(lambda release: release.xy.fill(0.0)), MUTATED, "read-only (broken_attac"),
-            (linker(lambda probe, gallery: BASE.link(probe, gallery).T), MATRIX, "(turned round?)"),
-            (linker(lambda _probe, _gallery: None), ORDER, "(P, G) = (7, 9), got NoneType"),
-            (linker(lambda _probe, _gallery: np.full((7, 9), 1j)), ORDER, "ndarray of complex128"),
-            (linker(lambda _context: sys.exit("no")), NULL, "fit(context) raised SystemExit: no"),
+            (
+                fitted(lambda release: release.xy[1:]),
+                ORDER,
+                "shape (271, 2), expected (272, 2)",
+            ),
+            (
+                fitted(lambda release: release.xy * np.nan),
+                NULL,
+                "reconstructed position is not fi",
+            ),
+            (
+                fitted(lambda release: [["a", "b"]] * len(release.t)),
+                SHORT,
+                "struction, got list",
+            ),
+            (
+                fitted(3),
+                NULL,
+                "asked for release, it raised TypeError: 'int' object is not",
+            ),
+            (
+                attack(lambda release: release.xy.fill(0.0)),
+                MUTATED,
+                "read-only (broken_attac",
+            ),
+            (
+                linker(lambda probe, gallery: BASE.link(probe, gallery).T),
+                MATRIX,
+                "(turned round?)",
+            ),
+            (
+                linker(lambda _probe, _gallery: None),
+                ORDER,
+                "(P, G) = (7, 9), got NoneType",
+            ),
+            (
+                linker(lambda _probe, _gallery: np.full((7, 9), 1j)),
+                ORDER,
+                "ndarray of complex128",
+            ),
+            (
+                linker(lambda _context: sys.exit("no")),
+                NULL,
+                "fit(context) raised SystemExit: no",
+            ),
             (linker(hopes), GRANTED, "REPEATS was not granted"),
             (attack(fails), GRANTED, "RuntimeError: of its own (broken_attacks.py, "),
         ],
@@ -224,7 +304,9 @@ class TestRows:
 
 
 class TestRunning:
-    @pytest.mark.parametrize(("made", "checks"), [(Jitters(), CHECKS), (BASE, LINKAGE_CHECKS)])
+    @pytest.mark.parametrize(
+        ("made", "checks"), [(Jitters(), CHECKS), (BASE, LINKAGE_CHECKS)]
+    )
     def test_checks_go_by_the_kind_in_order_and_by_name(self, made, checks):
         assert list(checks_for(made)) == list(checks)
         assert run_checks(made, names=[NULL]) == (CheckResult(NULL, "passed"),)
@@ -234,7 +316,11 @@ class TestRunning:
         [
             (broken_attacks.Base(), "xyzzy", "known: result_is_a_reconstruction, "),
             (BASE, FRAME, "of a linkage attack; did you mean 'frames_and_clocks_do_"),
-            (Noise(), "sigma_is_declarde", "of a mechanism; did you mean 'sigma_is_declared'"),
+            (
+                Noise(),
+                "sigma_is_declarde",
+                "of a mechanism; did you mean 'sigma_is_declared'",
+            ),
         ],
     )
     def test_a_wrong_name_is_answered_with_the_nearest(self, made, name, message):
@@ -261,7 +347,9 @@ def test_sigma_is_there_for_who_requires_it():
     base = type(plugin(broken_plugins.takes_sigma))
     asks = type("Asks", (base,), {"requires": frozenset({Knowledge.SIGMA})})()
     outcomes = {result.name: result.status for result in run_checks(asks)}
-    assert {name for name, status in outcomes.items() if status != "passed"} == {"track_is_causal"}
+    assert {name for name, status in outcomes.items() if status != "passed"} == {
+        "track_is_causal"
+    }
     assert outcomes["track_is_causal"] == "skipped"
 
 
@@ -273,12 +361,27 @@ class TestWhatIsNoAttack:
     @pytest.mark.parametrize(
         ("attack", "message"),
         [
-            (broken_linkers.NeedsRepeats(), "requires REPEATS, which nobody who links is grant"),
-            (altered(kind="linking"), 'attack Odd: kind must be "reconstruction" or "li'),
+            (
+                broken_linkers.NeedsRepeats(),
+                "requires REPEATS, which nobody who links is grant",
+            ),
+            (
+                altered(kind="linking"),
+                'attack Odd: kind must be "reconstruction" or "li',
+            ),
             (Jitters, r"got its class: write Jitters\(\)"),
-            (altered(uses=[Knowledge.TRAIN]), "attack Odd.uses must be a frozenset of Knowl"),
+            (
+                altered(uses=[Knowledge.TRAIN]),
+                "attack Odd.uses must be a frozenset of Knowl",
+            ),
             (altered(fit=None), r"attack Odd has no method fit\(\)"),
-            (None, r"attack NoneType must be a frozen dataclass: @dataclass\(frozen=True\)"),
+            (
+                None,
+                (
+                    r"attack NoneType must be a frozen dataclass:"
+                    r" @dataclass\(frozen=True\)"
+                ),
+            ),
         ],
     )
     def test_is_answered_with_what_to_write(self, attack, message):
@@ -291,7 +394,10 @@ class TestWhatIsNoAttack:
         ("call", "message"),
         [
             (lambda: checks_for(Noise), r"got its class: write Noise\(\)"),
-            (lambda: checks_for(type("Soft", (), {"share": print})()), "mechanism Soft must be a"),
+            (
+                lambda: checks_for(type("Soft", (), {"share": print})()),
+                "mechanism Soft must be a",
+            ),
         ],
     )
     def test_nor_is_what_is_no_such_plugin(self, call, message):
@@ -316,18 +422,26 @@ class TestWithPytest:
 # What it makes up to try attacks on
 
 whole, _ = ReconstructionCase.ordinary_and_another(frozenset())
-hidden, shown = (LinkageCase.ordinary_and_another(one)[0].noisy for one in (frozenset(), SCENE))
+hidden, shown = (
+    LinkageCase.ordinary_and_another(one)[0].noisy for one in (frozenset(), SCENE)
+)
 
 
 @pytest.mark.parametrize("noisy", [whole.noisy, hidden, shown])
-@pytest.mark.parametrize(("sigma_m", "law", "n"), [(0.3, "radial", 1), (10.0, "isotropic", 2)])
-def test_levels_differ_in_the_size_of_errors_alone_which_is_as_announced(noisy, sigma_m, law, n):
+@pytest.mark.parametrize(
+    ("sigma_m", "law", "n"), [(0.3, "radial", 1), (10.0, "isotropic", 2)]
+)
+def test_levels_differ_in_the_size_of_errors_alone_which_is_as_announced(
+    noisy, sigma_m, law, n
+):
     less, more = noisy(sigma_m, law), noisy(3 * sigma_m, law)
     for low, high in zip(releases(less), releases(more), strict=True):
         if low.sigma is None:  # a true position
             continue
         added = high.xy - low.xy
-        assert np.sqrt((added**2).sum(axis=1).mean() / n) == pytest.approx(2 * sigma_m, rel=0.05)
+        assert np.sqrt((added**2).sum(axis=1).mean() / n) == pytest.approx(
+            2 * sigma_m, rel=0.05
+        )
         np.testing.assert_allclose(low.sigma, sigma_m)
     assert less.mechanism.d_sigma == pytest.approx(sigma_m - RAW_SIGMA_M)
 

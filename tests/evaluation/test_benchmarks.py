@@ -71,14 +71,23 @@ def test_runs_of_one_seed_pooled_are_that_run(tmp_path):
 @pytest.mark.slow
 def test_linkers_are_compared_where_they_know_the_same(tmp_path):
     out, names = tmp_path / "run", ("shape", "likelihood_ratio")
-    axes = {"predictors": (), "attacks": names, "tasks": ("rerelease",), "mechanisms": ("raw",)}
+    axes = {
+        "predictors": (),
+        "attacks": names,
+        "tasks": ("rerelease",),
+        "mechanisms": ("raw",),
+    }
     summary = evaluation.run(smoke("plaza", out, **axes), pictures=False).summary
-    rows = summary[(summary["metric"] == "rank1_g100") & (summary["mechanism"] == "raw")]
+    rows = summary[
+        (summary["metric"] == "rank1_g100") & (summary["mechanism"] == "raw")
+    ]
     rank1 = rows.set_index(["consumer", "knowledge"])["value"]
     every = paired_linkers.paired(out, names[1], "rank1_g100")
     found = [one for one in every if one[0].mechanism == "raw"]
     assert [key.knowledge for key, _, _ in found] == ["blind", "informed"]
     for key, best, gap in found:
-        apart = rank1[key.consumer, key.knowledge] - rank1["rerelease/shape", key.knowledge]
+        apart = (
+            rank1[key.consumer, key.knowledge] - rank1["rerelease/shape", key.knowledge]
+        )
         assert (best.consumer, gap.value) == ("rerelease/shape", pytest.approx(apart))
         assert gap.ci_low < gap.value < gap.ci_high

@@ -26,12 +26,16 @@ def blocks(known):
 
 def targets_of(blocks, settings):
     raw_plr, raw_mel_s = descriptors(blocks, settings=settings, rule=PrivacySettings())
-    fid_plr, _ = descriptors(blocks, settings=settings, rule=PrivacySettings(), eta=1000.0)
+    fid_plr, _ = descriptors(
+        blocks, settings=settings, rule=PrivacySettings(), eta=1000.0
+    )
     return raw_plr, raw_mel_s, fid_plr
 
 
 def test_planted_constants_are_found_again(blocks):
-    planted = SensingSettings(processing_gain_db=29.0, large_scale_db=9.0, crb_gap_db=11.0)
+    planted = SensingSettings(
+        processing_gain_db=29.0, large_scale_db=9.0, crb_gap_db=11.0
+    )
     found = fit(blocks, stages=StageSettings(), targets=targets_of(blocks, planted))
     # 250 scenes make the MEL a staircase of about 0.05 dB.
     assert found.large_scale_db == pytest.approx(9.0, abs=0.1)
@@ -43,7 +47,9 @@ def test_the_short_way_gives_the_numbers_of_the_pipeline(known, blocks):
     settings = StageSettings().sensing
     ours = predictions(known, stages=StageSettings(), n_scenes=N_SCENES, seed=0)
     for spec, eta in (("raw", None), ("fid:1000", 1000.0)):
-        plr, mel_s = descriptors(blocks, settings=settings, rule=PrivacySettings(), eta=eta)
+        plr, mel_s = descriptors(
+            blocks, settings=settings, rule=PrivacySettings(), eta=eta
+        )
         assert ours[spec, "plr"] == pytest.approx(plr, abs=1e-6)
         assert ours[spec, "mel"] == pytest.approx(mel_s, abs=1e-4)
 

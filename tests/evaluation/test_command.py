@@ -27,7 +27,11 @@ def test_an_unknown_command_has_a_hint(word, hint, ran):
 
 @pytest.mark.parametrize(
     ("words", "code"),
-    [(["matrix", "--list"], 0), (["matrix", "--seed", "-1"], 2), (["report", "/nowhere"], 2)],
+    [
+        (["matrix", "--list"], 0),
+        (["matrix", "--seed", "-1"], 2),
+        (["report", "/nowhere"], 2),
+    ],
 )
 def test_a_command_gives_its_modules_exit_code(words, code, ran):
     assert ran(command, *words).code == code

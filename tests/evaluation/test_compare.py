@@ -33,7 +33,11 @@ EFFECT = ["difference", "ci_low", "ci_high"]
 MECHANISMS = (
     "raw",
     "fid:1",
-    *(f"fixed:{level}{rule}" for rule in ("", ",adding=independent") for level in ("0.7", "1")),
+    *(
+        f"fixed:{level}{rule}"
+        for rule in ("", ",adding=independent")
+        for level in ("0.7", "1")
+    ),
 )
 ALONE = {"predictors": (), "attacks": (), "tasks": ()}
 
@@ -43,7 +47,11 @@ def run(tmp_path_factory):
     """A run by its name, computed when it is asked for: `base` with some changes."""
     folder = tmp_path_factory.mktemp("compare")
     walks = write_walks(folder / "walks.csv")
-    axes = {"mechanisms": MECHANISMS, "attacks": ("kalman_rts", "shape"), "tasks": ("rerelease",)}
+    axes = {
+        "mechanisms": MECHANISMS,
+        "attacks": ("kalman_rts", "shape"),
+        "tasks": ("rerelease",),
+    }
     others = write_walks(folder / "others.csv", n_people=24, seed=7)
     # The group column makes one cluster of everybody.
     one = write_walks(folder / "one.csv", n_people=12)
@@ -72,7 +80,9 @@ def run(tmp_path_factory):
         out = folder / name
         if not out.exists():
             settings = smoke(walks, out, scenes=20, **axes)
-            evaluation.run(replace(settings, **changes[name]), progress=False, pictures=False)
+            evaluation.run(
+                replace(settings, **changes[name]), progress=False, pictures=False
+            )
         return out
 
     return made
@@ -89,7 +99,9 @@ def command(run, ran):
     """Exit code, output and errors of the command; runs are named in braces."""
 
     def said(*words):
-        named = [run(word[1:-1]) if word[:1] == "{" else word for word in map(str, words)]
+        named = [
+            run(word[1:-1]) if word[:1] == "{" else word for word in map(str, words)
+        ]
         return ran(compare, *named)
 
     return said
@@ -116,13 +128,19 @@ def plr_replicates(out, *, weights, groups=None, spec="fixed:0.7"):
 
 def shown(comparison, *, width=116, every=False):
     raw = io.StringIO()
-    show(comparison, every=every, console=Console(file=raw, width=width, highlight=False))
+    show(
+        comparison, every=every, console=Console(file=raw, width=width, highlight=False)
+    )
     return raw.getvalue()
 
 
-def test_the_same_settings_give_the_same_numbers_and_the_text_says_so(run, command, tmp_path):
+def test_the_same_settings_give_the_same_numbers_and_the_text_says_so(
+    run, command, tmp_path
+):
     again = shutil.copytree(run("base"), tmp_path / "again")
-    edit_manifest(again, lambda manifest: manifest.update(wall_time_s=1e3, dropped_cells=7))
+    edit_manifest(
+        again, lambda manifest: manifest.update(wall_time_s=1e3, dropped_cells=7)
+    )
     found = compared(run("base"), again)
     assert set(found.rows["finding"]) == {"identical"}
     assert set(found.rows["pairing"]) == {"people and draws"}
@@ -147,14 +165,20 @@ class TestFurtherHorizon:
         )
         world = a["dataset"].iloc[0] + ":horizon=3s"
         a, b = (
-            rows[rows["dataset"] == world].dropna(subset=["value"]).set_index(KEY)["value"]
+            rows[rows["dataset"] == world]
+            .dropna(subset=["value"])
+            .set_index(KEY)["value"]
             for rows in (a, b)
         )
         rows = both("ahead", "ahead_reseeded").rows
         ahead = rows[rows["world"] == "horizon=3s"].set_index(KEY)
         assert len(a) > 0
-        assert ahead["a"].sort_index().to_numpy() == pytest.approx(a.sort_index().to_numpy())
-        assert ahead["b"].sort_index().to_numpy() == pytest.approx(b.sort_index().to_numpy())
+        assert ahead["a"].sort_index().to_numpy() == pytest.approx(
+            a.sort_index().to_numpy()
+        )
+        assert ahead["b"].sort_index().to_numpy() == pytest.approx(
+            b.sort_index().to_numpy()
+        )
         own = rows[rows["world"] == ""].set_index(KEY)
         assert (own.loc[ahead.index, "a"] != ahead["a"]).any()
 
@@ -164,7 +188,9 @@ class TestFurtherHorizon:
         headline = set(rows.loc[rows["headline"] & (rows["world"] != ""), "metric"])
         assert headline == {"missed_future_rate"}
         lead = comparison.lead
-        assert [*lead.loc[lead["world"] != "", "metric"].unique()] == ["missed_future_rate"]
+        assert [*lead.loc[lead["world"] != "", "metric"].unique()] == [
+            "missed_future_rate"
+        ]
         assert [*lead["metric"]].index("missed_future_rate") > 0
         assert "3 s ahead" in shown(comparison)
 
@@ -182,19 +208,31 @@ class TestAnotherRadius:
         assert "privacy.epsilon_m  0.3 -> 0.5" in shown(found)
         moved = set(found.rows.query("finding != 'identical'")["metric"])
         assert {"plr", "ael", "mel"} <= moved
-        of_epsilon = {"plr_wide", "plr_worst_tenth", "plr_over_benchmark", "plr_ceiling"}
+        of_epsilon = {
+            "plr_wide",
+            "plr_worst_tenth",
+            "plr_over_benchmark",
+            "plr_ceiling",
+        }
         assert moved <= {"plr", "ael", "mel"} | of_epsilon
         assert set(found.rows["pairing"]) == {"people and draws"}
 
     def test_differences_are_those_of_the_summaries(self, run, both):
-        found, a, b = by_key(both("base", "wide")), *(numbers(run(one)) for one in ("base", "wide"))
+        found, a, b = (
+            by_key(both("base", "wide")),
+            *(numbers(run(one)) for one in ("base", "wide")),
+        )
         expected = pd.DataFrame(
             {"a": a["value"], "b": b["value"], "difference": b["value"] - a["value"]}
         )
-        pd.testing.assert_frame_equal(found[[*expected]].sort_index(), expected.sort_index())
+        pd.testing.assert_frame_equal(
+            found[[*expected]].sort_index(), expected.sort_index()
+        )
 
     @pytest.mark.parametrize("other", ["wide", "reseeded"])
-    def test_the_interval_is_that_of_the_same_people_drawn_for_both(self, run, both, other):
+    def test_the_interval_is_that_of_the_same_people_drawn_for_both(
+        self, run, both, other
+    ):
         weights = summary.weights_of(read_manifest(run("base")))
         (a, drawn_a), (b, drawn_b) = (
             plr_replicates(run(name), weights=weights) for name in ("base", other)
@@ -204,7 +242,9 @@ class TestAnotherRadius:
         expected = [b - a, *np.quantile(drawn_b - drawn_a, [0.025, 0.975])]
         assert [*row[EFFECT]] == pytest.approx(expected, abs=1e-12)
         assert row["t"] == pytest.approx((b - a) / error)
-        assert row["p_value"] == pytest.approx(2 * student.sf(abs(b - a) / error, df=row["n"] - 1))
+        assert row["p_value"] == pytest.approx(
+            2 * student.sf(abs(b - a) / error, df=row["n"] - 1)
+        )
 
     def test_holm_runs_over_either_family_and_the_surest_come_first(self, both):
         rows = both("base", "wide").rows
@@ -222,7 +262,8 @@ class TestAnotherRadius:
 
 
 def test_another_seed_moves_no_headline_number_and_the_text_says_what_is_paired(both):
-    # Of one population: a false "differs" has a chance of at most 5 %, and the seeds are fixed.
+    # Of one population: a false "differs" has a chance of at most 5 %, and the seeds
+    # are fixed.
     found = both("base", "reseeded")
     assert "differs" not in set(found.headline["finding"])
     text = shown(found, width=300)
@@ -261,23 +302,33 @@ def test_a_setting_pairs_scenes_and_linkage(run, name, value, scenes, linkage):
     changed = task if name == "people" else second["identity"]
     assert name in changed
     changed[name] = value
-    found = [pairing(first, second, consumer=one) for one in ("shared", "rerelease/shape")]
+    found = [
+        pairing(first, second, consumer=one) for one in ("shared", "rerelease/shape")
+    ]
     assert found == [scenes, linkage]
 
 
 class TestOtherPeople:
-    def test_nothing_is_paired_and_intervals_combine_those_of_either_run(self, run, both):
+    def test_nothing_is_paired_and_intervals_combine_those_of_either_run(
+        self, run, both
+    ):
         found = both("base", "others")
         assert set(found.rows["pairing"]) == {"none"}
         # Galleries of two sizes do not compare.
-        assert found.rows.loc[found.rows["metric"] == "rank1", "difference"].isna().all()
+        assert (
+            found.rows.loc[found.rows["metric"] == "rank1", "difference"].isna().all()
+        )
         assert set(found.lead["metric"]) == {"missed_conflict_rate", "plr"}
         assert {"sha256", "tracks", "tracks_used"} <= found.changed["data"].keys()
         assert re.search(r"tracks_used +30 -> 24", shown(found))
         one, two = (numbers(run(name)).loc[PLR] for name in ("base", "others"))
         value = two["value"] - one["value"]
-        low = value - np.hypot(two["value"] - two["ci_low"], one["ci_high"] - one["value"])
-        high = value + np.hypot(two["ci_high"] - two["value"], one["value"] - one["ci_low"])
+        low = value - np.hypot(
+            two["value"] - two["ci_low"], one["ci_high"] - one["value"]
+        )
+        high = value + np.hypot(
+            two["ci_high"] - two["value"], one["value"] - one["ci_low"]
+        )
         row = by_key(found).loc[PLR]
         assert [*row[EFFECT]] == pytest.approx([value, low, high], abs=1e-12)
 
@@ -297,7 +348,9 @@ class TestOtherPeople:
 
 
 class TestCommand:
-    def test_the_table_is_tidy_and_the_gate_shut_where_it_is_asked(self, both, command, tmp_path):
+    def test_the_table_is_tidy_and_the_gate_shut_where_it_is_asked(
+        self, both, command, tmp_path
+    ):
         words = ["{base}", "{wide}", "--csv", tmp_path / "table.csv"]
         assert command(*words, "--fail-on-change")[0] == 1
         code, text, _ = command(*words)
@@ -306,25 +359,34 @@ class TestCommand:
         assert "PLR %" in text
         table, rows = pd.read_csv(tmp_path / "table.csv"), both("base", "wide").rows
         assert list(table.columns) == COLUMNS
-        assert table["difference"].to_numpy() == pytest.approx(rows["difference"], nan_ok=True)
+        assert table["difference"].to_numpy() == pytest.approx(
+            rows["difference"], nan_ok=True
+        )
 
-    def test_json_is_one_object_and_nothing_is_written_into_the_runs(self, run, both, command):
+    def test_json_is_one_object_and_nothing_is_written_into_the_runs(
+        self, run, both, command
+    ):
         def held():
             files = [path for name in ("base", "wide") for path in run(name).rglob("*")]
             return {path: path.read_bytes() for path in files if path.is_file()}
 
         before = held()
         some, every = (
-            json.loads(command("{base}", "{wide}", "--json", *more)[1]) for more in ([], ["--all"])
+            json.loads(command("{base}", "{wide}", "--json", *more)[1])
+            for more in ([], ["--all"])
         )
         assert held() == before
-        assert some["changed"]["settings"] == {"privacy.epsilon_m": {"a": 0.3, "b": 0.5}}
+        assert some["changed"]["settings"] == {
+            "privacy.epsilon_m": {"a": 0.3, "b": 0.5}
+        }
         found = both("base", "wide")
         counts = some["numbers"]["headline"]
         assert [*counts] == ["identical", "differs", "between", "untested"]
         assert counts["differs"] == (found.headline["finding"] == "differs").sum()
         assert sum(counts.values()) == len(some["differences"]) == len(found.headline)
-        assert some["numbers"]["in_both"] == len(every["differences"]) == len(found.rows)
+        assert (
+            some["numbers"]["in_both"] == len(every["differences"]) == len(found.rows)
+        )
 
     @pytest.mark.parametrize(
         ("words", "said"),
@@ -334,7 +396,10 @@ class TestCommand:
             (["{base}"], ""),
             (["{base}", "/nowhere/at/all"], "/nowhere/at/all holds no run"),
             (["{base}", __file__], ""),
-            (["{base}", "{base}", "--csv", "/no/table.csv"], "cannot write /no/table.csv"),
+            (
+                ["{base}", "{base}", "--csv", "/no/table.csv"],
+                "cannot write /no/table.csv",
+            ),
             (["{narrow}", "{apart}"], "share no number: A has raw, B has fixed"),
             (["{one}", "{one_wide}", "--fail-on-change"], "no headline number"),
         ],
@@ -361,7 +426,10 @@ class TestVerdicts:
     def write(self, pair, *verdicts):
         """Write what each decides, by its items' names."""
         for out, decisions in zip(pair, verdicts, strict=True):
-            items = [{"id": name, "decision": decision} for name, decision in decisions.items()]
+            items = [
+                {"id": name, "decision": decision}
+                for name, decision in decisions.items()
+            ]
             (out / "verdict.json").write_text(json.dumps({"items": items}))
 
     def test_decisions_that_changed_are_listed(self, pair, command):

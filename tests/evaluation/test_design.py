@@ -32,7 +32,10 @@ def holding(name, content=None):
 class TestExitCode:
     def test_is_0_if_some_level_holds_everything(self, made, ran):
         said = ran(design, made())
-        told = "Yes, against one release: slow noise of 0.4 m keeps within the limits. Limits: 50 %"
+        told = (
+            "Yes, against one release: slow noise of 0.4 m keeps within the limits."
+            " Limits: 50 %"
+        )
         assert (said.code, " ".join(said.out.split())[: len(told)]) == (0, told)
 
     def test_is_1_if_a_control_alone_would(self, made, ran):
@@ -44,11 +47,31 @@ class TestExitCode:
         ("options", "code", "told"),
         [
             (["--max-missed", "0.23"], 0, "23 % of future conflicts within 3 s missed"),
-            (["--max-missed", "0.21"], 1, "up to 22 % of future conflicts within 3 s (limit 21 %)"),
-            (["--max-plr", "0.3"], 1, "knows up to 32 % of positions to 0.3 m (limit 30 %)"),
-            (["--max-linkage-share", "0.41"], 1, "up to 42 % of the raw re-identification aft"),
-            (["--against", "anchor"], 0, "Yes, against one release and an adversary with one true"),
-            (["--against", "insider"], 1, "and clock was not tried: add --adversary insider"),
+            (
+                ["--max-missed", "0.21"],
+                1,
+                "up to 22 % of future conflicts within 3 s (limit 21 %)",
+            ),
+            (
+                ["--max-plr", "0.3"],
+                1,
+                "knows up to 32 % of positions to 0.3 m (limit 30 %)",
+            ),
+            (
+                ["--max-linkage-share", "0.41"],
+                1,
+                "up to 42 % of the raw re-identification aft",
+            ),
+            (
+                ["--against", "anchor"],
+                0,
+                "Yes, against one release and an adversary with one true",
+            ),
+            (
+                ["--against", "insider"],
+                1,
+                "and clock was not tried: add --adversary insider",
+            ),
             (
                 ["--horizon", "4"],
                 1,
@@ -64,7 +87,11 @@ class TestExitCode:
                 1,
                 "straight line misses up to 42 %",
             ),
-            (["--family", "fixed"], 1, "The nearest is fixed noise of 1 m (independent)"),
+            (
+                ["--family", "fixed"],
+                1,
+                "The nearest is fixed noise of 1 m (independent)",
+            ),
         ],
     )
     def test_follows_what_is_asked_and_names_it(self, made, ran, options, code, told):
@@ -74,18 +101,24 @@ class TestExitCode:
     def test_a_yes_says_who_breaks_it(self, made, ran):
         broken = changed(GOOD, beyond={"anchor": 0.92})
         said = " ".join(ran(design, made((RAW, broken))).out.split())
-        assert said.startswith("Yes, against one release, but not an adversary with one true pos")
+        assert said.startswith(
+            "Yes, against one release, but not an adversary with one true pos"
+        )
         assert "knows 92 % ±2 of positions; to make it count: --against anchor." in said
         assert "Not tried: --adversary repeats, companions or insider." in said
 
     def test_only_limits_that_were_asked_are_named(self, made, ran):
         said = ran(design, "--max-linkage-share", "1", made())
         first = " ".join(said.out.split()).partition(" ±")[0]
-        assert first.endswith("Limits: 50 % of positions known to 0.3 m and 0.4 m after an attack.")
+        assert first.endswith(
+            "Limits: 50 % of positions known to 0.3 m and 0.4 m after an attack."
+        )
 
     def test_limits_hold_after_attack_unless_asked_as_shared(self, made, ran):
         question = ["--max-plr", "0.29", made()]
-        attacked, shared = (ran(design, *question, *more) for more in ([], ["--as-shared"]))
+        attacked, shared = (
+            ran(design, *question, *more) for more in ([], ["--as-shared"])
+        )
         assert (attacked.code, shared.code) == (1, 0)
         assert "known to 0.3 m and 0.4 m as sent" in " ".join(shared.out.split())
 
@@ -99,7 +132,12 @@ class TestExitCode:
             (None, None, ["--against", "anchr"], "did you mean 'anchor'?"),
             (None, None, ["--horizon", "soon"], "--horizon takes a time in s or `run`"),
             (None, None, ["--criterion", "mine"], "--criterion"),
-            (None, None, ["--adding", "linear"], "--mechanism fid:1..1000/10,adding=linear"),
+            (
+                None,
+                None,
+                ["--adding", "linear"],
+                "--mechanism fid:1..1000/10,adding=linear",
+            ),
             ((RAW, SHIFTED), None, [], "has no level that claims to protect"),
             (None, holding("manifest.json"), [], "holds no run"),
             (None, holding("levels.csv"), [], "python -m evaluation.report"),
@@ -129,14 +167,23 @@ class TestExitCode:
         whole = json.loads(ran(design, "--json", out).out)
         (proposed,) = whole["proposals"]
         assert proposed["after_attack"]["plr_wide"]["value"] == pytest.approx(0.4)
-        assert [one.get("breaks") for one in proposed["beyond"]] == [False, False, None, None]
+        assert [one.get("breaks") for one in proposed["beyond"]] == [
+            False,
+            False,
+            None,
+            None,
+        ]
         assert whole["against"] == ["blind", "informed"]
-        assert whole["answer"].startswith("Yes (simulated people), against one release:")
+        assert whole["answer"].startswith(
+            "Yes (simulated people), against one release:"
+        )
 
     def test_epsilon_is_that_of_the_run(self, made, ran):
         out = made()
         stages = {"privacy.epsilon_m": 0.6}
-        edit_manifest(out, lambda manifest: manifest["settings"]["stages"].update(stages))
+        edit_manifest(
+            out, lambda manifest: manifest["settings"]["stages"].update(stages)
+        )
         assert "to 0.6 m  to 0.8 m" in ran(design, out).out
 
 
@@ -157,10 +204,16 @@ class TestPlan:
     @pytest.mark.parametrize(
         ("options", "says"),
         [
-            (["--max-plr", "1.5"], "the limit on PLR must lie between 0 and 1, got 1.5"),
+            (
+                ["--max-plr", "1.5"],
+                "the limit on PLR must lie between 0 and 1, got 1.5",
+            ),
             (["--max-plr", "0.5", "--q", "0"], "--q must be positive, got 0"),
             (["--max-plr", "0.5", "--dt", "nan"], "--dt must be positive, got nan"),
-            (["--max-plr", "0.5", "--max-missed", "15"], "--max-missed is a fraction from 0 to 1"),
+            (
+                ["--max-plr", "0.5", "--max-missed", "15"],
+                "--max-missed is a fraction from 0 to 1",
+            ),
             ([], "--max-plr"),
         ],
     )

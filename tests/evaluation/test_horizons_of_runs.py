@@ -69,7 +69,13 @@ def test_rates_are_those_that_counting_gives(made, world):
     entries = [entry for entry in entries if (entry["world"] or "") == world]
     assert len(entries) == 6 * len(ROBOTS)
     for entry in entries:
-        columns = ["conflict", "predicted", "inside_now", "time_to_conflict_s", "separation_m"]
+        columns = [
+            "conflict",
+            "predicted",
+            "inside_now",
+            "time_to_conflict_s",
+            "separation_m",
+        ]
         rows = read_rows(run.out, entry, columns=columns).to_pandas()
         assert len(rows) == 120
         assert (rows["inside_now"] == (rows["time_to_conflict_s"] == 0.0)).all()
@@ -92,7 +98,9 @@ def test_a_longer_horizon_has_more_conflicts_to_come(made):
     shares = {}
     for entry in run.manifest["cells"]:
         if entry["kind"] == "predictor" and entry["mechanism"] == "raw":
-            rows = read_rows(run.out, entry, columns=["conflict", "inside_now"]).to_pandas()
+            rows = read_rows(
+                run.out, entry, columns=["conflict", "inside_now"]
+            ).to_pandas()
             inside = rows.loc[rows["conflict"], "inside_now"]
             shares.setdefault(entry["world"] or "", set()).add(inside.mean())
     assert all(len(of_robots) == 1 for of_robots in shares.values())  # whoever foresees
@@ -101,7 +109,9 @@ def test_a_longer_horizon_has_more_conflicts_to_come(made):
 
 def test_decisions_hold_future_conflicts_at_the_same_false_alarms(made):
     run = made["both"]
-    entry = next(entry for entry in run.manifest["cells"] if entry.get("world") == WORLD)
+    entry = next(
+        entry for entry in run.manifest["cells"] if entry.get("world") == WORLD
+    )
     columns = ["group", "conflict", "inside_now", "predicted_separation_m"]
     table = read_rows(run.out, entry, columns=columns)
     rows = table.to_pandas()
@@ -114,7 +124,9 @@ def test_decisions_hold_future_conflicts_at_the_same_false_alarms(made):
         weights=weights_of(run.manifest),
     )
     shown = run.decisions[run.decisions["dataset"] == f"{run.dataset}:{WORLD}"]
-    shown = shown[(shown["mechanism"] == "raw") & (shown["consumer"] == entry["consumer"])].iloc[0]
+    shown = shown[
+        (shown["mechanism"] == "raw") & (shown["consumer"] == entry["consumer"])
+    ].iloc[0]
     at = np.full(1001, shown["false_alarm_rate"])
     assert shown["missed_future_rate"] == pytest.approx(of_scenes.missed_at(at)[0])
 
@@ -126,8 +138,11 @@ def test_the_frontier_holds_each_criterion_at_each_horizon(made):
     assert asked == {run.dataset: criteria, f"{run.dataset}:{WORLD}": criteria}
     own = run.frontier[run.frontier["dataset"] == run.dataset].reset_index(drop=True)
     pd.testing.assert_frame_equal(own, made["alone"].frontier)
-    # Raw costs nothing, so that both curves begin there: what is left falls as the price rises.
-    part = run.frontier[(run.frontier["metric"] == "plr") & (run.frontier["mechanism"] == "fixed")]
+    # Raw costs nothing, so that both curves begin there: what is left falls as the
+    # price rises.
+    part = run.frontier[
+        (run.frontier["metric"] == "plr") & (run.frontier["mechanism"] == "fixed")
+    ]
     for _, rows in part.groupby(["dataset", "robot", "criterion"]):
         left = rows["value"].dropna()
         assert (np.diff(left) <= 1e-9).all()
@@ -149,27 +164,46 @@ def test_the_claim_is_stated_with_future_conflicts_at_both_horizons(made):
 
 
 def test_every_preset_compares_its_robots_with_nobody_moving_on():
-    assert all(preset.predictors[-1] == "constant_position" for preset in PRESETS.values())
+    assert all(
+        preset.predictors[-1] == "constant_position" for preset in PRESETS.values()
+    )
 
 
 def test_a_horizon_has_a_name():
     assert [horizon_world(3.0), horizon_world(1.5)] == ["horizon=3s", "horizon=1.5s"]
     assert horizon_of("horizon=1.5s") == 1.5
-    for name in ("", "model", "horizon=", "horizon=s", "horizon=3", "xhorizon=3s", "law=isotropic"):
+    for name in (
+        "",
+        "model",
+        "horizon=",
+        "horizon=s",
+        "horizon=3",
+        "xhorizon=3s",
+        "law=isotropic",
+    ):
         assert horizon_of(name) is None
     assert is_world("model")
     assert is_world(WORLD)
     assert not is_world("students03")
-    assert horizons_in([{"world": WORLD}, {"world": "model"}, {}, {"world": "horizon=1s"}]) == [
+    assert horizons_in(
+        [{"world": WORLD}, {"world": "model"}, {}, {"world": "horizon=1s"}]
+    ) == [
         1,
         3,
     ]
 
 
 def test_items_of_two_horizons_have_two_names():
-    about = {"adding": "linear", "effect": Estimate(0.0), "parted_at": 0.0, "unit": "fraction"}
+    about = {
+        "adding": "linear",
+        "effect": Estimate(0.0),
+        "parted_at": 0.0,
+        "unit": "fraction",
+    }
     about |= {"above": "", "below": "", "sentences": {}, "criterion": "missed_future"}
-    own, later = (Draft(**about, details=details) for details in ({}, {"horizon_s": 3.0}))
+    own, later = (
+        Draft(**about, details=details) for details in ({}, {"horizon_s": 3.0})
+    )
     assert own.names == ["linear", "missed_future"]
     assert later.names == ["linear", "missed_future", WORLD]
 
@@ -185,7 +219,9 @@ class TestTimesToConflict:
                 for entry in run.manifest["cells"]
                 if entry["kind"] == "predictor" and (entry.get("world") or "") == world
             )
-            times = read_rows(run.out, entry, columns=["time_to_conflict_s"]).to_pandas()
+            times = read_rows(
+                run.out, entry, columns=["time_to_conflict_s"]
+            ).to_pandas()
             times = times["time_to_conflict_s"].dropna().to_numpy()
             shown = run.conflict_times[run.conflict_times["dataset"] == name]
             expected = [(times <= by_s + 1e-9).mean() for by_s in shown["by_s"]]
@@ -225,7 +261,11 @@ class TestStandingStill:
     def test_a_robot_that_surely_misses_more_is_told_so(self):
         own, later = self.robots(0.29), {3.0: self.robots(0.31)}
         first, second = beaten_by_standing_still(own, later)
-        assert (first["robot"], first["horizon_s"], first["levels"]) == ("least_squares", None, 1)
+        assert (first["robot"], first["horizon_s"], first["levels"]) == (
+            "least_squares",
+            None,
+            1,
+        )
         assert first["loses"] == []
         (level,) = second["loses"]
         assert second["horizon_s"] == 3.0
@@ -244,12 +284,22 @@ class TestStandingStill:
         run = made["both"]
         loses = [{"mechanism": "fixed", "level": 0.7}] * 2
         robots = [
-            {"robot": "least_squares", "horizon_s": None, "levels": 6, "loses": loses[:1]},
+            {
+                "robot": "least_squares",
+                "horizon_s": None,
+                "levels": 6,
+                "loses": loses[:1],
+            },
             {"robot": "least_squares", "horizon_s": 3.0, "levels": 6, "loses": loses},
             {"robot": "kalman_cv", "horizon_s": 3.0, "levels": 6, "loses": []},
         ]
-        shown = answers(replace(run, verdict=run.verdict | {"robots": robots}))[0].sentence
-        beaten = "At 2 of 6 levels, expecting people to stand beats the paper's straight line."
+        shown = answers(replace(run, verdict=run.verdict | {"robots": robots}))[
+            0
+        ].sentence
+        beaten = (
+            "At 2 of 6 levels, expecting people to stand beats the paper's straight"
+            " line."
+        )
         assert shown.endswith(beaten)
         assert "of future conflicts (raw positions: " in shown
         alone = answers(replace(made["alone"], verdict={}))[0].sentence
@@ -270,7 +320,9 @@ def test_the_first_table_shows_future_conflicts_and_fits(made):
 def test_the_screen_has_six_columns_at_most(n_linked):
     first = headline(make_summary(predictors=("least_squares", "kalman_cv")))
     robots = first.robots
-    linked = [Shown("found", f"task-{n}", Measure(f"t{n}", "rank1")) for n in range(n_linked)]
+    linked = [
+        Shown("found", f"task-{n}", Measure(f"t{n}", "rank1")) for n in range(n_linked)
+    ]
     later = {
         robot.measure._replace(metric=MISSED_FUTURE).at(*where): Estimate(0.5, 0.4, 0.6)
         for robot in robots
@@ -281,14 +333,22 @@ def test_the_screen_has_six_columns_at_most(n_linked):
     assert best.measure.consumer == "kalman_cv"
     assert best.is_later
     pairs = screen_columns(wide, best)
-    assert [group.title for group, _ in pairs][:2] == ["Kalman misses", "known to 0.3 m, %"]
+    assert [group.title for group, _ in pairs][:2] == [
+        "Kalman misses",
+        "known to 0.3 m, %",
+    ]
     assert all(len(group.heads) == len(columns) for group, columns in pairs)
     assert sum(len(columns) for _, columns in pairs) == 3 + min(n_linked, 2)
 
 
 def test_the_frontier_is_read_at_the_price_of_future_conflicts_at_the_longest_horizon():
     rows = [
-        {"dataset": f"walks{world}", "criterion": criterion, "level": level, "value": 0.5}
+        {
+            "dataset": f"walks{world}",
+            "criterion": criterion,
+            "level": level,
+            "value": 0.5,
+        }
         for world in ("", ":horizon=1s", ":horizon=3s")
         for criterion in ("missed", "missed_at_equal_false_alarms", "missed_future")
         for level in (0.1, np.nan)
@@ -316,7 +376,11 @@ def test_tables_of_a_run_hold_each_horizon(made):
 
 def test_the_papers_claim_is_stated_with_future_conflicts(made):
     claims = set(made["both"].claims["claim"])
-    for rate in ("missed-conflict rate", "missed-future rate", "missed-future rate 3 s ahead"):
+    for rate in (
+        "missed-conflict rate",
+        "missed-future rate",
+        "missed-future rate 3 s ahead",
+    ):
         assert f"at every matched {rate}: FID has lower PLR" in claims
 
 
@@ -328,8 +392,13 @@ def test_tracks_that_end_before_the_horizon_are_said(made):
     }
     assert made["alone"].manifest["horizons"] == {}
     few = {"3": {"tracks_used": used - 2, "no_future": 2, "exhausted_redraws": 1}}
-    shown = notices(manifest | {"horizons": few | {"9": {"tracks_used": 0, "no_future": used}}})
+    shown = notices(
+        manifest | {"horizons": few | {"9": {"tracks_used": 0, "no_future": used}}}
+    )
     assert "3 s ahead: 2 tracks end before that and cannot be used there." in shown
-    assert "No conflicts 9 s ahead: too few recordings last so long after the history." in shown
+    assert (
+        "No conflicts 9 s ahead: too few recordings last so long after the history."
+        in shown
+    )
     start = "3 s ahead: 1 background agent keeps its last draw"
     assert any(line.startswith(start) for line in shown)

@@ -34,7 +34,9 @@ def test_a_dry_run_writes_nothing_and_a_run_ends_in_a_table(small, tmp_path, ran
     assert "known to 0.3 m, %" in shown.out
     assert f"Tables: {tmp_path / 'run' / 'tables.txt'}" in shown.out
     assert "12 of 12 tracks used, 8 scenes; 1 cells" in shown.err
-    value = pd.read_csv(tmp_path / "run" / "summary.csv").set_index("metric")["value"]["plr"]
+    value = pd.read_csv(tmp_path / "run" / "summary.csv").set_index("metric")["value"][
+        "plr"
+    ]
     assert f" {100 * value:.0f} " in shown.out
 
 
@@ -43,11 +45,17 @@ def test_a_dry_run_writes_nothing_and_a_run_ends_in_a_table(small, tmp_path, ran
     [
         (["--preset", "smok"], "unknown preset 'smok'; did you mean 'smoke'?"),
         (["--scenes", "many"], "argument --scenes: invalid int value: 'many'"),
-        (["--scenes", "1"], "at least 2 scenes (one of each label) and at most 10,000,000, got 1"),
+        (
+            ["--scenes", "1"],
+            "at least 2 scenes (one of each label) and at most 10,000,000, got 1",
+        ),
         (["--seed", "-1"], "the seed must not be negative"),
         (["--jobs", "0"], "jobs must be at least 1"),
         (["--fps", "25"], "--fps describes your own file: name it with --dataset PATH"),
-        (["--format", "csv"], "--format describes your own file: name it with --dataset PATH"),
+        (
+            ["--format", "csv"],
+            "--format describes your own file: name it with --dataset PATH",
+        ),
         (["--dataset", "stuednts03"], "did you mean students03?"),
         (["--mechanism", "fdi:1"], "did you mean 'fid'?"),
         (["--mechanism", "none"], "the mechanism axis is empty; name one"),
@@ -58,12 +66,16 @@ def test_a_dry_run_writes_nothing_and_a_run_ends_in_a_table(small, tmp_path, ran
         (["--pre", "smoke"], "unrecognized arguments: --pre smoke"),
     ],
 )
-def test_a_users_mistake_is_one_line_and_exit_code_2(arguments, message, ran, monkeypatch):
+def test_a_users_mistake_is_one_line_and_exit_code_2(
+    arguments, message, ran, monkeypatch
+):
     monkeypatch.delenv("ISAC_TRACK_DATA", raising=False)
     assert_refused(ran(matrix, "--dry-run", *arguments), message)
 
 
-def test_a_backend_that_matplotlib_does_not_know_is_said_before_anything_is_printed(tmp_path):
+def test_a_backend_that_matplotlib_does_not_know_is_said_before_anything_is_printed(
+    tmp_path,
+):
     words = ("-m", "evaluation.report", "--pdf", "nowhere")
     ended = commands.run(tmp_path, *words, changed={"MPLBACKEND": "nonsense"})
     assert_refused(ended, "no backend 'nonsense'; unset MPLBACKEND")
@@ -77,17 +89,22 @@ def test_a_name_that_a_spreadsheet_would_run_is_text_in_every_table(
     assert ran(matrix, "--dataset", named, *small[2:]).code == 0
     tables = [path.read_text() for path in (tmp_path / "run").rglob("*.csv")]
     assert any("'=cmd" in one for one in tables)
-    cells = [cell for one in tables for line in one.splitlines() for cell in line.split(",")]
+    cells = [
+        cell for one in tables for line in one.splitlines() for cell in line.split(",")
+    ]
     assert not any(one.startswith("=") for one in cells)
 
 
 def test_numbers_among_names_stay_numbers():
-    assert to_csv(pd.DataFrame({"level": ["-0.5", "-1+1", "+x", "a", None]})) == (
-        b"level\n-0.5\n'-1+1\n'+x\na\n\"\"\n"
+    assert (
+        to_csv(pd.DataFrame({"level": ["-0.5", "-1+1", "+x", "a", None]}))
+        == b"level\n-0.5\n'-1+1\n'+x\na\n\"\"\n"
     )
 
 
-def test_an_interruption_is_exit_code_130_and_says_how_to_continue(small, ran, monkeypatch):
+def test_an_interruption_is_exit_code_130_and_says_how_to_continue(
+    small, ran, monkeypatch
+):
     def interrupt(_settings):
         raise KeyboardInterrupt
 
@@ -98,14 +115,23 @@ def test_an_interruption_is_exit_code_130_and_says_how_to_continue(small, ran, m
 
 
 def settings_of(*arguments):
-    return matrix.settings_from(matrix.parser().parse_args([str(one) for one in arguments]))
+    return matrix.settings_from(
+        matrix.parser().parse_args([str(one) for one in arguments])
+    )
 
 
 def test_options_become_settings():
-    words = "--preset=full --seed=3 --jobs=2 --mechanism=raw --mechanism=fid:1 --predictor=none"
+    words = (
+        "--preset=full --seed=3 --jobs=2 --mechanism=raw --mechanism=fid:1"
+        " --predictor=none"
+    )
     words += " --dataset=walks.txt --format=obsmat --fps=25"
     settings = settings_of(*words.split(), "--set=privacy.epsilon_m=0.5", "--fresh")
-    assert (settings.dataset, settings.format, settings.fps) == ("walks.txt", "obsmat", 25.0)
+    assert (settings.dataset, settings.format, settings.fps) == (
+        "walks.txt",
+        "obsmat",
+        25.0,
+    )
     assert settings.mechanisms == ("raw", "fid:1")
     assert settings.predictors == ()
     assert settings.n_scenes == 5000
@@ -117,11 +143,14 @@ def test_options_become_settings():
 def test_a_file_gives_the_same_keys_and_the_command_line_wins(tmp_path):
     path = tmp_path / "run.toml"
     path.write_text(
-        'preset = "smoke"\nseed = 5\nscenes = 30\nmechanism = ["raw", "fid:1"]\n'
-        'predictor = "least_squares"\n[privacy]\nepsilon_m = 0.4\n[sensing]\nlaw = "isotropic"\n',
+        'preset = "smoke"\nseed = 5\nscenes = 30\nmechanism = ["raw",'
+        ' "fid:1"]\npredictor = "least_squares"\n[privacy]\nepsilon_m ='
+        ' 0.4\n[sensing]\nlaw = "isotropic"\n',
         encoding="utf-8-sig",  # some editors put a mark in front
     )
-    settings = settings_of("--config", path, "--seed", "7", "--set", "privacy.epsilon_m=0.2")
+    settings = settings_of(
+        "--config", path, "--seed", "7", "--set", "privacy.epsilon_m=0.2"
+    )
     assert (settings.preset, settings.seed, settings.n_scenes) == ("smoke", 7, 30)
     assert settings.mechanisms == ("raw", "fid:1")
     assert settings.predictors == ("least_squares",)
@@ -137,7 +166,10 @@ def test_a_file_gives_the_same_keys_and_the_command_line_wins(tmp_path):
         ("seed = true", "argument --seed: invalid int value: 'True'"),
         ("mechanism = 3", "unknown mechanism '3'"),
         ("preset = 3", "unknown preset '3'; known: quick, smoke, paper"),
-        ("dataset = 'x.csv'\nfps = 'fast'", "argument --fps: invalid float value: 'fast'"),
+        (
+            "dataset = 'x.csv'\nfps = 'fast'",
+            "argument --fps: invalid float value: 'fast'",
+        ),
         ("[privacy]\nepsilon = 1", "unknown setting 'privacy.epsilon'"),
         ("seed = = 1", "Invalid value"),
     ],
@@ -157,9 +189,17 @@ def test_the_default_is_a_preset_of_few_levels_with_at_least_one_of_each_kind():
     assert crossed.worlds == dict.fromkeys(crossed.worlds, ())
     families = {plugin.spec.partition(":")[0] for plugin in crossed.mechanisms}
     assert families == {"raw", "fid", "fixed", "ou"}
-    assert {plugin.adding for plugin in crossed.mechanisms} == {"", "linear", "independent"}
+    assert {plugin.adding for plugin in crossed.mechanisms} == {
+        "",
+        "linear",
+        "independent",
+    }
     assert crossed.utility == {plugin.spec for plugin in crossed.predictors}
-    assert [task.name for task in crossed.tasks] == ["rerelease", "handover-1s", "handover-5s"]
+    assert [task.name for task in crossed.tasks] == [
+        "rerelease",
+        "handover-1s",
+        "handover-5s",
+    ]
     assert all(len(crossed.readers(task)) > 2 for task in crossed.tasks)
 
 
@@ -168,10 +208,14 @@ def test_a_folder_of_another_preset_is_refused_in_one_line(tmp_path, ran):
     walks = write_walks(tmp_path / "walks.csv")
     few = ["--scenes", "8", "--mechanism", "raw", "--task", "none", "--dataset", walks]
     few += ["--attack", "none", "--predictor", "least_squares"]
-    assert ran(matrix, "--preset", "smoke", *few, "--out", out, "--no-pictures").code == 0
+    assert (
+        ran(matrix, "--preset", "smoke", *few, "--out", out, "--no-pictures").code == 0
+    )
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
     ended = ran(matrix, *few, "--out", out)
-    assert_refused(ended, f"{out} holds a run of --preset smoke, not of quick; use --fresh")
+    assert_refused(
+        ended, f"{out} holds a run of --preset smoke, not of quick; use --fresh"
+    )
     assert len(ended.err.splitlines()[-1:]) == 1
     assert {path: path.read_bytes() for path in before} == before
 
@@ -185,11 +229,15 @@ def test_the_presets_are_those_of_the_design():
     etas = [plugin.level for plugin in paper if plugin.name == "fid"]
     assert etas[0] == 1.0
     assert etas[9:] == [1e3, 1e4, 1e5, 1e6]
-    errors = [plugin.level for plugin in paper if plugin.name == "fixed:adding=independent"]
+    errors = [
+        plugin.level for plugin in paper if plugin.name == "fixed:adding=independent"
+    ]
     assert errors == pytest.approx([step / 10 for step in range(1, 11)], abs=1e-12)
     assert PRESETS["full"].scenes == 5000
     frontier = axes(Settings(preset="frontier"))
-    assert frontier.utility == {one.spec for one in frontier.predictors}  # all scenes, each robot
+    assert frontier.utility == {
+        one.spec for one in frontier.predictors
+    }  # all scenes, each robot
 
 
 def test_list_names_everything_that_can_be_named(ran):
@@ -213,7 +261,9 @@ sys.exit(str(heavy & sys.modules.keys()) if heavy & sys.modules.keys() else 0)""
     assert ended.code == 0, ended
 
 
-def test_the_default_falls_back_to_the_simulated_crowd_and_says_so(tmp_path, ran, monkeypatch):
+def test_the_default_falls_back_to_the_simulated_crowd_and_says_so(
+    tmp_path, ran, monkeypatch
+):
     monkeypatch.delenv("ISAC_TRACK_DATA", raising=False)
     monkeypatch.setenv("ISAC_TRACK_CACHE", str(tmp_path / "empty"))
     out = tmp_path / "run"
@@ -223,15 +273,25 @@ def test_the_default_falls_back_to_the_simulated_crowd_and_says_so(tmp_path, ran
     assert "notice: students03 is not here" in shown.err
     assert "plaza" in shown.out
     assert "plaza" in (out / "manifest.json").read_text(encoding="utf-8")
-    assert set(pd.read_csv(out / "summary.csv")["dataset"]) == {"plaza", "plaza:horizon=3s"}
+    assert set(pd.read_csv(out / "summary.csv")["dataset"]) == {
+        "plaza",
+        "plaza:horizon=3s",
+    }
 
 
 def test_what_a_reader_must_know_is_a_notice(csv_recording, tmp_path, ran):
-    words = "--scenes 8 --mechanism raw --task none --predictor kalman_cv:noise=declared"
+    words = (
+        "--scenes 8 --mechanism raw --task none --predictor kalman_cv:noise=declared"
+    )
     words += " --set scenes.clearance_m=6.5 --set scenes.max_redraws=2"
     words += " --set conflict.horizons_s=none"
-    shown = ran(matrix, "--dataset", csv_recording, *words.split(), "--out", tmp_path / "run")
-    assert "kalman_cv:noise=declared asked for SIGMA, which a robot does not have" in shown.err
+    shown = ran(
+        matrix, "--dataset", csv_recording, *words.split(), "--out", tmp_path / "run"
+    )
+    assert (
+        "kalman_cv:noise=declared asked for SIGMA, which a robot does not have"
+        in shown.err
+    )
     assert "2 notices in full: tables.txt" in shown.err
     doubts = " ".join(shown.out.partition("Doubts: ")[2].split())
     told = "12 usable tracks: too few to decide anything; 2 more: tables.txt. "
@@ -241,19 +301,21 @@ def test_what_a_reader_must_know_is_a_notice(csv_recording, tmp_path, ran):
 
 
 def test_what_is_said_of_a_file_is_the_same_from_a_config_and_in_the_identity(tmp_path):
-    (tmp_path / "c.toml").write_text(
-        f"""dataset = {str(tmp_path / "f.csv")!r}
+    (tmp_path / "c.toml").write_text(f"""dataset = {str(tmp_path / "f.csv")!r}
 columns = "t=time[ms],x=px[cm]"
 on_duplicate = "mean"
 crs = "degrees"
 drop_frozen = 3
-"""
-    )
+""")
     typed = settings_of(
         *("--dataset", tmp_path / "f.csv", "--columns", "t=time[ms],x=px[cm]"),
         *("--on-duplicate", "mean", "--crs", "degrees", "--drop-frozen", 3),
     )
     assert settings_of("--config", tmp_path / "c.toml") == typed
-    expected = {"columns": "t=time[ms],x=px[cm]", "on_duplicate": "mean", "crs": "degrees"}
+    expected = {
+        "columns": "t=time[ms],x=px[cm]",
+        "on_duplicate": "mean",
+        "crs": "degrees",
+    }
     assert asked_of_file(typed) == {**expected, "drop_frozen": 3.0}
     assert asked_of_file(settings_of()) == {}

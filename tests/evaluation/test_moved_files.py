@@ -32,8 +32,11 @@ def summary(path, **settings):
     """All metrics of a run of a recording."""
     whole = smoke(path, path.with_suffix(""), **settings)
     found = run(whole, progress=False, pictures=False).summary
-    # Of controls that see one number a track many joint matchings have the same total, to rounding.
-    has_many = found["consumer"].str.contains("control-") & (found["metric"] == "rank1_assigned")
+    # Of controls that see one number a track many joint matchings have the same total,
+    # to rounding.
+    has_many = found["consumer"].str.contains("control-") & (
+        found["metric"] == "rank1_assigned"
+    )
     found = found[~has_many]
     return found.drop(columns="dataset").set_index(KEYS[1:])
 
@@ -51,14 +54,22 @@ def ours(walks):
 
 @pytest.mark.parametrize(
     ("name", "how"),
-    [("near", {"shift_m": (3.7, -41.0)}), ("utm", {"shift_m": UTM_M}), ("clock", {"clock_s": 1e6})],
+    [
+        ("near", {"shift_m": (3.7, -41.0)}),
+        ("utm", {"shift_m": UTM_M}),
+        ("clock", {"clock_s": 1e6}),
+    ],
 )
-def test_a_file_in_another_place_or_on_another_clock_changes_no_metric(walks, ours, name, how):
+def test_a_file_in_another_place_or_on_another_clock_changes_no_metric(
+    walks, ours, name, how
+):
     folder, tracks = walks
     moved = summary(write(folder / f"{name}.csv", tracks, **how), **AXES)
     assert moved.index.equals(ours.index)
     for column in ("value", "ci_low", "ci_high", "n"):
-        assert np.allclose(moved[column], ours[column], rtol=1e-6, atol=1e-6, equal_nan=True)
+        assert np.allclose(
+            moved[column], ours[column], rtol=1e-6, atol=1e-6, equal_nan=True
+        )
 
 
 def moved_share(moved, ours):
@@ -73,7 +84,9 @@ def moved_share(moved, ours):
 @pytest.fixture(scope="module")
 def by_another_seed(walks, ours):
     folder, tracks = walks
-    return moved_share(summary(write(folder / "seed.csv", tracks), seed=1, **AXES), ours)
+    return moved_share(
+        summary(write(folder / "seed.csv", tracks), seed=1, **AXES), ours
+    )
 
 
 @pytest.mark.parametrize(("name", "matrix"), [("turned", TURN), ("mirrored", MIRROR)])

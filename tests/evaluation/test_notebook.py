@@ -12,11 +12,18 @@ import evaluation
 from evaluation.experiment.settings import Settings
 from isac_track import datasets
 
-nbclient = pytest.importorskip("nbclient", reason="nbclient is not installed: the extra `test`")
-nbformat = pytest.importorskip("nbformat", reason="nbformat is not installed: the extra `test`")
+nbclient = pytest.importorskip(
+    "nbclient", reason="nbclient is not installed: the extra `test`"
+)
+nbformat = pytest.importorskip(
+    "nbformat", reason="nbformat is not installed: the extra `test`"
+)
 pytest.importorskip("ipykernel", reason="ipykernel is not installed: the extra `test`")
 
-SMALL = 'preset="smoke", dataset="plaza", mechanisms=["raw", "fixed:1"], attacks=["savgol"], '
+SMALL = (
+    'preset="smoke", dataset="plaza", mechanisms=["raw", "fixed:1"],'
+    ' attacks=["savgol"], '
+)
 SMALL += 'predictors=["least_squares"], tasks=[], jobs=1, pictures=False'
 CELLS = [
     "import evaluation\nfrom isac_track import datasets",
@@ -36,7 +43,10 @@ def cells(tmp_path_factory):
     path = [f"import sys; sys.path.insert(0, {str(ROOT)!r})"]
     book.cells[0].source = "\n".join([*path, book.cells[0].source])
     client = nbclient.NotebookClient(
-        book, timeout=500, kernel_name="python3", resources={"metadata": {"path": str(folder)}}
+        book,
+        timeout=500,
+        kernel_name="python3",
+        resources={"metadata": {"path": str(folder)}},
     )
     client.execute()
     return [cell.outputs for cell in book.cells], folder
@@ -68,7 +78,10 @@ def test_results_show_as_the_first_table(cells):
     first, heads, *rows = shown.data["text/plain"].splitlines()
     assert first.startswith("<Results shown: plaza (simulated people), 40 scenes")
     assert "missed" in heads
-    assert [" ".join(row.split()[:2]) for row in rows][:2] == ["raw positions", "fixed noise,"]
+    assert [" ".join(row.split()[:2]) for row in rows][:2] == [
+        "raw positions",
+        "fixed noise,",
+    ]
 
 
 def test_a_data_set_and_its_tracks_are_a_line(cells):

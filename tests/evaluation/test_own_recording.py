@@ -5,7 +5,9 @@ import numpy as np
 from evaluation import matrix
 
 
-def test_what_was_made_of_a_recording_is_told_at_once_in_tables_and_on_the_page(tmp_path, capsys):
+def test_what_was_made_of_a_recording_is_told_at_once_in_tables_and_on_the_page(
+    tmp_path, capsys
+):
     """26 people at 1 m/s in mm, 5 of them for 30 s: with a gap, a split, a lost row, one alone."""
     people = [(name, 30.0 if name < 5 else 18.0) for name in range(26)]
     rows = [
@@ -21,7 +23,10 @@ def test_what_was_made_of_a_recording_is_told_at_once_in_tables_and_on_the_page(
     assert matrix.main([*map(str, words), "--verbose"]) == 0
     said = " ".join(capsys.readouterr().err.split())
     mended = "1 gap bridged, 1 track split at a long gap, 1 single sample dropped"
-    helps = f"the longest last {', '.join(['29.6'] * 4)} s; --set resample.min_duration_s=17.6"
+    helps = (
+        f"the longest last {', '.join(['29.6'] * 4)} s; --set"
+        " resample.min_duration_s=17.6"
+    )
     for text in (
         "walks.csv: positions in mm, as --unit says; converted to m",
         f"walks: {mended} and 22 tracks too short for a scene",

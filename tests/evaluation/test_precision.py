@@ -14,7 +14,12 @@ from isac_track.errors import SettingsError
 
 pytestmark = pytest.mark.usefixtures("cut_once")
 
-FEW = {"preset": "smoke", "dataset": "plaza", "mechanisms": ["raw", "fixed:1"], "attacks": []}
+FEW = {
+    "preset": "smoke",
+    "dataset": "plaza",
+    "mechanisms": ["raw", "fixed:1"],
+    "attacks": [],
+}
 LITTLE = FEW | {"predictors": ["constant_position"], "tasks": [], "jobs": 1}
 QUIET = {"progress": False, "pictures": False}
 

@@ -64,7 +64,9 @@ def test_flags_in_a_config(tmp_path):
     flags = ("persistent_ids", "fresh", "keep_scores")
     for value in (True, False):
         text = "\n".join(f"{name} = {str(value).lower()}" for name in flags)
-        assert [getattr(of_config(tmp_path, text), name) for name in flags] == [value] * 3
+        assert [getattr(of_config(tmp_path, text), name) for name in flags] == [
+            value
+        ] * 3
     assert of_config(tmp_path, "fresh = false", "--fresh").fresh
 
 
@@ -73,9 +75,18 @@ COMMANDS = {
         ("--executor", "dask", "--scheduler", "tcp://localhost"),
         "ends with its port",
     ),
-    "a port that is none": (("--executor", "dask", "--scheduler", "host:many"), "its port"),
-    "a port beyond all": (("--executor", "dask", "--scheduler", "host:65536"), "its port"),
-    "the port of nothing": (("--executor", "dask", "--scheduler", "tcp://host:0"), "its port"),
+    "a port that is none": (
+        ("--executor", "dask", "--scheduler", "host:many"),
+        "its port",
+    ),
+    "a port beyond all": (
+        ("--executor", "dask", "--scheduler", "host:65536"),
+        "its port",
+    ),
+    "the port of nothing": (
+        ("--executor", "dask", "--scheduler", "tcp://host:0"),
+        "its port",
+    ),
     "a thousand workers": (("--jobs", "1000"), "at most 256"),
     "linear adding under another law": (
         ("--mechanism", "fixed:0,law=fixed_direction"),
@@ -112,7 +123,12 @@ def test_a_limit_that_no_noise_meets_is_one_line(limit, tmp_path):
 
 def test_there_are_no_more_workers_than_works():
     few = Settings(
-        jobs=24, scenes=8, mechanisms=["raw", "clean"], predictors=[], attacks=[], tasks=[]
+        jobs=24,
+        scenes=8,
+        mechanisms=["raw", "clean"],
+        predictors=[],
+        attacks=[],
+        tasks=[],
     )
     crossed = axes(few)
     assert most_workers(crossed, few) == 2
@@ -123,14 +139,23 @@ LIMITS = {
     "memory": (MemoryError(), "not enough memory"),
     "calls": (RecursionError("maximum recursion depth exceeded"), "calls go deeper"),
     "threads": (RuntimeError("can't start new thread"), "ulimit -u"),
-    "processes": (BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable"), "ulimit -u"),
+    "processes": (
+        BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable"),
+        "ulimit -u",
+    ),
     "files": (OSError(errno.EMFILE, "Too many open files"), "ulimit -n"),
-    "files of all": (OSError(errno.ENFILE, "Too many open files in system"), "whole system"),
+    "files of all": (
+        OSError(errno.ENFILE, "Too many open files in system"),
+        "whole system",
+    ),
     "libraries": (
         ImportError("x.so: failed to map segment from shared object"),
         "not enough memory",
     ),
-    "memory of the system": (OSError(errno.ENOMEM, "Cannot allocate memory"), "not enough memory"),
+    "memory of the system": (
+        OSError(errno.ENOMEM, "Cannot allocate memory"),
+        "not enough memory",
+    ),
 }
 
 
@@ -150,13 +175,18 @@ def test_a_limit_of_the_machine_is_one_line(what, capsys):
 
 def test_a_library_without_place_that_another_error_hides_is_one_line(capsys):
     hidden = OSError("Could not find/load shared object file")  # as llvmlite says it
-    hidden.__context__ = OSError("libllvmlite.so: failed to map segment from shared object")
+    hidden.__context__ = OSError(
+        "libllvmlite.so: failed to map segment from shared object"
+    )
 
     def command():
         raise hidden
 
     assert exit_code(command) == 2
-    assert capsys.readouterr().err == "error: there is not enough memory to load what a run takes\n"
+    assert (
+        capsys.readouterr().err
+        == "error: there is not enough memory to load what a run takes\n"
+    )
 
 
 def test_another_error_of_the_program_stays_one():
@@ -203,7 +233,9 @@ def test_a_folder_of_ones_own_with_our_name_is_one_line(tmp_path):
     ended = run(tmp_path, *MATRIX, "--help")
     assert_refused(ended, "isac-track matrix", "attacks")
     ended = run(
-        tmp_path, "-c", "try:\n    import evaluation\nexcept ImportError as e:\n    print(e)"
+        tmp_path,
+        "-c",
+        "try:\n    import evaluation\nexcept ImportError as e:\n    print(e)",
     )
     assert "isac-track matrix" in ended.out
 
@@ -224,7 +256,10 @@ def test_a_program_without_words(tmp_path):
     code += "import evaluation\n"
     code += "axes = dict(tasks=[], attacks=[], predictors=[], mechanisms=['raw'])\n"
     code += "for sys.argv in (None, []):\n"
-    code += "    run = evaluation.run(preset='smoke', dataset='walks.csv', scenes=8, jobs=1,\n"
+    code += (
+        "    run = evaluation.run(preset='smoke', dataset='walks.csv', scenes=8,"
+        " jobs=1,\n"
+    )
     code += "        out=f'run{sys.argv}', pictures=False, progress=False, **axes)\n"
     code += "    print(len(run.summary) > 0)"
     assert run(tmp_path, "-c", code).out == "True\nTrue\n"

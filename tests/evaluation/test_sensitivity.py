@@ -23,7 +23,13 @@ from evaluation.verdict import sensitivity as held
 from evaluation.verdict.sensitivity import COLUMNS, attacks_of, folder_of, read_verdict
 from isac_track.errors import DataError, SettingsError
 
-NAMES = (BASE, "law=fixed_direction", "epsilon=1", "predictor=kalman_cv", "privacy.epsilon_m=0.4")
+NAMES = (
+    BASE,
+    "law=fixed_direction",
+    "epsilon=1",
+    "predictor=kalman_cv",
+    "privacy.epsilon_m=0.4",
+)
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +37,14 @@ def finished(tmp_path_factory):
     """A small run with every section of the verdict; kept as it is."""
     folder = tmp_path_factory.mktemp("finished")
     axes = {
-        "mechanisms": ("raw", "fixed:0.2", "fixed:1", "fid:1", "fid:1e5", "correlated:0.75"),
+        "mechanisms": (
+            "raw",
+            "fixed:0.2",
+            "fixed:1",
+            "fid:1",
+            "fid:1e5",
+            "correlated:0.75",
+        ),
         "predictors": ("least_squares", "kalman_cv"),
         "attacks": ("identity", "kalman_rts", "shape", "histogram"),
         "tasks": ("rerelease",),
@@ -52,7 +65,9 @@ def little(tmp_path_factory):
     """A run of few levels and scenes, for what happens beside the numbers; kept as it is."""
     folder = tmp_path_factory.mktemp("little")
     axes = {"mechanisms": ("raw", "fixed:0.2", "fixed:1"), "attacks": ("kalman_rts",)}
-    evaluation.run(smoke(write_walks(folder / "walks.csv"), folder / "run", **axes), pictures=False)
+    evaluation.run(
+        smoke(write_walks(folder / "walks.csv"), folder / "run", **axes), pictures=False
+    )
     return folder / "run"
 
 
@@ -66,14 +81,32 @@ def small(little, tmp_path):
 def tried(finished, tmp_path_factory):
     """The run after some of its variants."""
     folder = shutil.copytree(finished, tmp_path_factory.mktemp("tried") / "run")
-    assert main([str(folder), "--jobs=1", *(f"--variant={one}" for one in NAMES[:0:-1])]) == 0
+    assert (
+        main([str(folder), "--jobs=1", *(f"--variant={one}" for one in NAMES[:0:-1])])
+        == 0
+    )
     return folder
 
 
 def item(name, decision, sign, **more):
-    about = {"id": name, "section": name.partition("/")[0], "decision": decision, "sign": sign}
-    about |= {"adding": "linear", "descriptor": "plr", "task": "", "subject": "", "n": 40}
-    return about | {"effect": 0.5, "ci_low": 0.25, "ci_high": 0.75, "unit": "fraction"} | more
+    about = {
+        "id": name,
+        "section": name.partition("/")[0],
+        "decision": decision,
+        "sign": sign,
+    }
+    about |= {
+        "adding": "linear",
+        "descriptor": "plr",
+        "task": "",
+        "subject": "",
+        "n": 40,
+    }
+    return (
+        about
+        | {"effect": 0.5, "ci_low": 0.25, "ci_high": 0.75, "unit": "fraction"}
+        | more
+    )
 
 
 class TestNames:
@@ -102,7 +135,10 @@ class TestNames:
             ("ridge cap=15", "did you mean 'ridge cap=1.5'?"),
             ("isotropic", "did you mean 'law=isotropic'?"),
             ("qqqqqq", "--list names them"),
-            ("law=isotropc", "sensing.law must be one of radial, isotropic, fixed_direction"),
+            (
+                "law=isotropc",
+                "sensing.law must be one of radial, isotropic, fixed_direction",
+            ),
             ("epsilon=wide", "privacy.epsilon_m must be a number"),
             ("epsilon=", "has no value"),
             ("predictor=kalman_cw", "did you mean"),
@@ -120,10 +156,18 @@ class TestNames:
         assert names >= recordings | {"predictor=kalman_cv"}
         assert "predictor=least_squares" not in names
         manifest["dataset"]["name"] = "zara01"
-        manifest["settings"]["stages"] |= {"sensing.law": "isotropic", "privacy.epsilon_m": 0.5}
+        manifest["settings"]["stages"] |= {
+            "sensing.law": "isotropic",
+            "privacy.epsilon_m": 0.5,
+        }
         manifest["settings"]["predictors"] = ["kalman_cv"]
         names = {one.name for one in variants(manifest)}
-        gone = {"recording=zara01", "law=isotropic", "epsilon=0.5", "predictor=kalman_cv"}
+        gone = {
+            "recording=zara01",
+            "law=isotropic",
+            "epsilon=0.5",
+            "predictor=kalman_cv",
+        }
         assert names.isdisjoint(gone)
         assert {"base", "recording=students03", "predictor=least_squares"} <= names
         manifest["settings"]["predictors"] = []
@@ -151,7 +195,10 @@ class TestChanges:
         said = {"items": [item(name, *after, effect=-0.5)]}
         (row,) = held.changes("v", base=base, said=said)
         assert (row["id"], row["changed"]) == ("claim/a", change)
-        assert (row["decision_base"], row["sign_base"], row["effect_base"]) == (*before, 0.5)
+        assert (row["decision_base"], row["sign_base"], row["effect_base"]) == (
+            *before,
+            0.5,
+        )
         assert (row["decision"], row["sign"], row["effect"]) == (*after, effect)
 
     def test_are_counted_and_told_in_words(self):
@@ -165,10 +212,14 @@ class TestChanges:
             item("claim/a", "reversed", -1, effect=-0.25, ci_low=-0.5, ci_high=-0.125),
             item("claim/b", "between", 0),
         ]
-        found = held.changes("law=x", base={"items": before + same}, said={"items": after + same})
+        found = held.changes(
+            "law=x", base={"items": before + same}, said={"items": after + same}
+        )
         rows = pd.DataFrame(found, columns=list(COLUMNS))
         claim = {"not decided before and after": 1, "changed sign": 1, "lost": 1}
-        assert held.counts(rows) == {"law=x": {"claim": claim, "inflation": {"same": 1}}}
+        assert held.counts(rows) == {
+            "law=x": {"claim": claim, "inflation": {"same": 1}}
+        }
         told = "law=x: claim/a: holds (0.5) -> reversed (-0.25 [-0.5, -0.125])"
         assert turned(rows) == [told]
 
@@ -177,7 +228,9 @@ def settings(finished, name, *, manifest=None, out="nowhere", **more):
     """The settings of a variant of a run, and what is left out."""
     return settings_of(
         parse(name),
-        manifest=with_paths(finished, read_manifest(finished) if manifest is None else manifest),
+        manifest=with_paths(
+            finished, read_manifest(finished) if manifest is None else manifest
+        ),
         attacks=attacks_of(read_verdict(finished)["items"]),
         out=Path(out),
         **more,
@@ -185,7 +238,9 @@ def settings(finished, name, *, manifest=None, out="nowhere", **more):
 
 
 class TestSettings:
-    @pytest.mark.parametrize("name", [BASE, "law=isotropic", "epsilon=0.2", "ridge beam=4"])
+    @pytest.mark.parametrize(
+        "name", [BASE, "law=isotropic", "epsilon=0.2", "ridge beam=4"]
+    )
     def test_one_thing_is_changed(self, finished, name):
         ran = read_manifest(finished)["settings"]
         found, _ = settings(finished, name)
@@ -204,7 +259,12 @@ class TestSettings:
         self, finished, tmp_path
     ):
         found, left_out = settings(finished, "recording=plaza")
-        assert (found.dataset, found.format, found.fps, left_out) == ("plaza", None, None, ())
+        assert (found.dataset, found.format, found.fps, left_out) == (
+            "plaza",
+            None,
+            None,
+            (),
+        )
         write_walks(tmp_path / "few.csv", n_people=2)
         found, left_out = settings(finished, f"recording={tmp_path / 'few.csv'}")
         assert (found.tasks, found.attacks) == ((), ("kalman_rts",))
@@ -218,7 +278,9 @@ class TestSettings:
 
 
 class TestRun:
-    def test_the_table_holds_every_item_and_the_base_says_what_the_run_says(self, finished, tried):
+    def test_the_table_holds_every_item_and_the_base_says_what_the_run_says(
+        self, finished, tried
+    ):
         rows = pd.read_csv(tried / "sensitivity.csv")
         assert tuple(rows.columns) == COLUMNS
         assert tuple(dict.fromkeys(rows["variant"])) == NAMES
@@ -231,7 +293,9 @@ class TestRun:
         assert (base["changed"] == decided).all()
         assert np.array_equal(base["effect"], base["effect_base"], equal_nan=True)
 
-    def test_a_variant_is_the_run_that_its_settings_make(self, finished, tried, tmp_path):
+    def test_a_variant_is_the_run_that_its_settings_make(
+        self, finished, tried, tmp_path
+    ):
         asked, _ = settings(finished, "epsilon=1", out=tmp_path / "alone", jobs=1)
         evaluation.run(asked, pictures=False)
         for name in ("summary.csv", "verdict.json"):
@@ -240,7 +304,9 @@ class TestRun:
 
     def test_cells_that_the_run_has_are_not_computed_again(self, tried):
         def cells_of(folder):
-            return {path.name: path.read_bytes() for path in (folder / "cells").iterdir()}
+            return {
+                path.name: path.read_bytes() for path in (folder / "cells").iterdir()
+            }
 
         run = cells_of(tried)
         for name in (BASE, "predictor=kalman_cv"):
@@ -259,7 +325,9 @@ class TestRun:
         table = (tried / "sensitivity.csv").read_bytes()
         shown = ran(sensitivity, tried, "--jobs", "1", "--variant", "epsilon=1")
         assert shown.code == 0
-        assert {path.name: path.stat().st_mtime_ns for path in cells.iterdir()} == before
+        assert {
+            path.name: path.stat().st_mtime_ns for path in cells.iterdir()
+        } == before
         assert (tried / "sensitivity.csv").read_bytes() == table
         _, head, *lines = [line for line in shown.out.splitlines() if line]
         assert head.split() == ["variant", "validity", "within", "claim", "inflation"]
@@ -268,17 +336,28 @@ class TestRun:
             assert re.search(r"\d+ (same|not decided)", line)
         # The last sentence counts every item but the base's.
         others = pd.read_csv(tried / "sensitivity.csv").query("variant != 'base'")
-        said = re.search(r"\d+ items have the same decision.*", " ".join(shown.out.split()))[0]
-        counted = re.findall(r"(\d+) (?:items|not decided|changed sign|lost|gained|miss)", said)
+        said = re.search(
+            r"\d+ items have the same decision.*", " ".join(shown.out.split())
+        )[0]
+        counted = re.findall(
+            r"(\d+) (?:items|not decided|changed sign|lost|gained|miss)", said
+        )
         assert sum(map(int, counted)) == len(others)
 
     def test_the_run_itself_is_left_alone(self, finished, tried):
         def content(folder):
-            files = {path.relative_to(folder): path for path in folder.rglob("*") if path.is_file()}
+            files = {
+                path.relative_to(folder): path
+                for path in folder.rglob("*")
+                if path.is_file()
+            }
             return {name: path.read_bytes() for name, path in files.items()}
 
         after = content(tried).items() - content(finished).items()
-        assert {name.parts[0] for name, _ in after} == {"sensitivity", "sensitivity.csv"}
+        assert {name.parts[0] for name, _ in after} == {
+            "sensitivity",
+            "sensitivity.csv",
+        }
         assert content(finished).items() <= content(tried).items()
 
     def test_set_adds_to_what_runs(self, tried, ran):
@@ -291,12 +370,17 @@ class TestRun:
 
 
 class TestTable:
-    def test_variants_of_other_scenes_or_code_are_left_out_and_told(self, tried, tmp_path):
+    def test_variants_of_other_scenes_or_code_are_left_out_and_told(
+        self, tried, tmp_path
+    ):
         out = shutil.copytree(tried, tmp_path / "run")
         for name, change in (
             ("epsilon=1", lambda manifest: manifest.update(code="0")),
             ("law=fixed_direction", lambda manifest: manifest.update(state="running")),
-            ("predictor=kalman_cv", lambda manifest: manifest["identity"].update(scenes=8)),
+            (
+                "predictor=kalman_cv",
+                lambda manifest: manifest["identity"].update(scenes=8),
+            ),
         ):
             edit_manifest(folder_of(out, name), change)
         rows, left_out = held.collect(out)
@@ -328,9 +412,18 @@ class TestErrors:
     @pytest.mark.parametrize(
         ("text", "message"),
         [
-            (None, "{out}/verdict.json is missing; python -m evaluation.report {out} writes it"),
+            (
+                None,
+                (
+                    "{out}/verdict.json is missing; python -m evaluation.report {out}"
+                    " writes it"
+                ),
+            ),
             ('{"items": []}', "has no items"),
-            *((text, "verdict.json cannot be read") for text in ("{", "[]", '{"items": [1]}')),
+            *(
+                (text, "verdict.json cannot be read")
+                for text in ("{", "[]", '{"items": [1]}')
+            ),
         ],
     )
     def test_a_verdict_that_is_none(self, tmp_path, text, message):
@@ -356,13 +449,21 @@ class TestErrors:
         ],
     )
     def test_wrong_usage_is_one_line_and_nothing_is_run(self, out, ran, words, message):
-        assert_refused(ran(sensitivity, *(word.format(out=out) for word in words)), message)
+        assert_refused(
+            ran(sensitivity, *(word.format(out=out) for word in words)), message
+        )
         assert not (out / "sensitivity.csv").exists()
 
-    def test_a_variant_that_fails_is_told_and_the_rest_goes_on(self, small, ran, monkeypatch):
+    def test_a_variant_that_fails_is_told_and_the_rest_goes_on(
+        self, small, ran, monkeypatch
+    ):
         monkeypatch.setenv("ISAC_TRACK_DATA", str(small / "nothing"))
         monkeypatch.setenv("ISAC_TRACK_CACHE", str(small / "nothing"))
-        words = ["--scenes=8", "--variant=recording=zara01", "--variant=predictor=kalman_cv"]
+        words = [
+            "--scenes=8",
+            "--variant=recording=zara01",
+            "--variant=predictor=kalman_cv",
+        ]
         code, _, errors = ran(sensitivity, small, "--jobs=1", *words)
         assert code == 3
         assert "failed: recording=zara01: zara01: obsmat.txt not found" in errors
@@ -370,7 +471,9 @@ class TestErrors:
         rows = pd.read_csv(small / "sensitivity.csv")
         assert set(rows["variant"]) == {BASE, "predictor=kalman_cv"}
 
-    def test_a_variant_of_other_scenes_is_not_overwritten_unless_asked(self, small, ran):
+    def test_a_variant_of_other_scenes_is_not_overwritten_unless_asked(
+        self, small, ran
+    ):
         words = [sensitivity, small, "--jobs=1", "--variant=base", "--scenes"]
         assert ran(*words, 8).code == 0
         assert_refused(ran(*words, 10), "holds another run (scenes 8 -> 10)")
@@ -382,7 +485,9 @@ class TestErrors:
             raise KeyboardInterrupt
 
         monkeypatch.setattr(sensitivity, "check_interrupt", interrupted)
-        code, _, errors = ran(sensitivity, small, "--jobs=1", "--scenes=8", "--variant=base")
+        code, _, errors = ran(
+            sensitivity, small, "--jobs=1", "--scenes=8", "--variant=base"
+        )
         assert code == 130
         assert "the same command continues" in errors
         assert read_manifest(folder_of(small, BASE))["state"] == "finished"

@@ -29,26 +29,35 @@ LITTLE = {
     "stages": StageSettings().changed({"linkage.most_people": 60}),
     "jobs": 1,
 }
-COLUMNS = "question,recording,adding,law,seed,value,ci_low,ci_high,n,tau2,settings,distance_m"
+COLUMNS = (
+    "question,recording,adding,law,seed,value,ci_low,ci_high,n,tau2,settings,distance_m"
+)
 
 
 @pytest.fixture(scope="module")
 def answered(tmp_path_factory):
     out = tmp_path_factory.mktemp("study")
     asked = [
-        ("radial", Settings(**LITTLE, seed=seed, out=out / f"plaza-{seed}")) for seed in (0, 1)
+        ("radial", Settings(**LITTLE, seed=seed, out=out / f"plaza-{seed}"))
+        for seed in (0, 1)
     ]
     with without_pictures():
         return *answer(asked, out=out), out, asked
 
 
-def test_the_table_has_a_row_a_seed_and_their_mean_and_pools_nothing_simulated(answered):
+def test_the_table_has_a_row_a_seed_and_their_mean_and_pools_nothing_simulated(
+    answered,
+):
     _, n_failed, out, _ = answered
     table = pd.read_csv(out / "study.csv", dtype={"seed": str})
     assert n_failed == 0
     assert ",".join(table.columns) == COLUMNS
-    assert set(table["recording"]) == {"plaza"}  # never pooled: it is simulated, and one
-    told = table[(table["question"] == "left_after_attack") & (table["adding"] == "linear")]
+    assert set(table["recording"]) == {
+        "plaza"
+    }  # never pooled: it is simulated, and one
+    told = table[
+        (table["question"] == "left_after_attack") & (table["adding"] == "linear")
+    ]
     assert list(told["seed"]) == ["0", "1", "mean"]
     values = told.set_index("seed")["value"]
     assert values["mean"] == pytest.approx((values["0"] + values["1"]) / 2)
@@ -64,7 +73,9 @@ def test_future_conflicts_are_those_of_the_robot_3_s_ahead(answered):
     _, _, out, _ = answered
     table = pd.read_csv(out / "study.csv", dtype={"seed": str})
     asked = table["question"] == "robot_loses_future"
-    (row,) = table[asked & (table["adding"] == "linear") & (table["seed"] == "0")].itertuples()
+    (row,) = table[
+        asked & (table["adding"] == "linear") & (table["seed"] == "0")
+    ].itertuples()
     summary = pd.read_csv(out / "plaza-0" / "summary.csv")
     ahead = summary[
         (summary["dataset"] == "plaza:horizon=3s")
@@ -76,7 +87,9 @@ def test_future_conflicts_are_those_of_the_robot_3_s_ahead(answered):
 
 def test_who_has_fewer_than_100_candidates_is_compared_with_nobody(answered):
     of, _, out, _ = answered
-    (name,) = {one for one in pd.read_csv(out / "study.csv")["question"] if "linked" in one}
+    (name,) = {
+        one for one in pd.read_csv(out / "study.csv")["question"] if "linked" in one
+    }
     assert name == "people_linked_own_gallery"
     rows = [{**of[0].rows[0], "question": name, "recording": one} for one in "abcde"]
     rows[0] |= {"ci_low": math.nan, "ci_high": math.nan}
@@ -105,12 +118,21 @@ def test_what_is_finished_is_read_again(answered, capsys, monkeypatch):
 
 def test_what_fid_is_held_against_fixed_noise_by_is_no_other_mechanism(answered):
     _, _, out, _ = answered
-    of = {"section": "claim", "criterion": "missed", "of": "after-attack", "descriptor": "plr"}
+    of = {
+        "section": "claim",
+        "criterion": "missed",
+        "of": "after-attack",
+        "descriptor": "plr",
+    }
     of |= {"adding": "linear", "ci_low": 0.01, "ci_high": 0.03, "n": 50}
     items = [of | {"effect": 0.02}, of | {"effect": -0.4, "mechanism": "ou"}]
     folder = out / "plaza-0"
-    told = pooled.answers_of(folder, read_manifest(folder), {"items": items}, law="radial")
-    assert [one["value"] for one in told if one["question"] == "fid_against_fixed"] == [0.02]
+    told = pooled.answers_of(
+        folder, read_manifest(folder), {"items": items}, law="radial"
+    )
+    assert [one["value"] for one in told if one["question"] == "fid_against_fixed"] == [
+        0.02
+    ]
 
 
 @pytest.mark.parametrize(
@@ -127,7 +149,9 @@ def test_what_fid_is_held_against_fixed_noise_by_is_no_other_mechanism(answered)
     ],
 )
 def test_a_mistake_is_told_before_anything_runs(options, says, tmp_path, ran):
-    assert_refused(ran(study, *options, "--preset", "smoke", "--out", tmp_path / "study"), says)
+    assert_refused(
+        ran(study, *options, "--preset", "smoke", "--out", tmp_path / "study"), says
+    )
     assert not (tmp_path / "study").exists()
 
 

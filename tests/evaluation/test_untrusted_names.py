@@ -27,8 +27,10 @@ SLASH = "\N{DIVISION SLASH}"
 """Looks like the one that a file name cannot have."""
 SCRIPT = "<script>alert(1)</script>"
 ODD = (
-    SCRIPT + " a \"b\" 'c' & <i>d &lt; $(touch was-executed) `id`; touch was-executed -rf Zürich"
-    " \N{GRINNING FACE} \N{RIGHT-TO-LEFT OVERRIDE}x [red]x[/red] [/] \\[b] $_%&#{}~^\\input{x}"
+    SCRIPT
+    + " a \"b\" 'c' & <i>d &lt; $(touch was-executed) `id`; touch was-executed -rf"
+    " Zürich \N{GRINNING FACE} \N{RIGHT-TO-LEFT OVERRIDE}x [red]x[/red] [/] \\[b]"
+    " $_%&#{}~^\\input{x}"
 )
 
 
@@ -46,7 +48,14 @@ def write_csv(path, tracks, *, mark=""):
     return path
 
 
-def run(path, out, *, attacks=("moving_average", "shape"), tasks=("rerelease",), pictures=True):
+def run(
+    path,
+    out,
+    *,
+    attacks=("moving_average", "shape"),
+    tasks=("rerelease",),
+    pictures=True,
+):
     axes = {"mechanisms": ("raw", "fid:1"), "attacks": attacks, "tasks": tasks}
     return evaluation.run(smoke(path, out, scenes=4, **axes), pictures=pictures)
 
@@ -72,14 +81,18 @@ class TestOddNames:
     def test_no_tag_and_no_attribute_comes_from_a_name(self, odd, plain):
         name, results, _ = odd
         page, usual = (
-            Tags((of.out / "report.html").read_text(encoding="utf-8")) for of in (results, plain)
+            Tags((of.out / "report.html").read_text(encoding="utf-8"))
+            for of in (results, plain)
         )
         structure, expected = (
-            {(tag, *sorted(attributes)) for tag, attributes in one.found} for one in (page, usual)
+            {(tag, *sorted(attributes)) for tag, attributes in one.found}
+            for one in (page, usual)
         )
         assert structure == expected
         assert name in "".join(page.text)
-        values = [value for _, attributes in page.found for value in attributes.values()]
+        values = [
+            value for _, attributes in page.found for value in attributes.values()
+        ]
         assert not any(str(value).strip().startswith("javascript:") for value in values)
 
     def test_every_figure_is_well_formed_and_of_the_usual_parts(self, odd, plain):
@@ -103,14 +116,18 @@ class TestOddNames:
         )
         assert manifest["dataset"]["name"] == verdict["dataset"] == name
         # Of people, whose ids have it in this recording, nobody is named.
-        assert not any(name.replace(SLASH, "/") in group for group in manifest["groups"])
+        assert not any(
+            name.replace(SLASH, "/") in group for group in manifest["groups"]
+        )
 
     def test_nothing_of_latex_is_left_unescaped(self, odd):
         for path in (odd[1].out / "tables").glob("*.tex"):
             text = path.read_text(encoding="utf-8")
             assert "\\input{x}" not in text
             for line in text.splitlines():
-                assert not re.search(r"(?<!\\)[#^~]", re.sub(r"(?<!\\)%.*", "", line)), line
+                assert not re.search(
+                    r"(?<!\\)[#^~]", re.sub(r"(?<!\\)%.*", "", line)
+                ), line
 
     def test_the_terminal_shows_it_literally_and_no_name_reaches_a_shell(self, odd):
         name, results, shown = odd
@@ -149,7 +166,12 @@ class Evil:
     def predict(self, release, t_future): ...
     def fit(self, context): ...
 """
-PLANTED = ["evil_module:Evil", "evil_module:Evil:1", "os:system", "evil_package.inner:Evil"]
+PLANTED = [
+    "evil_module:Evil",
+    "evil_module:Evil:1",
+    "os:system",
+    "evil_package.inner:Evil",
+]
 
 
 @pytest.fixture
@@ -172,7 +194,9 @@ def replanted(value, spec):
         return {key: replanted(inner, spec) for key, inner in value.items()}
     if isinstance(value, list):
         return [replanted(inner, spec) for inner in value]
-    is_spec = isinstance(value, str) and re.match(r"(fid|fixed|raw|least_|moving_|shape)", value)
+    is_spec = isinstance(value, str) and re.match(
+        r"(fid|fixed|raw|least_|moving_|shape)", value
+    )
     return spec if is_spec else value
 
 
@@ -203,7 +227,9 @@ class TestNothingIsImportedFromAFile:
         ("spec", "only_settings"),
         [("evil_module:Evil:1", False), ("evil_package.inner:Evil", True)],
     )
-    def test_commands_import_nothing(self, planted, evil, spec, only_settings, plain, capsys):
+    def test_commands_import_nothing(
+        self, planted, evil, spec, only_settings, plain, capsys
+    ):
         out = str(planted(spec, only_settings=only_settings))
         codes = [
             report.main([out]),

@@ -10,7 +10,15 @@ from datetime import timedelta
 import numpy as np
 import pyarrow as pa
 import pytest
-from helpers.recordings import CORPUS, TEXT, assert_told, packed, read_walk, refusal, written
+from helpers.recordings import (
+    CORPUS,
+    TEXT,
+    assert_told,
+    packed,
+    read_walk,
+    refusal,
+    written,
+)
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -18,7 +26,9 @@ from isac_track.datasets import FORMATS
 from isac_track.errors import IsacTrackError
 
 VALID = {name: [(CORPUS / f"walks.{name}").read_bytes()] for name in TEXT}
-VALID["parquet"] = [(CORPUS / f"{name}.parquet").read_bytes() for name in ("text", "number")]
+VALID["parquet"] = [
+    (CORPUS / f"{name}.parquet").read_bytes() for name in ("text", "number")
+]
 ALL = [data for some in VALID.values() for data in some]
 TEXTS = st.text(max_size=100).map(str.encode)
 FPS = st.sampled_from([None, 25.0, 1e-3, 1e6, 0.0, -1.0, float("nan"), float("inf")])
@@ -39,12 +49,29 @@ def check(data, format_name, fps):
 
 FRAGMENTS = [
     *(bytes([code]) for code in b",;:#\t \n\r\"'{[]}.-+_\0\x1c\xff"),
-    *(b"\xef\xbb\xbf", b"\xc2\xa0", b"\xe2\x80\xa8", b"\xd9\xa1", b"\n\n", b'"\n', b"PAR1"),
+    *(
+        b"\xef\xbb\xbf",
+        b"\xc2\xa0",
+        b"\xe2\x80\xa8",
+        b"\xd9\xa1",
+        b"\n\n",
+        b'"\n',
+        b"PAR1",
+    ),
     *(b"\xf0\x9f\x98\x80", b"\xed\xa0\x80", b"\x85", b"\x1f\x8b", b"PK\x03\x04"),
 ]
 NUMBERS = [
-    *b"nan NaN inf -Infinity null true 1e999 1e308 -1e308 1e300 5e-324 -1 -0.0 0x1 1,5 1_0".split(),
-    *(b"", b"9" * 19, b"9" * 400, b"9" * 5000, b"-9007199254740993", b"1" + b"0" * 12, b"0.5"),
+    *b"nan NaN inf -Infinity null true 1e999 1e308 -1e308 1e300 5e-324 -1 -0.0 0x1"
+    b" 1,5 1_0".split(),
+    *(
+        b"",
+        b"9" * 19,
+        b"9" * 400,
+        b"9" * 5000,
+        b"-9007199254740993",
+        b"1" + b"0" * 12,
+        b"0.5",
+    ),
     *(b"x" * 100_000, b'"' + b"a" * 300 + b'"', "\u0661".encode(), b"[" * 3000),
 ]
 
@@ -56,7 +83,9 @@ def edited(draw, valid):
     for _ in range(draw(st.integers(1, 6))):
         first, last = sorted(draw(st.tuples(*[st.integers(0, len(data))] * 2)))
         new = (
-            st.sampled_from(FRAGMENTS + NUMBERS) | st.binary(max_size=1) | st.just(data[first:last])
+            st.sampled_from(FRAGMENTS + NUMBERS)
+            | st.binary(max_size=1)
+            | st.just(data[first:last])
         )
         data = data[:first] + draw(new) + data[first + draw(st.integers(0, 8)) :]
     return data
@@ -67,14 +96,20 @@ def rewritten(draw, valid):
     """Give a valid text file with lines out of order or fields replaced, ended in some way."""
     lines = draw(st.sampled_from(valid)).splitlines()
     separator = b"," if b"," in lines[0] else b" "
-    lines = [lines[n] for n in draw(st.lists(st.integers(0, len(lines) - 1), max_size=8))] or lines
+    lines = [
+        lines[n] for n in draw(st.lists(st.integers(0, len(lines) - 1), max_size=8))
+    ] or lines
     for _ in range(draw(st.integers(0, 4))):
         row = draw(st.integers(0, len(lines) - 1))
         fields = lines[row].split(separator)
-        fields[draw(st.integers(0, len(fields) - 1))] = draw(st.sampled_from(NUMBERS + FRAGMENTS))
+        fields[draw(st.integers(0, len(fields) - 1))] = draw(
+            st.sampled_from(NUMBERS + FRAGMENTS)
+        )
         lines[row] = separator.join(fields)
     if draw(st.integers(0, 9)) == 0:
-        lines = [separator.join([line] * 2000) for line in lines]  # thousands of columns
+        lines = [
+            separator.join([line] * 2000) for line in lines
+        ]  # thousands of columns
     mark = draw(st.sampled_from([b"", b"", b"\xef\xbb\xbf", b"\xff\xfe"]))
     end = draw(st.sampled_from([b"\n", b"\r\n", b"\r", b"\n\n", b" \n"]))
     return mark + end.join(lines) + draw(st.sampled_from([b"", end]))
@@ -85,7 +120,9 @@ def rewritten(draw, valid):
 @given(data=st.data(), fps=FPS)
 def test_edited_bytes_or_lines(format_name, data, fps):
     ways = [edited, rewritten] if format_name in TEXT else [edited]
-    check(data.draw(st.one_of(way(VALID[format_name]) for way in ways)), format_name, fps)
+    check(
+        data.draw(st.one_of(way(VALID[format_name]) for way in ways)), format_name, fps
+    )
 
 
 @pytest.mark.parametrize("format_name", FORMATS)
@@ -103,7 +140,9 @@ def test_any_bytes(format_name, data, fps):
 @pytest.mark.parametrize("name", ["a\x1b[2Jb", "a\x85b"])
 def test_the_name_of_a_column_does_not_steer_the_terminal_and_lines_may_be_long(name):
     long = "a" * 600_000  # more than a block of arrow
-    _, (note,) = read_walk(f"t,id,x,y,{name}\n0,1,0,0,1\n0.4,1,0.4,0,{long}\n".encode(), "csv")
+    _, (note,) = read_walk(
+        f"t,id,x,y,{name}\n0,1,0,0,1\n0.4,1,0.4,0,{long}\n".encode(), "csv"
+    )
     assert note.detail.isprintable()
 
 
@@ -129,8 +168,12 @@ class TestMemory:
         ],
         ids=["rows", "a long id", "a long text for a number"],
     )  # fmt: skip
-    def test_a_small_parquet_file_that_claims_much_is_not_unpacked(self, columns, message):
-        data = packed(**{"x": np.zeros(100), "y": np.zeros(100), **columns}, compression="zstd")
+    def test_a_small_parquet_file_that_claims_much_is_not_unpacked(
+        self, columns, message
+    ):
+        data = packed(
+            **{"x": np.zeros(100), "y": np.zeros(100), **columns}, compression="zstd"
+        )
         assert len(data) < 400_000
         with arrow_pool() as pool:
             assert message in refusal(data, "parquet")
@@ -147,7 +190,9 @@ def recording(format_name):
 
 def peak_bytes(data, format_name, fps=25.0):
     """What Python and arrow held at most, beside the file itself."""
-    check(VALID[format_name][0], format_name, None if format_name == "csv" else 25.0)  # imports
+    check(
+        VALID[format_name][0], format_name, None if format_name == "csv" else 25.0
+    )  # imports
     tracemalloc.start()
     try:
         with arrow_pool() as pool:

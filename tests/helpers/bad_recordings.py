@@ -6,12 +6,16 @@ GAN = b"0 1 0.0 0.0\n10 1 0.4 0.0\n"
 CSV = b"t,id,x,y\n0.0,1,0.0,0.0\n0.4,1,0.4,0.0\n"
 TRACK = b'{"track": {"f": 0, "p": 1, "x": 0.0, "y": 0.0}}\n'
 LATER = b'{"track": {"f": 10, "p": 1, "x": 0.4, "y": 0.0}}\n'
-SWAPPED = b"".join(b"%d %d %d 0\n" % (f, i, 9 * i + f / 25) for f in (0, 1, 2) for i in (1, 2, 3))
+SWAPPED = b"".join(
+    b"%d %d %d 0\n" % (f, i, 9 * i + f / 25) for f in (0, 1, 2) for i in (1, 2, 3)
+)
 NOTES = b"\xef\xbb\xbf# one\r\n\r\n  \r\n0 1 0 0 # four\r\n# five\r\n10 1 nan 0\r\n"
 
 
 def table(**changes):
-    return packed(**{"t": [0.0, 0.4], "id": [1, 1], "x": [0.0, 0.4], "y": [0.0, 0.0], **changes})
+    return packed(
+        **{"t": [0.0, 0.4], "id": [1, 1], "x": [0.0, 0.4], "y": [0.0, 0.0], **changes}
+    )
 
 
 # A third member is the frame rate; otherwise it is 25 where frames are counted.
@@ -68,7 +72,8 @@ BAD = {
         (b'{"track": {"f": 0, "p": 1, "x": 1}}\n', "f, line 1: y is missing"),
         (TRACK.replace(b"1,", b'"a",'), 'f, line 1: p is "a", not a number'),
         (TRACK.replace(b"1,", b"9" * 999 + b","), "f, line 1: p is out of range"),
-        (TRACK.replace(b"1,", b"9" * 9999 + b","), "line 1"),  # more digits than Python reads
+        # more digits than Python reads
+        (TRACK.replace(b"1,", b"9" * 9999 + b","), "line 1"),
         (b"[" * 100_000, "f, line 1: too deeply nested"),
         (TRACK.replace(b"}}", b', "prediction_number": 0}}'),
          "f, line 1: prediction_number marks a forecast"),

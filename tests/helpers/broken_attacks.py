@@ -1,7 +1,8 @@
 """Plausible mistakes, each of which exactly one check of the attack kit must catch.
 
-A broken attack is the honest `Base` with one step replaced by a function; which step is said by
-what the function takes (`planting`). The decorator names the check and a piece of its message.
+A broken attack is the honest `Base` with one step replaced by a function; which step is
+said by what the function takes (`planting`). The decorator names the check and a piece
+of its message.
 """
 
 from __future__ import annotations
@@ -53,15 +54,17 @@ class Jitters(Base):
 def planting(base, steps):
     """Return how to make broken classes, how to list them, and the list.
 
-    A broken class is `base` with one step replaced by a function, called as that is; `steps` says
-    which by the first argument of the function. Of `fit`, one that returns nothing only prepares:
-    the rest is the honest fit. What is listed is (class, the one check that it fails, part of the
-    message with `.*` for anything).
+    A broken class is `base` with one step replaced by a function, called as that is;
+    `steps` says which by the first argument of the function. Of `fit`, one that returns
+    nothing only prepares: the rest is the honest fit. What is listed is (class, the one
+    check that it fails, part of the message with `.*` for anything).
     """
     listed = []
 
     def make(function, **attributes):
-        step = steps[next(iter(inspect.signature(function).parameters)).removeprefix("_")]
+        step = steps[
+            next(iter(inspect.signature(function).parameters)).removeprefix("_")
+        ]
 
         def fit(self, context):
             return function(context) or super(made, self).fit(context)
@@ -82,7 +85,9 @@ def planting(base, steps):
     return make, fails, listed
 
 
-attack, fails, BROKEN = planting(Base, {"track": "track", "release": "positions", "context": "fit"})
+attack, fails, BROKEN = planting(
+    Base, {"track": "track", "release": "positions", "context": "fit"}
+)
 
 
 def halfway_back(xy):
@@ -109,13 +114,21 @@ def in_place(release):
     return release.xy
 
 
-@fails("only_granted_knowledge_is_touched", "(granted nothing), .* MECHANISM was", uses=MECHANISM)
+@fails(
+    "only_granted_knowledge_is_touched",
+    "(granted nothing), .* MECHANISM was",
+    uses=MECHANISM,
+)
 def never_looks(context):
     """A blind adversary grants it nothing, yet it reads what it only `uses`."""
     assert context.mechanism.d_sigma >= 0
 
 
-@fails("only_granted_knowledge_is_touched", "without SIGMA, release.sigma is None", uses=SIGMA)
+@fails(
+    "only_granted_knowledge_is_touched",
+    "without SIGMA, release.sigma is None",
+    uses=SIGMA,
+)
 def takes_sigma(release):
     return release.xy * (release.sigma * 0.0 + 1.0)[:, None]
 
@@ -142,7 +155,10 @@ def one_frame_for_all(context):
 def first_by_name(release):
     first = min(release.pseudonym)
     return np.concatenate(
-        [one.xy if one.pseudonym[0] == first else halfway_back(one.xy) for one in release]
+        [
+            one.xy if one.pseudonym[0] == first else halfway_back(one.xy)
+            for one in release
+        ]
     )
 
 
@@ -178,7 +194,9 @@ def counts_calls(_context):
 def keeps_by_name(_context):
     """Answers pseudonyms that it has seen from a cache."""
     known = {}
-    return lambda release: known.setdefault(release.pseudonym, Reconstruction(release.xy))
+    return lambda release: known.setdefault(
+        release.pseudonym, Reconstruction(release.xy)
+    )
 
 
 def truth_called(name, check="null_stays_at_chance"):
@@ -220,7 +238,9 @@ def steps_aside(track):
 @fails("success_falls_with_noise", "expected a fall of more than")
 def gives_up_in_between(release):
     """Takes noise of a few decimetres for a person who stands still."""
-    std = np.sqrt(innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets))
+    std = np.sqrt(
+        innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets)
+    )
     return np.concatenate(
         [
             track.xy * 0 + track.xy.mean(axis=0) if 0.25 < noise < 0.6 else track.xy

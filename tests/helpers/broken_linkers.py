@@ -1,7 +1,7 @@
 """Honest linkers, and plausible mistakes, each for exactly one check of the attack kit.
 
-A broken linker is the honest `Base` with one step replaced by a function; which step is said by
-what the function takes, as in `helpers.broken_attacks`.
+A broken linker is the honest `Base` with one step replaced by a function; which step is
+said by what the function takes, as in `helpers.broken_attacks`.
 """
 
 from __future__ import annotations
@@ -73,7 +73,9 @@ class ContinuesWhereShown(Base):
     uses = frozenset({Knowledge.SCENE})
 
     def fit(self, context):
-        return (Kinematic() if Knowledge.SCENE in context.granted else BASE).fit(context)
+        return (Kinematic() if Knowledge.SCENE in context.granted else BASE).fit(
+            context
+        )
 
 
 class Tiny(Base):
@@ -99,7 +101,11 @@ def listing(probe, gallery):
     return BASE.link(probe, gallery).tolist()
 
 
-@fails("inputs_are_not_mutated", "as informed (granted TRAIN), .* context.train.mate", uses=TRAIN)
+@fails(
+    "inputs_are_not_mutated",
+    "as informed (granted TRAIN), .* context.train.mate",
+    uses=TRAIN,
+)
 def crosses_out(context):
     """Marks the training pairs that it has learnt from."""
     if Knowledge.TRAIN in context.granted:
@@ -134,7 +140,9 @@ def same_frame_for_both(probe, gallery):
 @fails("pseudonyms_do_not_matter", "other pseudonyms: scores differ by")
 def same_name(probe, gallery):
     """Trusts that nobody changes their pseudonym."""
-    same = np.array([[one == other for other in gallery.pseudonym] for one in probe.pseudonym])
+    same = np.array(
+        [[one == other for other in gallery.pseudonym] for one in probe.pseudonym]
+    )
     return BASE.link(probe, gallery) + 0.1 * same
 
 

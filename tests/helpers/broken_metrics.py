@@ -1,7 +1,7 @@
 """Plausible mistakes, each of which one check of the metric suite must catch by name.
 
-Most are the right function with one word changed: how samples leak (`LEAKS`), how segments become
-one duration (`duration`), or what is divided by what.
+Most are the right function with one word changed: how samples leak (`LEAKS`), how
+segments become one duration (`duration`), or what is divided by what.
 """
 
 from __future__ import annotations
@@ -18,15 +18,21 @@ LEAKS = {
     "or_equal": lambda error, epsilon_m: np.hypot(*error.T) <= epsilon_m,
     "per_axis": lambda error, epsilon_m: np.abs(error).max(axis=1) < epsilon_m,
     "squared": lambda error, epsilon_m: (error**2).sum(axis=1) < epsilon_m,
-    "in_a_ring": lambda error, epsilon_m: np.abs(np.hypot(*error.T) / epsilon_m - 0.75) < 0.25,
+    "in_a_ring": lambda error, epsilon_m: (
+        np.abs(np.hypot(*error.T) / epsilon_m - 0.75) < 0.25
+    ),
 }
 
 
 def plr(leaks="strictly", share=np.mean):
-    return lambda shared_xy, true_xy, epsilon_m: share(LEAKS[leaks](shared_xy - true_xy, epsilon_m))
+    return lambda shared_xy, true_xy, epsilon_m: share(
+        LEAKS[leaks](shared_xy - true_xy, epsilon_m)
+    )
 
 
-def duration(combine, *, leaks="strictly", change=np.asarray, lasting=oracles.own_s, nothing=0.0):
+def duration(
+    combine, *, leaks="strictly", change=np.asarray, lasting=oracles.own_s, nothing=0.0
+):
     """Return AEL if `combine` is the mean, MEL if it is max; it is given s per segment."""
 
     def descriptor(shared_xy, true_xy, t, epsilon_m):
@@ -62,7 +68,9 @@ def elapsed(combine):
     """Return the time from the first sample of a segment to its last."""
 
     def descriptor(shared_xy, true_xy, t, epsilon_m):
-        padded = np.r_[False, LEAKS["strictly"](shared_xy - true_xy, epsilon_m), False].astype(int)
+        padded = np.r_[
+            False, LEAKS["strictly"](shared_xy - true_xy, epsilon_m), False
+        ].astype(int)
         first, behind = (np.flatnonzero(np.diff(padded) == sign) for sign in (1, -1))
         return combine(t[behind - 1] - t[first]) if first.size else 0.0
 
@@ -109,7 +117,10 @@ def grid_divides_by_the_window(t, window, steps):
 def path(start, destination, speed_mps, elapsed_s, *, waits, begins):
     way, length_m = destination - start, np.linalg.norm(destination - start)
     walked_m = speed_mps * elapsed_s[:, None]
-    return begins * start + np.minimum(walked_m, length_m if waits else np.inf) * way / length_m
+    return (
+        begins * start
+        + np.minimum(walked_m, length_m if waits else np.inf) * way / length_m
+    )
 
 
 def nearest(robot, agents):
@@ -122,7 +133,9 @@ def among(decisions, *, otherwise=nan):
 
 def fid(extra, *, acts=np.greater):
     """Return a rule with `extra` in units of alpha, from rho and beta, where it acts."""
-    return lambda fid, eta, alpha, beta: np.where(acts(fid, eta), alpha * extra(fid / eta, beta), 0)
+    return lambda fid, eta, alpha, beta: np.where(
+        acts(fid, eta), alpha * extra(fid / eta, beta), 0
+    )
 
 
 def past(rho):
@@ -141,17 +154,34 @@ BROKEN = {
         (plr("squared"), "plr_matches_brute_force", "plr_radial_gaussian"),
         (plr("in_a_ring"), "plr_monotone_in_epsilon"),
         (plr(share=lambda leaked: 100 * leaked.mean()), "plr_all_and_none_leaked"),
-        (plr(share=lambda leaked: leaked.sum() / max(leaked.size - 1, 1)), "plr_hand_examples"),
-        (plr(share=lambda leaked: among(leaked[leaked.size < 2 :])), "plr_single_sample"),
-        (plr(share=lambda leaked: np.r_[leaked, leaked[:1]].mean()), "plr_time_reversal"),
+        (
+            plr(share=lambda leaked: leaked.sum() / max(leaked.size - 1, 1)),
+            "plr_hand_examples",
+        ),
+        (
+            plr(share=lambda leaked: among(leaked[leaked.size < 2 :])),
+            "plr_single_sample",
+        ),
+        (
+            plr(share=lambda leaked: np.r_[leaked, leaked[:1]].mean()),
+            "plr_time_reversal",
+        ),
     ],
     "ael_s": [
         (ael(leaks="or_equal"), "ael_boundary_is_strict"),
         (duration(np.median), "ael_of_independent_samples", "ael_matches_brute_force"),
         (mel(), "ael_may_fall_as_epsilon_grows"),
         (elapsed(np.mean), "ael_hand_examples"),
-        (ael(lasting=LASTING["mean"]), "ael_irregular_sampling", "ael_matches_brute_force"),
-        (ael(lasting=LASTING["after"]), "ael_irregular_sampling", "ael_rigid_motion_and_clock"),
+        (
+            ael(lasting=LASTING["mean"]),
+            "ael_irregular_sampling",
+            "ael_matches_brute_force",
+        ),
+        (
+            ael(lasting=LASTING["after"]),
+            "ael_irregular_sampling",
+            "ael_rigid_motion_and_clock",
+        ),
         (ael(nothing=nan), "ael_all_and_none_leaked"),
         (LOSES_FIRST, "ael_segment_at_either_end", "ael_rigid_motion_and_clock"),
         (ael(lasting=LASTING["zero_for_one"]), "ael_single_sample"),
@@ -159,9 +189,18 @@ BROKEN = {
     "mel_s": [
         (mel(leaks="or_equal"), "mel_boundary_is_strict"),
         (duration(sum), "mel_hand_examples", "mel_of_independent_samples"),
-        (LOSES_LAST, "mel_segment_at_either_end", "mel_monotone_in_epsilon", "mel_is_at_least_ael"),
+        (
+            LOSES_LAST,
+            "mel_segment_at_either_end",
+            "mel_monotone_in_epsilon",
+            "mel_is_at_least_ael",
+        ),
         (mel(lasting=LASTING["first"]), "mel_irregular_sampling"),
-        (mel(lasting=LASTING["mean"]), "mel_irregular_sampling", "mel_matches_brute_force"),
+        (
+            mel(lasting=LASTING["mean"]),
+            "mel_irregular_sampling",
+            "mel_matches_brute_force",
+        ),
         (elapsed(max), "mel_is_zero_exactly_when_plr_is"),
         (mel(lasting=LASTING["span_over_samples"]), "mel_all_and_none_leaked"),
         (mel(lasting=LASTING["zero_for_one"]), "mel_single_sample"),
@@ -188,13 +227,18 @@ BROKEN = {
         (lambda r, a: nearest(r[0], a[0]), "separation_symmetries"),
         (lambda r, a: nearest(r[:, 0], a[:, 0]), "separation_matches_brute_force"),
     ],
-    "is_conflict": [(lambda gap_m, radius_m: gap_m <= radius_m, "conflict_boundary_is_strict")],
+    "is_conflict": [
+        (lambda gap_m, radius_m: gap_m <= radius_m, "conflict_boundary_is_strict")
+    ],
     "missed_conflict_rate": [
         (lambda c, p: (c & ~p).mean() if c.any() else nan, "missed_rate_hand_examples"),
         (lambda c, p: among(p[c]), "missed_rate_matches_brute_force"),
     ],
     "false_alarm_rate": [
-        (lambda c, p: nan if c.all() else among(~c[p]), "false_alarm_rate_matches_brute_force"),
+        (
+            lambda c, p: nan if c.all() else among(~c[p]),
+            "false_alarm_rate_matches_brute_force",
+        ),
         (lambda c, p: among(p[~c], otherwise=0), "false_alarm_rate_hand_examples"),
     ],
     "distance_mae_m": [
@@ -202,7 +246,10 @@ BROKEN = {
         (lambda a, b: among((b - a) ** 2) ** 0.5, "distance_mae_matches_brute_force"),
     ],
     "fid_d_sigma": [
-        (fid(lambda rho, b: b - past(rho), acts=np.greater_equal), "fid_rule_hand_examples"),
+        (
+            fid(lambda rho, b: b - past(rho), acts=np.greater_equal),
+            "fid_rule_hand_examples",
+        ),
         (fid(lambda rho, b: b - np.exp(-rho)), "fid_rule_matches_brute_force"),
         (fid(lambda rho, b: b - 1 + past(rho)), "fid_rule_monotone"),
     ],

@@ -40,7 +40,9 @@ def plugin(function):
     base, method = (Noise, "share") if "sensed" in takes else (Stand, "predict")
     if function.__code__.co_argcount == 1:
         method = "track"
-    return type(function.__name__, (base,), {method: lambda _, *given: function(*given)})()
+    return type(
+        function.__name__, (base,), {method: lambda _, *given: function(*given)}
+    )()
 
 
 BROKEN = []
@@ -82,7 +84,10 @@ def writes(sensed, rng):
 
 @fails("same_rng_same_release", "draw from the rng that is given")
 def own_dice(sensed, rng):
-    release, again = NOISE.share(sensed, rng), NOISE.share(sensed, np.random.default_rng())
+    release, again = (
+        NOISE.share(sensed, rng),
+        NOISE.share(sensed, np.random.default_rng()),
+    )
     return replace(release, xy=again.xy)
 
 
@@ -108,7 +113,10 @@ def needs_two(sensed, rng):
     return NOISE.share(sensed, rng)
 
 
-@fails("order_of_sensed_tracks_does_not_matter", "in another order: t, xy or sigma differ by")
+@fails(
+    "order_of_sensed_tracks_does_not_matter",
+    "in another order: t, xy or sigma differ by",
+)
 def by_number(sensed, rng):
     number = np.repeat(np.arange(len(sensed)), np.diff(sensed.offsets))
     return perturb(sensed, 0.1 * number, rng, adding="independent")

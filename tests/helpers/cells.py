@@ -29,7 +29,9 @@ EPSILON_M = STAGES.privacy.epsilon_m
 
 def plugin(instance, name="spy"):
     """A plug-in of one's own."""
-    return Plugin(name=name, level=None, spec=name, origin=f"here:{name}", instance=instance)
+    return Plugin(
+        name=name, level=None, spec=name, origin=f"here:{name}", instance=instance
+    )
 
 
 def parsed(kind, one, name="mine"):
@@ -82,7 +84,9 @@ class World:
         own = {"settings": stages, "seed": seed}
         self.tracks = cut(tracks, **own)
         n_tracks, agents = len(self.tracks), stages.scenes.agents
-        self.order = track_order(n_tracks=n_tracks, n_scenes=n_scenes, agents=agents, seed=seed)
+        self.order = track_order(
+            n_tracks=n_tracks, n_scenes=n_scenes, agents=agents, seed=seed
+        )
         self.scenes = make_scenes(self.tracks, order=self.order, first=0, **own)
         self.sensed = sense_scenes(self.scenes, settings=stages.sensing, seed=seed)
         self.release = self.share(mechanism)
@@ -99,7 +103,9 @@ class World:
     def samples(self, fold):
         """Their samples."""
         offsets = self.scenes.offsets
-        return np.concatenate([np.arange(*offsets[row : row + 2]) for row in self.rows(fold)])
+        return np.concatenate(
+            [np.arange(*offsets[row : row + 2]) for row in self.rows(fold)]
+        )
 
     def attacked(self, *, repeats=False):
         """What all attacks on it share."""
@@ -114,7 +120,9 @@ class World:
 
     def cells(self, mechanisms, consumers, *, size=None):
         """Yield mechanism, consumer and rows of every cell, block by block."""
-        levels = tuple((parsed("mechanisms", one), tuple(consumers)) for one in mechanisms)
+        levels = tuple(
+            (parsed("mechanisms", one), tuple(consumers)) for one in mechanisms
+        )
         size = size or len(self.order)
         for number, first in enumerate(range(0, len(self.order), size)):
             block = Block(number, first, self.order[first : first + size], levels)
@@ -152,7 +160,11 @@ def linked(sessions, by, *links, controls=False, seed=0, stages=STAGES):
     task = sessions.task
     level = linked_level(parsed("mechanisms", by), _sensed(sessions, seed, stages))
     links = [
-        one if isinstance(one, Consumer) else Consumer("linkage", parsed("attacks", one, "spy"))
+        (
+            one
+            if isinstance(one, Consumer)
+            else Consumer("linkage", parsed("attacks", one, "spy"))
+        )
         for one in links
     ]
     crossed = Axes((), (), (), links=tuple((task, one) for one in links))

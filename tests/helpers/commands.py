@@ -16,9 +16,20 @@ _UNDRAWN = "import sys; from evaluation import matrix, results; "
 _UNDRAWN += "results._draw = lambda *_, **__: None; sys.exit(matrix.main())"
 UNDRAWN = ("-c", _UNDRAWN)
 """The matrix, but for pictures: they take most of the time of a small run."""
-FEW = ("--preset", "smoke", "--predictor", "least_squares", "--attack", "none", "--task", "none")
+FEW = (
+    "--preset",
+    "smoke",
+    "--predictor",
+    "least_squares",
+    "--attack",
+    "none",
+    "--task",
+    "none",
+)
 FEW += ("--mechanism", "raw", "--mechanism", "fixed:0.7")
-FEW += ("--keep-ids",)  # Pseudonyms are others in another folder: bytes could not be compared.
+FEW += (
+    "--keep-ids",
+)  # Pseudonyms are others in another folder: bytes could not be compared.
 
 
 class Ended(NamedTuple):
@@ -30,7 +41,11 @@ class Ended(NamedTuple):
 def start(folder, *words, changed=(), **process):
     """Start this Python in a folder; what is `changed` in its environment to None is taken out."""
     environment = os.environ | {"PYTHONPATH": f"{ROOT}:{TESTS}"} | dict(changed)
-    pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    pipes = {
+        "stdin": subprocess.DEVNULL,
+        "stdout": subprocess.PIPE,
+        "stderr": subprocess.PIPE,
+    }
     return subprocess.Popen(
         [sys.executable, *map(str, words)],
         cwd=folder,
@@ -72,7 +87,15 @@ def assert_refused(ended, *says):
 
 def content(out):
     """Everything that a run computed, by file; the manifest tells times and the page shows them."""
-    kinds = ("cells/*", "*.csv", "tables/*", "*.parquet", "figures/*", "flags.json", "verdict.json")
+    kinds = (
+        "cells/*",
+        "*.csv",
+        "tables/*",
+        "*.parquet",
+        "figures/*",
+        "flags.json",
+        "verdict.json",
+    )
     files = (path for kind in kinds for path in out.glob(kind))
     return {str(path.relative_to(out)): path.read_bytes() for path in files}
 
@@ -83,7 +106,9 @@ def assert_same(out, expected):
     assert found.keys() ^ expected.keys() == set(), found.keys() ^ expected.keys()
     assert [name for name, held in expected.items() if found[name] != held] == []
     assert json.loads((out / "manifest.json").read_text())["state"] == "finished"
-    left = [path.name for path in out.rglob("*") if path.name.endswith((".tmp", ".lock"))]
+    left = [
+        path.name for path in out.rglob("*") if path.name.endswith((".tmp", ".lock"))
+    ]
     assert left == []
 
 

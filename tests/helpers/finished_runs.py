@@ -36,7 +36,9 @@ from evaluation.runs.files import FRAMES
 from evaluation.runs.manifest import FAILED_COLUMNS
 from isac_track.config import StageSettings
 
-MADE = json.loads(Path(__file__).with_name("finished_run.json").read_text(encoding="utf-8"))
+MADE = json.loads(
+    Path(__file__).with_name("finished_run.json").read_text(encoding="utf-8")
+)
 MANIFEST, VERDICT = MADE["manifest"], MADE["verdict"]
 MANIFEST["settings"]["stages"] = StageSettings().flat()
 MANIFEST["history"] = {"points": 366.4, "interval_s": 0.0836}
@@ -48,13 +50,19 @@ NO_RULE = ("raw", "clean", "offset", "thin", "ou")
 """Mechanisms that declare no adding rule; `ou` is a stranger's."""
 CONTROLS = [("offset", 0.4), ("correlated", 0.5), (f"correlated{INDEPENDENT}", 0.5)]
 CONTROLS += [("thin:d_sigma=0.75", 4.0)]
-COSTS = tuple(name for name in UTILITY if name != OF_ROBOT)  # made-up robots have no `track`
+COSTS = tuple(
+    name for name in UTILITY if name != OF_ROBOT
+)  # made-up robots have no `track`
 UNITS = {name: METRICS[name].summary_unit for name in (*COSTS, *DESCRIPTORS, "rmse")}
 REBUILT = (*DESCRIPTORS, "rmse")
 RATIOS = dict.fromkeys(("rmse_over_benchmark", "plr_over_benchmark"), "ratio")
 ATTACKS = (
     ("identity", "blind"),
-    *((name, knows) for name in ("moving_average", "savgol") for knows in ("blind", "informed")),
+    *(
+        (name, knows)
+        for name in ("moving_average", "savgol")
+        for knows in ("blind", "informed")
+    ),
     *(("kalman_rts", knows) for knows in ("blind", "informed", "oracle")),
     *(("radial_rts", knows) for knows in ("blind", "informed")),
     ("averaging", "oracle"),
@@ -97,7 +105,9 @@ def value_of(place, metric):
     return 0.9 / (1.37 + place + falling.index(metric))
 
 
-def make_summary(at=None, *, dataset="students03", predictors=("least_squares",), attacks=ATTACKS):
+def make_summary(
+    at=None, *, dataset="students03", predictors=("least_squares",), attacks=ATTACKS
+):
     """As `summary.csv`: shared, predictors, and attacks that lift what was shared."""
     rows = []
     for place, (mechanism, level) in enumerate(levels() if at is None else at):
@@ -129,13 +139,29 @@ def make_linkability(at=None, *, tasks=LINKERS, dataset="students03", cohorts=CO
                 "n_clusters": 175, "gallery_min": 138, "gallery_mean": 138.0, "gallery_max": 138,
             }  # fmt: skip
             for name in ("random", "duration", "noise_level"):
-                control = {"consumer": f"{task}/control-{name}", "knowledge": "", "p_value": 0.4}
+                control = {
+                    "consumer": f"{task}/control-{name}",
+                    "knowledge": "",
+                    "p_value": 0.4,
+                }
                 rows.append(where | control | {"outcome": "at chance", "rank1": CHANCE})
             for linker, strength in strengths.items():
-                for knowledge, share in (("blind", 0.8), ("informed", 1.0), ("oracle", 1.1)):
+                for knowledge, share in (
+                    ("blind", 0.8),
+                    ("informed", 1.0),
+                    ("oracle", 1.1),
+                ):
                     rank1 = share * strength / (1.0 + 0.1 * place)
-                    row = {"consumer": f"{task}/{linker}", "knowledge": knowledge, "rank1": rank1}
-                    row |= {"ci_low": 0.9 * rank1, "ci_high": 1.1 * rank1, "p_value": 0.001}
+                    row = {
+                        "consumer": f"{task}/{linker}",
+                        "knowledge": knowledge,
+                        "rank1": rank1,
+                    }
+                    row |= {
+                        "ci_low": 0.9 * rank1,
+                        "ci_high": 1.1 * rank1,
+                        "p_value": 0.001,
+                    }
                     rows.append(where | row)
                     for cohort, chance in cohorts.items():
                         rows.append(where | row | {"cohort": cohort, "chance": chance})
@@ -256,13 +282,27 @@ def make_levels(summary, linkability, *, dataset="students03"):
     attacked = attacked[attacked["consumer"] == attacked["knowledge"].map(best)]
     attacked = attacked[attacked["metric"].isin(DESCRIPTORS)]
     beyond = attacked["knowledge"] != "informed"
-    attacked = attacked.assign(adversary=attacked["knowledge"].where(beyond, ONE_RELEASE))
+    attacked = attacked.assign(
+        adversary=attacked["knowledge"].where(beyond, ONE_RELEASE)
+    )
     plr = attacked[attacked["metric"] == "plr"]
-    linked = linkability[(linkability["cohort"] == "all") & (linkability["knowledge"] != "")]
+    linked = linkability[
+        (linkability["cohort"] == "all") & (linkability["knowledge"] != "")
+    ]
     linked = linked[linked["knowledge"] == "informed"]
-    linked = linked.assign(metric="rank1", value=linked["rank1"], adversary=ONE_RELEASE, n=55)
+    linked = linked.assign(
+        metric="rank1", value=linked["rank1"], adversary=ONE_RELEASE, n=55
+    )
     linked = linked.merge(rows[["mechanism", "family", "adding"]].drop_duplicates())
-    parts = [missed, ahead, best_robot, shared, attacked, plr.assign(metric="plr_wide"), linked]
+    parts = [
+        missed,
+        ahead,
+        best_robot,
+        shared,
+        attacked,
+        plr.assign(metric="plr_wide"),
+        linked,
+    ]
     whole = pd.concat([one for one in parts if len(one)] or [missed])
     protects = ~whole["family"].isin(["raw", "offset", "correlated", "thin"])
     return whole.assign(protects=protects).reindex(columns=levels_table.COLUMNS)
@@ -304,7 +344,9 @@ def with_links(run):
     chance = of.assign(metric="chance", value=of["chance"])
     rows = [run.summary, of.assign(metric="rank1", value=of["rank1"]), chance]
     joined = pd.concat(rows)[run.summary.columns]
-    about = run.summary.drop_duplicates("mechanism").set_index("mechanism")[["family", "adding"]]
+    about = run.summary.drop_duplicates("mechanism").set_index("mechanism")[
+        ["family", "adding"]
+    ]
     known = joined.drop(columns=["family", "adding"]).join(about, on="mechanism")
     return replace(run, summary=known[run.summary.columns])
 
@@ -324,7 +366,9 @@ def emptied(run):
 
 def everything():
     """A run with all that a table may say: marks, leaks, strangers, flags, several predictors."""
-    at = levels(swept=(("fid", (1.0, 1000.0)), ("fixed", (0.7,))), others=[("offset", 0.4)])
+    at = levels(
+        swept=(("fid", (1.0, 1000.0)), ("fixed", (0.7,))), others=[("offset", 0.4)]
+    )
     at += [("ou", level) for level in (0.2, 0.4, 0.8)]
     some = [*(ATTACKS[n] for n in (0, 1, 2)), *ATTACKS[-2:]]
     linked = make_linkability(
@@ -334,18 +378,40 @@ def everything():
     def change(values, **where):
         linked.loc[rows_where(linked, **where), list(values)] = list(values.values())
 
-    sizes = {"gallery_min": 21, "gallery_mean": 37.66, "gallery_max": 52, "n_mated": 201}
-    linked.loc[linked["consumer"].str.startswith("handover"), list(sizes)] = list(sizes.values())
-    # A less knowing adversary is not shown, nor is what it fails at; who knows all is named.
-    change({"outcome": "no link detected"}, consumer="handover-2s/kinematic", knowledge="blind")
-    only = (linked["consumer"] == "handover-2s/dtw@averaging") & (linked["knowledge"] != "oracle")
+    sizes = {
+        "gallery_min": 21,
+        "gallery_mean": 37.66,
+        "gallery_max": 52,
+        "n_mated": 201,
+    }
+    linked.loc[linked["consumer"].str.startswith("handover"), list(sizes)] = list(
+        sizes.values()
+    )
+    # A less knowing adversary is not shown, nor is what it fails at; who knows all is
+    # named.
+    change(
+        {"outcome": "no link detected"},
+        consumer="handover-2s/kinematic",
+        knowledge="blind",
+    )
+    only = (linked["consumer"] == "handover-2s/dtw@averaging") & (
+        linked["knowledge"] != "oracle"
+    )
     linked = linked[~only]
     shape = {"consumer": "rerelease/shape", "knowledge": "informed"}
     change({"outcome": "no link detected"}, mechanism="fid", level=1.0, **shape)
     change({"outcome": "attack too weak"}, mechanism="raw", **shape)
     change({"invalid": "duration"}, mechanism="clean")
-    best = shape | {"consumer": "rerelease/shape@radial_rts", "mechanism": "fid", "level": 1.0}
-    for cohort, rank1 in (("all", 0.5), ("without_groups", 0.6), ("without_frozen", 0.49)):
+    best = shape | {
+        "consumer": "rerelease/shape@radial_rts",
+        "mechanism": "fid",
+        "level": 1.0,
+    }
+    for cohort, rank1 in (
+        ("all", 0.5),
+        ("without_groups", 0.6),
+        ("without_frozen", 0.49),
+    ):
         change({"rank1": rank1}, cohort=cohort, **best)
     # Of a control that sees times alone one level counts.
     for name, p_value in (("duration", 0.03), ("noise_level", 0.05)):
@@ -353,7 +419,9 @@ def everything():
     change({"p_value": 0.01}, consumer="rerelease/control-random", level=0.7)
     matched = make_matched()
     others = [
-        matched[matched["metric"] == "plr"].assign(consumer=name, knowledge=knows, metric="rank1")
+        matched[matched["metric"] == "plr"].assign(
+            consumer=name, knowledge=knows, metric="rank1"
+        )
         for name in ("rerelease/shape", "rerelease/shape@radial_rts")
         for knows in ("blind", "informed")
     ]
@@ -362,7 +430,9 @@ def everything():
     items = [*VERDICT["items"], claim | {"decision": "reversed"}, claim | alarms]
     run = make_run(
         at=at,
-        summary=make_summary(at, predictors=("least_squares", "kalman_cv"), attacks=some),
+        summary=make_summary(
+            at, predictors=("least_squares", "kalman_cv"), attacks=some
+        ),
         linkability=linked,
         flags=make_flags(),
         matched=pd.concat([matched, *others]),

@@ -28,7 +28,10 @@ def batch(
     """Walks with irregular steps and noise."""
     rng = stream(seed, "test", "kernels")
     t = [rng.uniform(-50, 50) + rng.uniform(*step_s, size).cumsum() for size in sizes]
-    xy = [rng.uniform(-5, 5, 2) + rng.normal(0, 0.3, (size, 2)).cumsum(axis=0) for size in sizes]
+    xy = [
+        rng.uniform(-5, 5, 2) + rng.normal(0, 0.3, (size, 2)).cumsum(axis=0)
+        for size in sizes
+    ]
     return Batch(
         t=np.concatenate(t),
         xy=np.concatenate(xy),
@@ -42,7 +45,9 @@ def pieces(case, bounds):
     """Return a batch whose tracks are the samples between some bounds."""
     rows = np.concatenate([np.arange(lo, hi) for lo, hi in bounds] or [np.arange(0)])
     chosen = {name: getattr(case, name)[rows] for name in PER_SAMPLE}
-    return replace(case, **chosen, offsets=np.cumsum([0, *(hi - lo for lo, hi in bounds)]))
+    return replace(
+        case, **chosen, offsets=np.cumsum([0, *(hi - lo for lo, hi in bounds)])
+    )
 
 
 def some_tracks(case, order):
@@ -52,7 +57,9 @@ def some_tracks(case, order):
 
 def prefixes(case):
     """Return a batch with a track for each sample: its own track up to it."""
-    return pieces(case, [(lo, k + 1) for lo, hi in pairwise(case.offsets) for k in range(lo, hi)])
+    return pieces(
+        case, [(lo, k + 1) for lo, hi in pairwise(case.offsets) for k in range(lo, hi)]
+    )
 
 
 def one_by_one(case, **model):

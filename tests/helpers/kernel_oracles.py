@@ -1,6 +1,7 @@
 """Slow solutions that share nothing with the kernels: dense matrices, no recursion, no closed form.
 
-A track is (t, xy, variance) of one person; states are per axis, or (x, vx, y, vy) for the IMM.
+A track is (t, xy, variance) of one person; states are per axis, or (x, vx, y, vy) for
+the IMM.
 """
 
 from __future__ import annotations
@@ -40,7 +41,9 @@ def joint_posterior(*, t, xy, variance, q, mean, cov, used=None):
     """
     n, d = len(t), len(cov)
     used = np.ones(n, dtype=bool) if used is None else used
-    lift = np.eye(n * d)  # what the states are of the first one and of what is added since
+    lift = np.eye(
+        n * d
+    )  # what the states are of the first one and of what is added since
     noises = [cov]
     for k, (step, driven) in enumerate(np.broadcast(np.diff(t), q), start=1):
         now, before = slice(k * d, (k + 1) * d), slice((k - 1) * d, k * d)
@@ -61,8 +64,8 @@ def joint_posterior(*, t, xy, variance, q, mean, cov, used=None):
 def precise_filter(*, t, xy, variance, q, mean, cov, used=None, number=np.longdouble):
     """Joseph's form in numbers with more digits, for where double precision would have to give up.
 
-    Of every sample the motion, state and covariance before it, state and covariance after it;
-    and the log density of the samples used.
+    Of every sample the motion, state and covariance before it, state and covariance
+    after it; and the log density of the samples used.
     """
     wide = np.vectorize(number, otypes=[object])
     x, p, d = wide(mean), wide(cov), len(cov)
@@ -70,17 +73,25 @@ def precise_filter(*, t, xy, variance, q, mean, cov, used=None, number=np.longdo
     for k in range(len(t)):
         step = number(t[k]) - number(t[max(k - 1, 0)])
         terms = [step**i / factorial(i) for i in range(d)]
-        f = np.array([[terms[j - i] if j >= i else 0 * step for j in range(d)] for i in range(d)])
+        f = np.array(
+            [[terms[j - i] if j >= i else 0 * step for j in range(d)] for i in range(d)]
+        )
         driven = terms[::-1]  # by what each derivative answers to the noise
         both = np.add.outer(np.arange(d)[::-1], np.arange(d)[::-1]) + 1
-        ahead, ahead_p = x @ f.T, f @ p @ f.T + number(q) * step * np.outer(driven, driven) / both
+        ahead, ahead_p = (
+            x @ f.T,
+            f @ p @ f.T + number(q) * step * np.outer(driven, driven) / both,
+        )
         x, p = ahead, ahead_p
         if used is None or used[k]:
             z, r = wide(xy[k]), number(variance[k])
             s, error = ahead_p[0, 0] + r, z - ahead[:, 0]
             gain = ahead_p[:, 0] / s
             keep = wide(np.eye(d)) - np.outer(gain, wide(np.eye(d)[0]))
-            x, p = ahead + np.outer(error, gain), keep @ p @ keep.T + np.outer(gain, gain) * r
+            x, p = (
+                ahead + np.outer(error, gain),
+                keep @ p @ keep.T + np.outer(gain, gain) * r,
+            )
             density -= float(error @ error / s) / 2 + np.log(2 * np.pi * float(s))
         rows.append((f, ahead, ahead_p, x, p))
     return rows, density
@@ -98,7 +109,9 @@ def exact_smoother(**track):
     rows, _ = precise_filter(**track, number=Fraction)
     x, p = rows[-1][3:]
     found = [(x, p)]
-    for (*_, now, now_p), (f, ahead, ahead_p, *_) in zip(rows[-2::-1], rows[:0:-1], strict=True):
+    for (*_, now, now_p), (f, ahead, ahead_p, *_) in zip(
+        rows[-2::-1], rows[:0:-1], strict=True
+    ):
         (a, b), (_, c) = ahead_p
         gain = now_p @ f.T @ np.array([[c, -b], [-b, a]]) / (a * c - b * b)
         x, p = now + (x - ahead) @ gain.T, now_p + gain @ (p - ahead_p) @ gain.T
@@ -110,7 +123,9 @@ def collapse(weight, mean, cov):
     """Mean and covariance of a Gaussian mixture."""
     centre = weight @ mean
     apart = mean - centre
-    return centre, np.einsum("n,nij->ij", weight, cov + apart[:, :, None] * apart[:, None, :])
+    return centre, np.einsum(
+        "n,nij->ij", weight, cov + apart[:, :, None] * apart[:, None, :]
+    )
 
 
 def motion(step_s, q):
@@ -121,7 +136,9 @@ def motion(step_s, q):
     )
 
 
-def imm_track(*, t, xy, variance, q, rates, mean, cov, probability, gate=np.inf, patience=3):
+def imm_track(
+    *, t, xy, variance, q, rates, mean, cov, probability, gate=np.inf, patience=3
+):
     """Textbook IMM filter of one track: mean (n, J, 4), cov (n, J, 4, 4), probability (n, J)."""
     modes = range(len(q))
     x = np.tile(np.ravel(mean), (len(q), 1))
@@ -145,7 +162,9 @@ def imm_track(*, t, xy, variance, q, rates, mean, cov, probability, gate=np.inf,
         taken = min(nis) <= gate or misses >= patience
         misses = 0 if taken else misses + 1
         if taken:
-            logs = np.array([-(nis[j] + np.linalg.slogdet(2 * np.pi * s[j])[1]) / 2 for j in modes])
+            logs = np.array(
+                [-(nis[j] + np.linalg.slogdet(2 * np.pi * s[j])[1]) / 2 for j in modes]
+            )
             top = logs.max()
             weight = mu * np.exp(logs - top)
             density += top + np.log(weight.sum())
@@ -156,7 +175,13 @@ def imm_track(*, t, xy, variance, q, rates, mean, cov, probability, gate=np.inf,
                 p[j] = p[j] - gain @ s[j] @ gain.T
         rows.append((x.copy(), p.copy(), mu.copy(), taken))
     x, p, mu, taken = (np.array(column) for column in zip(*rows, strict=True))
-    return {"mean": x, "cov": p, "probability": mu, "accepted": taken, "log_likelihood": density}
+    return {
+        "mean": x,
+        "cov": p,
+        "probability": mu,
+        "accepted": taken,
+        "log_likelihood": density,
+    }
 
 
 def imm_smooth(*, t, q, rates, mean, cov, probability):
@@ -183,7 +208,9 @@ def imm_smooth(*, t, q, rates, mean, cov, probability):
         joint = weight / weight.sum(axis=0) * mu[k + 1]
         mu[k] = joint.sum(axis=1)
         for j in modes:
-            pair_x, pair_p = (np.array([states[j, i][n] for i in modes]) for n in range(2))
+            pair_x, pair_p = (
+                np.array([states[j, i][n] for i in modes]) for n in range(2)
+            )
             x[k, j], p[k, j] = collapse(joint[j] / mu[k, j], pair_x, pair_p)
     return {"mean": x, "cov": p, "probability": mu}
 
@@ -194,8 +221,12 @@ def imm_exact(*, t, q, rates, probability, **track):
     jumps = [expm(rates * step) for step in np.diff(t)]
     for sequence in product(range(len(q)), repeat=len(t)):
         # Given the modes the axes are independent.
-        mean, _, density = joint_posterior(t=t, q=[q[mode] for mode in sequence[1:]], **track)
-        chances = [jump[pair] for jump, pair in zip(jumps, pairwise(sequence), strict=True)]
+        mean, _, density = joint_posterior(
+            t=t, q=[q[mode] for mode in sequence[1:]], **track
+        )
+        chances = [
+            jump[pair] for jump, pair in zip(jumps, pairwise(sequence), strict=True)
+        ]
         log_weights.append(density + np.log([probability[sequence[0]], *chances]).sum())
         means.append(mean[:, :, 0])
     weight = np.exp(np.array(log_weights) - max(log_weights))

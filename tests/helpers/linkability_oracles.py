@@ -8,7 +8,12 @@ import numpy as np
 from sklearn.isotonic import IsotonicRegression
 
 METRICS = ("auc", "eer", "cllr_min", "d_sys", "d_sys_published", "cllr")
-METRICS += ("tpr_at_fpr_1pct", "realised_fpr_1pct", "tpr_at_fpr_01pct", "realised_fpr_01pct")
+METRICS += (
+    "tpr_at_fpr_1pct",
+    "realised_fpr_1pct",
+    "tpr_at_fpr_01pct",
+    "realised_fpr_01pct",
+)
 
 
 def ranks(row, column):
@@ -22,7 +27,11 @@ def over_mates(scores, mate, value):
     """Mean of value(rank) over a mate's ranks, NaN without a mate."""
     return np.array(
         [
-            np.mean([value(rank) for rank in ranks(row, column)]) if column >= 0 else np.nan
+            (
+                np.mean([value(rank) for rank in ranks(row, column)])
+                if column >= 0
+                else np.nan
+            )
             for row, column in zip(scores, mate, strict=True)
         ]
     )
@@ -67,7 +76,10 @@ def eer(mated, non_mated):
 
 def cllr(llr_mated, llr_non_mated):
     with np.errstate(over="ignore"):
-        cost = np.log2(1 + np.exp(-llr_mated)).mean() + np.log2(1 + np.exp(llr_non_mated)).mean()
+        cost = (
+            np.log2(1 + np.exp(-llr_mated)).mean()
+            + np.log2(1 + np.exp(llr_non_mated)).mean()
+        )
     return cost / 2
 
 
@@ -77,7 +89,9 @@ def cllr_min(mated, non_mated):
     scores = np.unique(np.append(mated, non_mated), return_inverse=True)[1]
     label = np.repeat([1.0, 0.0], [len(mated), len(non_mated)])
     mass = np.repeat([1 / len(mated), 1 / len(non_mated)], [len(mated), len(non_mated)])
-    posterior = IsotonicRegression().fit(scores, label, sample_weight=mass).predict(scores)
+    posterior = (
+        IsotonicRegression().fit(scores, label, sample_weight=mass).predict(scores)
+    )
     posterior = np.clip(posterior, 0, 1)
     with np.errstate(divide="ignore"):
         llr = np.log(posterior) - np.log1p(-posterior)
@@ -93,7 +107,9 @@ def tpr(mated, non_mated, alpha):
 def histogram_edges(mated, non_mated):
     """The edges of the D_sys bins."""
     scores = np.append(mated, non_mated)
-    return np.linspace(scores.min(), scores.max(), max(1, min(len(mated) // 10, 100)) + 1)
+    return np.linspace(
+        scores.min(), scores.max(), max(1, min(len(mated) // 10, 100)) + 1
+    )
 
 
 def d_sys(mated, non_mated, edges):
@@ -117,7 +133,9 @@ def d_sys_published(mated, non_mated, edges):
     """As the authors' program has it: densities, their ratio, trapezia between bin centres."""
     centres = (edges[1:] + edges[:-1]) / 2
     with np.errstate(divide="ignore", invalid="ignore"):  # of scores that are all equal
-        own, other = (np.histogram(x, bins=edges, density=True)[0] for x in (mated, non_mated))
+        own, other = (
+            np.histogram(x, bins=edges, density=True)[0] for x in (mated, non_mated)
+        )
     ratio = np.divide(own, other, out=np.ones_like(own), where=other != 0)
     d = 2 * ratio / (1 + ratio) - 1
     d[ratio <= 1] = 0
@@ -144,7 +162,9 @@ def poisson_binomial_tail(chances, hits):
     total = 0.0
     for outcome in product([0, 1], repeat=len(chances)):
         if sum(outcome) >= hits:
-            total += np.prod([p if hit else 1 - p for hit, p in zip(outcome, chances, strict=True)])
+            total += np.prod(
+                [p if hit else 1 - p for hit, p in zip(outcome, chances, strict=True)]
+            )
     return total
 
 
@@ -184,8 +204,16 @@ def score_metrics(searches, weight, calibration):
                 d_sys(mated, non_mated, edges),
                 d_sys_published(mated, non_mated, edges),
                 cllr(slope * mated + intercept, slope * non_mated + intercept),
-                *(tpr(mated, non_mated, 0.01) if n_non_mated >= 3_000 else [np.nan] * 2),
-                *(tpr(mated, non_mated, 0.001) if n_non_mated >= 30_000 else [np.nan] * 2),
+                *(
+                    tpr(mated, non_mated, 0.01)
+                    if n_non_mated >= 3_000
+                    else [np.nan] * 2
+                ),
+                *(
+                    tpr(mated, non_mated, 0.001)
+                    if n_non_mated >= 30_000
+                    else [np.nan] * 2
+                ),
             ]
         )
         masses.append(len(mated))

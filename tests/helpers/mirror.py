@@ -12,7 +12,8 @@ OTHER = WALK + b"\n"
 class _Handler(http.server.BaseHTTPRequestHandler):
     """Answers with what `server.files` holds.
 
-    Bytes, a status, a function of the handler, or (announced length, bytes, what comes then).
+    Bytes, a status, a function of the handler, or (announced length, bytes, what comes
+    then).
     """
 
     def do_GET(self):
@@ -44,7 +45,9 @@ def serving():
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), _Handler)
     server.files, server.asked, server.over = {}, [], threading.Event()
     server.address = f"http://127.0.0.1:{server.server_port}/base/"
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+    thread = threading.Thread(
+        target=server.serve_forever, kwargs={"poll_interval": 0.02}
+    )
     thread.start()
     yield server
     server.over.set()
@@ -86,7 +89,9 @@ def answers(header, *, then=None):
 
 
 def redirected(to):
-    return answers(f"HTTP/1.0 302 Found\r\nLocation: {to}\r\nContent-Length: 0\r\n\r\n".encode())
+    return answers(
+        f"HTTP/1.0 302 Found\r\nLocation: {to}\r\nContent-Length: 0\r\n\r\n".encode()
+    )
 
 
 def slow_header(handler):
@@ -101,7 +106,10 @@ FAILS = {
     "overloaded": (503, "the server answered 503"),
     "another file": (
         OTHER,
-        f"not the expected file: sha256 is {hashlib.sha256(OTHER).hexdigest()}, expected",
+        (
+            f"not the expected file: sha256 is {hashlib.sha256(OTHER).hexdigest()},"
+            " expected"
+        ),
     ),
     "nothing": (b"", "not the expected file: sha256 is e3b0c442"),
     "cut short": ((len(WALK), WALK[:10], None), "the connection broke off"),
@@ -110,11 +118,29 @@ FAILS = {
     "says nothing": (silent, "no answer in time"),
     "falls silent": ((len(WALK), WALK[:10], silent), "no answer in time"),
     "trickles": ((len(WALK), WALK[:10], trickling), "no answer in time"),
-    "a slow header": (answers(b"HTTP/1.0 200 OK\r\n", then=slow_header), "no answer in time"),
-    "without end": ((None, b"", endless), "not the expected file: over 100000000 bytes"),
-    "of a terabyte": ((10**12, b"", endless), "not the expected file: over 100000000 bytes"),
+    "a slow header": (
+        answers(b"HTTP/1.0 200 OK\r\n", then=slow_header),
+        "no answer in time",
+    ),
+    "without end": (
+        (None, b"", endless),
+        "not the expected file: over 100000000 bytes",
+    ),
+    "of a terabyte": (
+        (10**12, b"", endless),
+        "not the expected file: over 100000000 bytes",
+    ),
     "no HTTP": (answers(b"SSH-2.0-what\r\n"), "no connection, or it broke off"),
-    "turns in a circle": (redirected("obsmat.txt"), "cannot be downloaded (TooManyRedirects)"),
-    "points into the machine": (redirected("file:///obsmat.txt"), "cannot be downloaded"),
-    "points to nobody": (redirected("http://127.0.0.1:1/"), "no connection, or it broke off"),
+    "turns in a circle": (
+        redirected("obsmat.txt"),
+        "cannot be downloaded (TooManyRedirects)",
+    ),
+    "points into the machine": (
+        redirected("file:///obsmat.txt"),
+        "cannot be downloaded",
+    ),
+    "points to nobody": (
+        redirected("http://127.0.0.1:1/"),
+        "no connection, or it broke off",
+    ),
 }

@@ -1,7 +1,7 @@
 """Slow and obviously correct: the metrics as plain loops over plain numbers.
 
-Nothing here is shared with the package: no numpy broadcasting, no flat arrays, no run-length
-tricks. To be read by eye.
+Nothing here is shared with the package: no numpy broadcasting, no flat arrays, no
+run-length tricks. To be read by eye.
 """
 
 from __future__ import annotations
@@ -30,7 +30,9 @@ def own_s(t):
     """Half the interval before a sample and half the one after; at an end the only one."""
     found = []
     for k in range(len(t)):
-        beside = [abs(t[k] - t[other]) for other in (k - 1, k + 1) if 0 <= other < len(t)]
+        beside = [
+            abs(t[k] - t[other]) for other in (k - 1, k + 1) if 0 <= other < len(t)
+        ]
         found.append(sum(beside) / len(beside) if beside else nan)
     return found
 
@@ -99,5 +101,7 @@ def aligned(xy, truth):
     across = sum(p[0] * q[1] - p[1] * q[0] for p, q in zip(a, b, strict=True))
     along = sum(p[0] * q[0] + p[1] * q[1] for p, q in zip(a, b, strict=True))
     angle = atan2(across, along)
-    turned = [(cos(angle) * x - sin(angle) * y, sin(angle) * x + cos(angle) * y) for x, y in a]
+    turned = [
+        (cos(angle) * x - sin(angle) * y, sin(angle) * x + cos(angle) * y) for x, y in a
+    ]
     return sqrt(sum(dist(p, q) ** 2 for p, q in zip(turned, b, strict=True)) / len(a))

@@ -34,5 +34,7 @@ def assert_as_approved(text, path):
 def tells_rows_apart(table):
     """Whether what is repeated where a table is split says which row is meant."""
     shown = [place for place, column in enumerate(table.columns) if not column.is_long]
-    keys = {tuple(row[place].full for place in shown[: table.n_keys]) for row in table.rows}
+    keys = {
+        tuple(row[place].full for place in shown[: table.n_keys]) for row in table.rows
+    }
     return len(keys) == len(table.rows)

@@ -58,7 +58,11 @@ def answers_of(network, policy):
     """All samples sent, by (robot, presence): a plain loop over runs."""
     disclosure, sent = disclose(network, policy), {}
     for robot, presence, first, end in zip(
-        disclosure.robot, disclosure.presence, disclosure.first, disclosure.end, strict=True
+        disclosure.robot,
+        disclosure.presence,
+        disclosure.first,
+        disclosure.end,
+        strict=True,
     ):
         sent.setdefault((int(robot), int(presence)), []).extend(range(first, end))
     return sent

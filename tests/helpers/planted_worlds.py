@@ -1,9 +1,10 @@
 """Simulated runs in which it is known whether a descriptor measures linkability.
 
-No tracks and no attack: people, mechanism levels, and for each level how much of a person shows
-(the descriptor) and how often the person is linked. A world is *valid* if success is one function
-of the descriptor whatever the mechanism, *fooled* if the dissociation controls lower the descriptor
-and leave success as it is, *flat* if nothing lowers success, *empty* if nothing has any effect.
+No tracks and no attack: people, mechanism levels, and for each level how much of a
+person shows (the descriptor) and how often the person is linked. A world is *valid* if
+success is one function of the descriptor whatever the mechanism, *fooled* if the
+dissociation controls lower the descriptor and leave success as it is, *flat* if nothing
+lowers success, *empty* if nothing has any effect.
 """
 
 from dataclasses import dataclass
@@ -45,7 +46,11 @@ class World:
             yield from (("fixed", level, f"fixed{rule}") for level in FIXED)
             yield from (("fid", level, f"fid{rule}") for level in FID)
             yield "correlated", 0.75, f"correlated{rule}"
-            yield "thin", 4.0, f"thin:{rule.removeprefix(':')}{',' * bool(rule)}d_sigma=0.75"
+            yield (
+                "thin",
+                4.0,
+                f"thin:{rule.removeprefix(':')}{',' * bool(rule)}d_sigma=0.75",
+            )
         yield "offset", 0.3, "offset"
         yield "thin", 4.0, "thin"
         yield from (("mine:Ou", level, "mine:Ou") for level in FIXED if self.stranger)
@@ -78,7 +83,9 @@ class World:
 
 def run(world, *, seed):
     """Return the verdict of a world."""
-    found, levels = simulated(world, rng=np.random.default_rng([seed, KINDS.index(world.kind)]))
+    found, levels = simulated(
+        world, rng=np.random.default_rng([seed, KINDS.index(world.kind)])
+    )
     return said_of(found, {TASK: levels})
 
 
@@ -100,7 +107,10 @@ def simulated(world, *, rng):
     n = world.n_people
     cluster = np.arange(n) // 2  # people walk in pairs
     n_pairs = n // 2
-    weights = rng.multinomial(n_pairs, np.full(n_pairs, 1 / n_pairs), world.n_replicates) * 1.0
+    weights = (
+        rng.multinomial(n_pairs, np.full(n_pairs, 1 / n_pairs), world.n_replicates)
+        * 1.0
+    )
     own, habit = rng.normal(size=n), rng.normal(size=n)
     habit = 0.7 * habit + 0.7 * np.repeat(rng.normal(size=n // 2), 2)
     nuisance = rng.normal(size=(n, 2))
@@ -129,7 +139,11 @@ def simulated(world, *, rng):
             after = rebuilt * np.exp(0.05 * rng.normal(size=n) - 0.05**2 / 2)
             put(Key(mechanism, level, SMOOTHER, metric, "informed"), after, share=False)
         put(Key(mechanism, level, LINKER, "rank1", "informed"), hit)
-        put(Key(mechanism, level, LINKER, "chance", "informed"), np.full(n, CHANCE), share=False)
+        put(
+            Key(mechanism, level, LINKER, "chance", "informed"),
+            np.full(n, CHANCE),
+            share=False,
+        )
         for metric in ("missed_conflict_rate", EQUAL_ALARMS):
             missed = rng.random(n) < world.misses(family, level)
             put(Key(mechanism, level, PREDICTOR, metric), missed.astype(float))
@@ -137,7 +151,14 @@ def simulated(world, *, rng):
         descriptors = {name: seen * scale for name, scale in SCALES.items()}
         levels.append(
             LinkedProbes(
-                *(mechanism, level, Source(LINKER, "informed"), hit, hit, np.full(n, CHANCE)),
+                *(
+                    mechanism,
+                    level,
+                    Source(LINKER, "informed"),
+                    hit,
+                    hit,
+                    np.full(n, CHANCE),
+                ),
                 *(cluster, tuple(map(str, range(n_pairs))), descriptors, nuisance),
                 strangers=np.ones((3, n), dtype=int),
             )

@@ -17,7 +17,8 @@ TEXT = [name for name in FORMATS if name != "parquet"]
 SECONDS = {"csv", "parquet"}
 """Formats with a clock of their own; the others count frames."""
 
-# Two people, 2.5 samples a second: 3 walks at 1 m/s along x, 12 walks at 0.5 m/s along y.
+# Two people, 2.5 samples a second: 3 walks at 1 m/s along x, 12 walks at 0.5 m/s along
+# y.
 T = [0.0, 0.4, 0.8]
 THREE = [(0.0, 1.0), (0.4, 1.0), (0.8, 1.0)]
 TWELVE = [(5.0, 0.0), (5.0, 0.2), (5.0, 0.4)]
@@ -34,7 +35,10 @@ _LINE = {
     "trajnet": '{{"track": {{"f": {frame}, "p": {id}, "x": {x!r}, "y": {y!r}}}}}',
     "csv": "{t!r},{id},{x!r},{y!r}",
 }
-_HEADER = {"pedpy": "# framerate: 25.00 fps\n# id frame x/m y/m z/m\n\n", "csv": "t,id,x,y\n"}
+_HEADER = {
+    "pedpy": "# framerate: 25.00 fps\n# id frame x/m y/m z/m\n\n",
+    "csv": "t,id,x,y\n",
+}
 
 
 def tracks_of(*walks, frame_s=0.4):
@@ -63,15 +67,21 @@ def write_csv(path, tracks):
 def packed(*, compression="snappy", row_group_size=None, **columns):
     """Return columns as a parquet file."""
     buffer = io.BytesIO()
-    table = pa.table({name: column for name, column in columns.items() if column is not None})
-    parquet.write_table(table, buffer, compression=compression, row_group_size=row_group_size)
+    table = pa.table(
+        {name: column for name, column in columns.items() if column is not None}
+    )
+    parquet.write_table(
+        table, buffer, compression=compression, row_group_size=row_group_size
+    )
     return buffer.getvalue()
 
 
 def written(rows, format_name, *, frame_s=0.04):
     """Return rows of (t, id, x, y) as a file; frames are counted from 100."""
     if format_name == "parquet":
-        return packed(**dict(zip(("t", "id", "x", "y"), map(list, zip(*rows, strict=True)))))  # noqa: B905 - four
+        return packed(
+            **dict(zip(("t", "id", "x", "y"), map(list, zip(*rows, strict=True))))  # noqa: B905 - four
+        )
     lines = [
         _LINE[format_name].format(
             t=t, frame=100 + round(t / frame_s), id=int(person), x=float(x), y=float(y)

@@ -16,7 +16,8 @@ def entry_of(out, spec, consumer, knowledge=""):
     (entry,) = [
         one
         for one in cells
-        if (one["spec"], one["consumer"], one["knowledge"]) == wanted and not one["world"]
+        if (one["spec"], one["consumer"], one["knowledge"]) == wanted
+        and not one["world"]
     ]
     return entry
 
@@ -33,7 +34,8 @@ def rows_of(out, spec, consumer, knowledge=""):
 def held_by(out):
     """Labels of the consumers in each file of cells."""
     return {
-        path.name: set(cell_files.index_of(path).consumers) for path in (out / FOLDER).iterdir()
+        path.name: set(cell_files.index_of(path).consumers)
+        for path in (out / FOLDER).iterdir()
     }
 
 
@@ -51,8 +53,13 @@ def change_code(monkeypatch, *modules):
 def arrays(tables, *, tracks=None):
     """The rows of a cell as arrays by name; with `tracks` also which of them, by its source."""
     rows = tables[ROWS]
-    found = {name: column.to_numpy() for name, column in zip(rows.column_names, rows, strict=True)}
+    found = {
+        name: column.to_numpy()
+        for name, column in zip(rows.column_names, rows, strict=True)
+    }
     if tracks is not None:
         place = {name: row for row, name in enumerate(tracks.source)}
-        found["track"] = np.array([place[name] for name in found["source"]], dtype=np.int64)
+        found["track"] = np.array(
+            [place[name] for name in found["source"]], dtype=np.int64
+        )
     return found

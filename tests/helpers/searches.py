@@ -16,7 +16,9 @@ def search(scores, mate=None, cluster=None, scale=0):
     scores = np.asarray(scores, dtype=np.float64)
     n_probes, n_gallery = scores.shape
     mate = np.arange(n_probes) if mate is None else np.asarray(mate)
-    cluster = np.arange(max(n_probes, n_gallery)) if cluster is None else np.asarray(cluster)
+    cluster = (
+        np.arange(max(n_probes, n_gallery)) if cluster is None else np.asarray(cluster)
+    )
     return Search(scores, mate, cluster[:n_probes], cluster[:n_gallery], scale)
 
 
@@ -29,7 +31,9 @@ def gaussian(rng, n, d, *, decimals=None, scale=0, first_cluster=0):
 
 def card(searches, *, n_clusters, n_replicates=20, seed=0, **options):
     usual = {
-        "weights": cluster_weights(n_clusters=n_clusters, n_replicates=n_replicates, seed=seed),
+        "weights": cluster_weights(
+            n_clusters=n_clusters, n_replicates=n_replicates, seed=seed
+        ),
         "calibration": None,
         "no_match_score": None,
         "rng": stream(seed, "test", "card"),

@@ -24,7 +24,9 @@ def sensed(*, sizes=(5, 1, 7), law="radial", sigma_raw=None):
     n_samples = int(np.sum(sizes))
     draw = stream(0, "test", "sensed")
     sigma = (
-        draw.uniform(0.05, 2.0, n_samples) if sigma_raw is None else np.full(n_samples, sigma_raw)
+        draw.uniform(0.05, 2.0, n_samples)
+        if sigma_raw is None
+        else np.full(n_samples, sigma_raw)
     )
     unit = unit_errors(n_samples=n_samples, law=law, rng=draw)
     return Sensed(

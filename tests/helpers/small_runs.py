@@ -16,13 +16,19 @@ from isac_track.scenes import cut
 
 def smoke(dataset, out=None, *, scenes=12, **changes):
     """Settings of a run of one process, with one predictor and horizon; nobody attacks."""
-    usual = {"mechanisms": ("raw", "fixed:0.7"), "predictors": ("least_squares",), "jobs": 1}
+    usual = {
+        "mechanisms": ("raw", "fixed:0.7"),
+        "predictors": ("least_squares",),
+        "jobs": 1,
+    }
     usual |= {"attacks": (), "tasks": ()}
     if not isinstance(changes.get("stages"), StageSettings):
         one_horizon = {"conflict.horizons_s": ()}
         changes["stages"] = one_horizon | changes.get("stages", {})
     usual |= changes
-    return Settings(preset="smoke", dataset=str(dataset), scenes=scenes, out=out, **usual)
+    return Settings(
+        preset="smoke", dataset=str(dataset), scenes=scenes, out=out, **usual
+    )
 
 
 @contextmanager
@@ -71,6 +77,8 @@ def write_walks(path, *, n_people=30, seed=0):
         t = np.arange(0.0, 26.0 if person % 3 == 0 else 32.0, 0.4)
         rng = stream(seed, "test", "walk", person)
         turn = 0.08 * rng.standard_normal(t.size).cumsum() + rng.uniform(0, 2 * np.pi)
-        steps = 0.4 * rng.uniform(0.4, 1.4) * np.column_stack([np.cos(turn), np.sin(turn)])
+        steps = (
+            0.4 * rng.uniform(0.4, 1.4) * np.column_stack([np.cos(turn), np.sin(turn)])
+        )
         walks.append(rng.uniform(-3, 3, 2) + steps.cumsum(axis=0))
     return write_csv(path, tracks_of(*walks))

@@ -35,7 +35,9 @@ def run(*, advantage=0.0, stranger=0.0):
         for metric, scale in (("plr", 1.0), ("ael", 2.0), ("mel", 5.0)):
             value = scale * np.exp(-0.5 - noise - gain)
             found[Key(mechanism, at, SHARED, metric)] = estimate(value, spread)
-            found[Key(mechanism, at, "kalman_rts", metric, "blind")] = estimate(2 * value, spread)
+            found[Key(mechanism, at, "kalman_rts", metric, "blind")] = estimate(
+                2 * value, spread
+            )
         link = estimate(0.7 - 0.3 * noise, spread[:100])
         found[Key(mechanism, at, "rerelease/shape", "rank1", "blind")] = link
         found[Key(mechanism, at, "rerelease/control-random", "rank1", "")] = link

@@ -35,7 +35,9 @@ class Level:
     family: str = ""
     adding: str = "independent"
     protects: bool = True
-    missed: float = 0.20  # To come within 3 s at raw's false alarms, of the better robot.
+    missed: float = (
+        0.20  # To come within 3 s at raw's false alarms, of the better robot.
+    )
     plr: float = 0.30
     wide: float = 0.40
     median: float = 0.5
@@ -66,14 +68,25 @@ class Level:
             for dataset, missed, alarms in (
                 (f"{WALKS}:horizon=3s", self.missed, 0.1), (WALKS, self.missed / 2, 0.05)
             ):  # fmt: skip
-                yield self._row(dataset, "", best, "", metric, missed + self.extra) | chosen
-                yield self._row(dataset, "", best, "", "false_alarm_rate", alarms) | chosen
+                yield (
+                    self._row(dataset, "", best, "", metric, missed + self.extra)
+                    | chosen
+                )
+                yield (
+                    self._row(dataset, "", best, "", "false_alarm_rate", alarms)
+                    | chosen
+                )
         for metric, value in (("plr", 0.2), ("plr_wide", 0.25), ("median_error", 0.8)):
             yield self._row(WALKS, "", "shared", "", metric, value)
         sides = [(ONE_RELEASE, "informed", self.plr, self.wide)] * self.is_attacked
         sides += [(name, name, plr, plr + 0.05) for name, plr in self.beyond.items()]
         for adversary, knowledge, plr, wide in sides:
-            numbers = {"plr": plr, "plr_wide": wide, "median_error": self.median, "ael": 1.0}
+            numbers = {
+                "plr": plr,
+                "plr_wide": wide,
+                "median_error": self.median,
+                "ael": 1.0,
+            }
             for metric, value in numbers.items():
                 yield self._row(WALKS, adversary, "ou_rts", knowledge, metric, value)
         linker = f"{self.task}/kinematic"
@@ -99,7 +112,9 @@ class Level:
 RAW = Level(*("raw", None, "raw", "", False, 0.05, 0.9, 0.95, 0.1, 1.0, 0.8), beyond={})
 GOOD = Level("ou", 0.4)
 BAD = Level("fixed:adding=independent", 1.0, missed=0.1, plr=0.8, wide=0.9, share=0.9)
-SHIFTED = Level("offset", 0.3, adding="", protects=False, missed=0.05, plr=0.1, wide=0.1, share=0.1)
+SHIFTED = Level(
+    "offset", 0.3, adding="", protects=False, missed=0.05, plr=0.1, wide=0.1, share=0.1
+)
 """A control that would win on every count."""
 USUAL = (RAW, GOOD, BAD, SHIFTED)
 
@@ -131,7 +146,13 @@ def write_run(out, levels=USUAL, **dataset):
     (out / "cells").mkdir(parents=True)
     stages = StageSettings().flat()
     content = {
-        "identity": {"scenes": 500, "scenes_utility": 2000, "seed": 0, "fps": None, **stages},
+        "identity": {
+            "scenes": 500,
+            "scenes_utility": 2000,
+            "seed": 0,
+            "fps": None,
+            **stages,
+        },
         "cells": [],
         "history": {"points": 366.0, "interval_s": 0.0836},
         "code": code_hash(),
@@ -142,9 +163,11 @@ def write_run(out, levels=USUAL, **dataset):
             "tasks": list(PRESETS["paper"].tasks),
             "stages": stages,
         },
-        "dataset": {"name": WALKS, "path": "my walks.csv", "format": "csv"}
-        | {"simulated": False, "notice": None}
-        | dataset,
+        "dataset": (
+            {"name": WALKS, "path": "my walks.csv", "format": "csv"}
+            | {"simulated": False, "notice": None}
+            | dataset
+        ),
     }
     write_manifest(out, content)
     (out / "levels.csv").write_bytes(to_csv(table(levels)))

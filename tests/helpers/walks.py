@@ -78,14 +78,22 @@ def cv_walks(*sizes, q=0.04, seed=0, from_s=0.0):
 class Person:
     """Somebody who walks: speed and turning rate vary smoothly, and by how much is a habit."""
 
-    def __init__(self, rng, *, duration_s=24.0, speed_m_s=None, turn_rad_s=0.3, sway=0.25):
+    def __init__(
+        self, rng, *, duration_s=24.0, speed_m_s=None, turn_rad_s=0.3, sway=0.25
+    ):
         t = np.arange(0.0, duration_s, STEP_S)
         speed_m_s = rng.uniform(0.7, 1.5) if speed_m_s is None else speed_m_s
         speed = speed_m_s * (1.0 + sway * self._smooth(rng, t))
-        heading = rng.uniform(0, 2 * np.pi) + np.cumsum(turn_rad_s * self._smooth(rng, t)) * STEP_S
+        heading = (
+            rng.uniform(0, 2 * np.pi)
+            + np.cumsum(turn_rad_s * self._smooth(rng, t)) * STEP_S
+        )
         self.t = t
         self.xy = np.cumsum(
-            STEP_S * speed[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1), axis=0
+            STEP_S
+            * speed[:, None]
+            * np.stack([np.cos(heading), np.sin(heading)], axis=1),
+            axis=0,
         )
 
     @staticmethod
@@ -114,7 +122,8 @@ def two_releases(n=12, *, seed=0, length_s=10.0, shift_s=2.0, noise_m=0.0, **hab
         for person, shift in zip(people, shifts[0], strict=True)
     ]
     gallery = [
-        people[k].seen(rng, start_s=shifts[1, k], length_s=length_s, noise_m=noise_m) for k in order
+        people[k].seen(rng, start_s=shifts[1, k], length_s=length_s, noise_m=noise_m)
+        for k in order
     ]
     return release_of(probe), release_of(gallery), np.argsort(order)
 
@@ -127,7 +136,8 @@ def moved(release, *, seed=0, mirrored=False):
     angle = rng.uniform(0, 2 * np.pi, n)[owner]
     x, y = release.xy.T * np.array([[1.0], [-1.0 if mirrored else 1.0]])
     xy = np.stack(
-        [np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y], axis=1
+        [np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y],
+        axis=1,
     )
     return replace(
         release,
@@ -142,7 +152,9 @@ def odd_release(seed=0, *, n=14):
     sizes = [1, 2, 3, *rng.integers(1, 60, n - 3)]
     walks = []
     for row, size in enumerate(sizes):
-        steps = np.exp(rng.uniform(np.log(1e-3), np.log(30.0 if row % 3 else 0.2), size))
+        steps = np.exp(
+            rng.uniform(np.log(1e-3), np.log(30.0 if row % 3 else 0.2), size)
+        )
         xy = np.cumsum(rng.normal(0, 0.3, (size, 2)), axis=0)
         walks.append((rng.uniform(0, 1e5) + np.cumsum(steps), xy * (row % 5 > 0)))
     return release_of(walks)

@@ -25,14 +25,18 @@ RIGHT = "[0.0, 2.0, 4.0]\n"
 
 def flipped(content):
     """A byte in fifty is another: what is left may still be read, and compute something else."""
-    return bytes(byte ^ 0xA5 if place % 50 == 7 else byte for place, byte in enumerate(content))
+    return bytes(
+        byte ^ 0xA5 if place % 50 == 7 else byte for place, byte in enumerate(content)
+    )
 
 
 DAMAGES = {
     "empty": lambda _: b"",
     "cut short": lambda content: content[: len(content) // 2],
     "zeros in the middle": lambda content: (
-        content[: len(content) // 3] + bytes(len(content) // 3) + content[2 * len(content) // 3 :]
+        content[: len(content) // 3]
+        + bytes(len(content) // 3)
+        + content[2 * len(content) // 3 :]
     ),
     "flipped bytes": flipped,
 }
@@ -40,7 +44,9 @@ DAMAGES = {
 
 CASES = {
     f"loop_{number}": case
-    for number, case in enumerate([*product(DAMAGES, (".nbi", ".nbc")), ("empty", ".sha256")])
+    for number, case in enumerate(
+        [*product(DAMAGES, (".nbi", ".nbc")), ("empty", ".sha256")]
+    )
 }
 """A loop for each damage, by its name."""
 
@@ -97,7 +103,9 @@ def test_loops_of_a_damaged_cache_compute_the_same(damaged):
     assert second == (0, RIGHT * len(CASES), "")
 
 
-@pytest.mark.parametrize("name", CASES, ids=[f"{damage}-{kind}" for damage, kind in CASES.values()])
+@pytest.mark.parametrize(
+    "name", CASES, ids=[f"{damage}-{kind}" for damage, kind in CASES.values()]
+)
 def test_a_damaged_cache_is_compiled_again(name, damaged):
     folder, first, _ = damaged
     (line,) = [line for line in first.err.splitlines() if f"small_loop.{name}-" in line]

@@ -7,7 +7,12 @@ from itertools import product
 import numpy as np
 import pytest
 
-from isac_track.config import PrivacySettings, SceneSettings, SensingSettings, StageSettings
+from isac_track.config import (
+    PrivacySettings,
+    SceneSettings,
+    SensingSettings,
+    StageSettings,
+)
 from isac_track.errors import SettingsError
 
 PAPER = """
@@ -56,17 +61,35 @@ def test_text_is_read_as_the_type_of_the_field(name, value, expected):
     [
         ({"privacy.epsilon": 1}, "'privacy.epsilon'; did you mean privacy.epsilon_m?"),
         ({"zzz": 1}, "unknown setting 'zzz'; `--list` names all settings"),
-        ({"privacy.epsilon_m": "wide"}, "privacy.epsilon_m must be a number, got 'wide'"),
+        (
+            {"privacy.epsilon_m": "wide"},
+            "privacy.epsilon_m must be a number, got 'wide'",
+        ),
         ({"privacy.epsilon_m": True}, "privacy.epsilon_m must be a number, got True"),
-        ({"conflict.horizon_steps": 1.5}, "conflict.horizon_steps must be a whole number"),
+        (
+            {"conflict.horizon_steps": 1.5},
+            "conflict.horizon_steps must be a whole number",
+        ),
         ({"conflict.window": 1}, "conflict.window must lie within 2 to 100000, got 1"),
         ({"sensing.law": "laplace"}, "sensing.law must be one of radial, isotropic"),
-        ({"scenes.history_ratio": 1}, "scenes.history_ratio must lie between 0 and 1, got 1"),
-        ({"scenes.ring_max_m": 1}, "scenes.ring_max_m (1) is below scenes.ring_min_m (2)"),
-        ({"resample.rate_max_hz": 4}, "resample.rate_max_hz (4) is below resample.rate_min_hz (8)"),
+        (
+            {"scenes.history_ratio": 1},
+            "scenes.history_ratio must lie between 0 and 1, got 1",
+        ),
+        (
+            {"scenes.ring_max_m": 1},
+            "scenes.ring_max_m (1) is below scenes.ring_min_m (2)",
+        ),
+        (
+            {"resample.rate_max_hz": 4},
+            "resample.rate_max_hz (4) is below resample.rate_min_hz (8)",
+        ),
         ({"linkage.handover_window_s": 0.5}, "is below linkage.handover_least_s (1)"),
         ({"scenes.near_miss_max_m": 0.9}, "a near miss would be a conflict"),
-        ({"scenes.agents": "1e9"}, "scenes.agents must lie within 1 to 100, got 1000000000"),
+        (
+            {"scenes.agents": "1e9"},
+            "scenes.agents must lie within 1 to 100, got 1000000000",
+        ),
         ({"scenes.agents": []}, "scenes.agents must be a whole number, got []"),
         ({"privacy.epsilon_m": "9" * 99}, "must lie within 1e-06 to 10000, got 1e+99"),
         ({"privacy.epsilon_m": "x" * 199}, f"must be a number, got '{'x' * 99}..."),
@@ -83,7 +106,9 @@ ABSURD = [1e9, -1e300, 10**400, -(10**9999), "1e400", "inf", "nan"]
 
 def test_every_number_has_a_range_and_absurd_values_end_in_one_line_that_names_the_setting():
     settings = StageSettings()
-    numbers = {name for name, value in settings.flat().items() if type(value) is not str}
+    numbers = {
+        name for name, value in settings.flat().items() if type(value) is not str
+    }
     numbers |= {"conflict.horizons_s"}  # several, typed in a row
     assert RANGES.keys() == numbers
     for name, value in product(RANGES, ABSURD):
@@ -105,7 +130,12 @@ def test_infinity_is_taken_where_it_has_a_meaning_and_as_text_too():
 
 
 def test_both_ends_of_a_range_may_be_taken():
-    for name in ("scenes.agents", "privacy.epsilon_m", "sensing.noise_dbm", "linkage.split_gap_s"):
+    for name in (
+        "scenes.agents",
+        "privacy.epsilon_m",
+        "sensing.noise_dbm",
+        "linkage.split_gap_s",
+    ):
         for value in RANGES[name]:
             assert StageSettings().changed({name: value}).flat()[name] == value
 
@@ -113,12 +143,26 @@ def test_both_ends_of_a_range_may_be_taken():
 @pytest.mark.parametrize(
     ("kind", "values", "message"),
     [
-        (PrivacySettings, {"epsilon_m": "0.3"}, "privacy.epsilon_m must be a number, got '"),
-        (SceneSettings, {"agents": 4.0}, "scenes.agents must be a whole number, got 4.0"),
-        (SensingSettings, {"law": ["radial"]}, "sensing.law must be one of radial, iso"),
+        (
+            PrivacySettings,
+            {"epsilon_m": "0.3"},
+            "privacy.epsilon_m must be a number, got '",
+        ),
+        (
+            SceneSettings,
+            {"agents": 4.0},
+            "scenes.agents must be a whole number, got 4.0",
+        ),
+        (
+            SensingSettings,
+            {"law": ["radial"]},
+            "sensing.law must be one of radial, iso",
+        ),
     ],
 )
-def test_a_wrong_type_given_in_python_is_an_error_that_names_the_setting(kind, values, message):
+def test_a_wrong_type_given_in_python_is_an_error_that_names_the_setting(
+    kind, values, message
+):
     with pytest.raises(SettingsError, match=re.escape(message)):
         kind(**values)
 
@@ -130,5 +174,10 @@ def test_numbers_of_numpy_are_numbers():
 
 @pytest.mark.parametrize("place_m", ["691000.5", "5334000.25", "9999999", "-2e7"])
 def test_places_may_be_those_of_a_map(place_m):
-    for name in ("sensing.bs_x_m", "sensing.bs_y_m", "scenes.robot_x_m", "scenes.robot_y_m"):
+    for name in (
+        "sensing.bs_x_m",
+        "sensing.bs_y_m",
+        "scenes.robot_x_m",
+        "scenes.robot_y_m",
+    ):
         assert StageSettings().changed({name: place_m}).flat()[name] == float(place_m)

@@ -44,7 +44,10 @@ class TestPredictionGrid:
     def test_window_and_horizon(self, window, steps):
         with raises("the window must be at least 2 samples and the horizon 1 step"):
             prediction_grid(
-                t=np.arange(3.0), offsets=np.array([0, 3]), window=window, horizon_steps=steps
+                t=np.arange(3.0),
+                offsets=np.array([0, 3]),
+                window=window,
+                horizon_steps=steps,
             )
 
     def test_a_single_sample_has_no_grid(self):
@@ -59,7 +62,9 @@ class TestRobotPath:
             start=np.array([[1.0, 1.0], [0.0, 0.0], [0.0, 0.0]]),
             destination=np.array([[4.0, 5.0], [0.5, 0.0], [0.0, -0.5]]),
             speed_mps=0.25,
-            elapsed_s=np.array([[[0.0, 8.0], [4.0, 99.0]], *[[[0.0, 1.0], [1.5, 3.0]]] * 2]),
+            elapsed_s=np.array(
+                [[[0.0, 8.0], [4.0, 99.0]], *[[[0.0, 1.0], [1.5, 3.0]]] * 2]
+            ),
         )
         expected = [
             [[[1, 1], [2.2, 2.6]], [[1.6, 1.8], [4, 5]]],
@@ -89,7 +94,10 @@ def test_separation_is_that_of_each_scene():
 
 def test_rates_and_the_distance_error_are_plain_numbers_of_scenes_that_match():
     for rate in (missed_conflict_rate, false_alarm_rate):
-        assert type(rate(conflict=np.array([True, False]), predicted=np.ones(2, bool))) is float
+        assert (
+            type(rate(conflict=np.array([True, False]), predicted=np.ones(2, bool)))
+            is float
+        )
         with raises("conflict and predicted must have one shape"):
             rate(conflict=np.ones(3, bool), predicted=np.ones(1, bool))
     one, other = np.array([2.0]), np.array([1.25])
@@ -113,7 +121,9 @@ class TestProbabilityOfAConflict:
 
     @pytest.mark.parametrize("angle", [0.0, 0.4, 2.1])
     def test_an_oblong_one_is_monte_carlo(self, angle):
-        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        turn = np.array(
+            [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        )
         cov = turn @ np.diag([0.8, 0.05]) @ turn.T
         mean = np.array([0.7, -0.4])
         draws = stream(0, "test", "oblong").multivariate_normal(mean, cov, 400_000)
@@ -135,7 +145,10 @@ class TestProbabilityOfAConflict:
         shape = (40, 3, 12)
         robot = rng.normal(0, 0.5, (40, 3, 1, 2)) + np.zeros((*shape, 2))
         velocity = rng.normal(0, 1.2, (40, 3, 1, 2))
-        mean = rng.normal(0, 1.5, (40, 3, 1, 2)) + velocity * 0.083 * np.arange(12)[:, None]
+        mean = (
+            rng.normal(0, 1.5, (40, 3, 1, 2))
+            + velocity * 0.083 * np.arange(12)[:, None]
+        )
         std = 0.2 + 0.05 * np.arange(12)
         cov = np.broadcast_to(np.eye(2) * std[:, None, None] ** 2, (*shape, 2, 2))
         found = conflict_probability(robot=robot, mean=mean, cov=cov, radius_m=0.9)
@@ -148,7 +161,11 @@ class TestProbabilityOfAConflict:
         rng = stream(0, "test", "likeliest", str(spread))
         shape = (300, 1, 6)
         robot = np.zeros((*shape, 2))
-        factor = spread * rng.normal(0, 1, (*shape, 2, 2)) * rng.uniform(0, 1, (*shape, 1, 2))
+        factor = (
+            spread
+            * rng.normal(0, 1, (*shape, 2, 2))
+            * rng.uniform(0, 1, (*shape, 1, 2))
+        )
         cov = factor @ np.swapaxes(factor, -1, -2)
         # Within six standard deviations of the disc, or nearly: the others count as 0.
         mean = rng.normal(0, 0.7 + spread, (*shape, 2))
@@ -167,5 +184,7 @@ class TestProbabilityOfAConflict:
             cov=cov[None, None, None],
             radius_m=0.9,
         )
-        assert found == pytest.approx(disc_probability(mean=mean, cov=cov, radius_m=0.9), rel=1e-6)
+        assert found == pytest.approx(
+            disc_probability(mean=mean, cov=cov, radius_m=0.9), rel=1e-6
+        )
         assert found > 1e-7

@@ -17,7 +17,13 @@ from isac_track.conflict import (
 )
 from isac_track.errors import SettingsError
 from isac_track.resample import walk
-from isac_track.scenes import cut, make_scenes, robot_positions, track_order, with_horizons
+from isac_track.scenes import (
+    cut,
+    make_scenes,
+    robot_positions,
+    track_order,
+    with_horizons,
+)
 from isac_track.types import Release, Tracks
 from predictors.constant_position import ConstantPosition
 from predictors.kalman import KalmanCV, KalmanIMM
@@ -30,7 +36,9 @@ HORIZON_S = 3.0
 
 @pytest.fixture(scope="module")
 def known(tracks):
-    return with_horizons(cut(tracks, settings=SETTINGS, seed=0), tracks, settings=SETTINGS)
+    return with_horizons(
+        cut(tracks, settings=SETTINGS, seed=0), tracks, settings=SETTINGS
+    )
 
 
 def scenes_of(known, *, n_scenes=N_SCENES, seed=0):
@@ -59,22 +67,29 @@ def distances(scenes):
 
 class TestGrid:
     def test_every_track_has_steps_of_its_own_and_repeats_its_last(self):
-        # Mean intervals 0.5 s and 0.8 s: 1 + round(3 / 0.5) = 7 steps, 1 + round(3.75) = 5.
+        # Mean intervals 0.5 s and 0.8 s: 1 + round(3 / 0.5) = 7 steps, 1 + round(3.75)
+        # = 5.
         t = np.array([0.0, 0.5, 1.0, 7.0, 7.8, 8.6])
-        grid, n_steps = seconds_grid(t=t, offsets=np.array([0, 3, 6]), window=16, horizon_s=3.0)
+        grid, n_steps = seconds_grid(
+            t=t, offsets=np.array([0, 3, 6]), window=16, horizon_s=3.0
+        )
         assert n_steps.tolist() == [7, 5]
         assert steps_of(grid).tolist() == [7, 5]
         np.testing.assert_allclose(grid[0], 1.0 + 0.5 * np.arange(7))
         np.testing.assert_allclose(grid[1], 8.6 + 0.8 * np.array([0, 1, 2, 3, 4, 4, 4]))
 
-    def test_there_is_a_future_step_even_where_an_interval_is_longer_than_the_horizon(self):
+    def test_there_is_a_future_step_even_where_an_interval_is_longer_than_the_horizon(
+        self,
+    ):
         grid, n_steps = seconds_grid(
             t=np.array([0.0, 9.0]), offsets=np.array([0, 2]), window=2, horizon_s=1.0
         )
         assert n_steps.tolist() == [2]
         assert grid.tolist() == [[9.0, 18.0]]
 
-    def test_a_repeated_last_instant_changes_neither_separation_nor_label_nor_time(self, later):
+    def test_a_repeated_last_instant_changes_neither_separation_nor_label_nor_time(
+        self, later
+    ):
         robot = robot_positions(later, settings=SETTINGS.conflict)
         agents = later.xy_future.reshape(robot.shape)
         elapsed = (later.t_future - later.t_future[:, :1]).reshape(robot.shape[:3])
@@ -94,7 +109,9 @@ class TestGrid:
         names = tuple(f"{row}" for row in range(later.offsets.size - 1))
         release = Release(later.t, later.xy, None, later.offsets, names)
         repeated = np.concatenate([later.t_future, later.t_future[:, -1:]], axis=1)
-        short, long = (predictor.predict(release, t) for t in (later.t_future, repeated))
+        short, long = (
+            predictor.predict(release, t) for t in (later.t_future, repeated)
+        )
         assert np.array_equal(long.mean[:, :-1], short.mean)
         assert np.array_equal(long.mean[:, -1], short.mean[:, -1])
         if short.cov is not None:
@@ -115,13 +132,17 @@ class TestTimeToConflict:
         stand = np.array([
             [[2.5, 0.0], [0.0, 5.0]],  # first inside at x = 2: after 2 s
             [[9.0, 9.0], [0.5, 0.0]],  # the second agent is inside now
-            [[1.0, 1.0], [0.0, 2.0]],  # touches the radius at x = 1, which is no conflict
+            # touches the radius at x = 1, which is no conflict
+            [[1.0, 1.0], [0.0, 2.0]],
         ])  # fmt: skip
         return np.repeat(stand[:, :, None, :], 4, axis=2)
 
     def test_it_is_the_first_step_at_which_any_agent_is_inside(self):
         times = time_to_conflict_s(
-            robot=self.ROBOT, agents=self.agents(), elapsed_s=self.ELAPSED, safety_radius_m=1.0
+            robot=self.ROBOT,
+            agents=self.agents(),
+            elapsed_s=self.ELAPSED,
+            safety_radius_m=1.0,
         )
         np.testing.assert_array_equal(times, [2.0, 0.0, np.nan])
 
@@ -147,12 +168,18 @@ class TestTimeToConflict:
         conflict = np.array([True, True, True, True, False])
         inside = np.array([True, False, False, False, False])
         predicted = np.array([False, False, True, True, True])
-        rate = missed_future_rate(conflict=conflict, inside_now=inside, predicted=predicted)
+        rate = missed_future_rate(
+            conflict=conflict, inside_now=inside, predicted=predicted
+        )
         assert rate == pytest.approx(1 / 3)
-        nobody = missed_future_rate(conflict=inside, inside_now=inside, predicted=predicted)
+        nobody = missed_future_rate(
+            conflict=inside, inside_now=inside, predicted=predicted
+        )
         assert np.isnan(nobody)
         with pytest.raises(ValueError, match="must have one shape"):
-            missed_future_rate(conflict=conflict, inside_now=inside[:1], predicted=predicted)
+            missed_future_rate(
+                conflict=conflict, inside_now=inside[:1], predicted=predicted
+            )
 
 
 class TestScenesOfAFurtherHorizon:
@@ -162,20 +189,36 @@ class TestScenesOfAFurtherHorizon:
             t = known.t[known.offsets[row] : known.offsets[row + 1]]
             step = (t[-1] - t[-16]) / 15
             n_steps = 1 + round(HORIZON_S / step)
-            grid = t[-1] + step * np.minimum(np.arange(longer.t_future.shape[1]), n_steps - 1)
+            grid = t[-1] + step * np.minimum(
+                np.arange(longer.t_future.shape[1]), n_steps - 1
+            )
             np.testing.assert_allclose(longer.t_future[row], grid)
             np.testing.assert_allclose(longer.xy_future[row], walk(track)(grid))
         assert np.unique(steps_of(longer.t_future)).size > 1  # grids differ in length
 
     def test_the_scenes_of_the_papers_horizon_do_not_change(self, tracks, known):
-        alone, beside = scenes_of(cut(tracks, settings=SETTINGS, seed=0)), scenes_of(known)
-        for name in ("xy", "xy_future", "t_future", "robot_start", "separation", "conflict"):
+        alone, beside = (
+            scenes_of(cut(tracks, settings=SETTINGS, seed=0)),
+            scenes_of(known),
+        )
+        for name in (
+            "xy",
+            "xy_future",
+            "t_future",
+            "robot_start",
+            "separation",
+            "conflict",
+        ):
             assert np.array_equal(getattr(alone, name), getattr(beside, name))
 
-    def test_the_robot_starts_and_heads_the_same_way_with_the_same_people(self, known, later):
+    def test_the_robot_starts_and_heads_the_same_way_with_the_same_people(
+        self, known, later
+    ):
         own = scenes_of(known)
         assert np.array_equal(own.robot_start, later.robot_start)
-        ways = [scenes.robot_destination - scenes.robot_start for scenes in (own, later)]
+        ways = [
+            scenes.robot_destination - scenes.robot_start for scenes in (own, later)
+        ]
         turns = [np.arctan2(way[:, 1], way[:, 0]) for way in ways]
         np.testing.assert_allclose(*turns)
         assert np.array_equal(own.track, later.track)
@@ -201,11 +244,14 @@ class TestScenesOfAFurtherHorizon:
         scenes = scenes_of(known.further[HORIZON_S], n_scenes=400)
         apart = distances(scenes)[::2, 0]
         assert (apart.min(axis=1) < 1e-9).all()
-        n_steps = steps_of(scenes.t_future)[::8]  # of the first agent of every other scene
+        n_steps = steps_of(scenes.t_future)[
+            ::8
+        ]  # of the first agent of every other scene
         step = apart.argmin(axis=1)
         assert (step >= 1).all()
         assert (step < n_steps).all()
-        # Uniform over 1..H-1: (step - 1) / (H - 1) has mean 1/2 - 1 / (2 (H - 1)), variance 1/12.
+        # Uniform over 1..H-1: (step - 1) / (H - 1) has mean 1/2 - 1 / (2 (H - 1)),
+        # variance 1/12.
         share = (step - 0.5) / (n_steps - 1)
         assert share.mean() == pytest.approx(0.5, abs=4 * np.sqrt(1 / 12 / share.size))
 
@@ -219,14 +265,17 @@ class TestScenesOfAFurtherHorizon:
         assert (apart[placed, 1:].min(axis=(1, 2)) >= 1.5).all()
 
     def test_tracks_that_do_not_cover_it_are_left_out_and_counted(self, tracks):
-        ratio = SETTINGS.changed({"scenes.history_ratio": 0.95})  # 1.5 s of 30 s are left
+        ratio = SETTINGS.changed(
+            {"scenes.history_ratio": 0.95}
+        )  # 1.5 s of 30 s are left
         long, short = tracks, tracks[0]
         known = with_horizons(cut(long, settings=ratio, seed=0), long, settings=ratio)
         assert not known.further  # nobody's recording covers 3 s
         later = ratio.changed({"conflict.horizons_s": "1.2,3"})
         known = with_horizons(cut(long, settings=later, seed=0), long, settings=later)
         assert list(known.further) == [1.2]
-        # Of one person the recording ends earlier: 26 s of 30 s, of which 0.7 s are left.
+        # Of one person the recording ends earlier: 26 s of 30 s, of which 0.7 s are
+        # left.
         stop = np.searchsorted(short.t, 26.0)
         parts = [
             (short.t[:stop], short.xy[:stop]),
@@ -240,9 +289,15 @@ class TestScenesOfAFurtherHorizon:
             long.group,
         )
         known = with_horizons(
-            cut(cutting, settings=SETTINGS.changed({"scenes.history_ratio": 0.88}), seed=0),
+            cut(
+                cutting,
+                settings=SETTINGS.changed({"scenes.history_ratio": 0.88}),
+                seed=0,
+            ),
             cutting,
-            settings=SETTINGS.changed({"scenes.history_ratio": 0.88, "conflict.horizons_s": 3.4}),
+            settings=SETTINGS.changed(
+                {"scenes.history_ratio": 0.88, "conflict.horizons_s": 3.4}
+            ),
         )
         longer = known.further[3.4]
         assert known.source[0] not in longer.source
@@ -274,7 +329,10 @@ def test_horizons_are_typed_as_a_list(typed, horizons_s):
 
 @pytest.mark.parametrize("typed", ["three", "1,", "0", "-3", [True], None, "nan", 1e3])
 def test_no_horizon_is_one_clear_line(typed):
-    message = "conflict.horizons_s must be numbers within 0.1 to 60, such as 3 or 1.5,3, or none"
+    message = (
+        "conflict.horizons_s must be numbers within 0.1 to 60, such as 3 or 1.5,3, or"
+        " none"
+    )
     with pytest.raises(SettingsError, match=f"^{re.escape(message)}, got "):
         SETTINGS.changed({"conflict.horizons_s": typed})
 
@@ -282,7 +340,9 @@ def test_no_horizon_is_one_clear_line(typed):
 def test_in_two_of_three_conflicts_of_the_paper_somebody_is_inside_already(students03):
     known = cut(students03.tracks, settings=SETTINGS, seed=0)
     known = with_horizons(known, students03.tracks, settings=SETTINGS)
-    own, later = (scenes_of(cut_at, n_scenes=1000) for cut_at in (known, known.further[HORIZON_S]))
+    own, later = (
+        scenes_of(cut_at, n_scenes=1000) for cut_at in (known, known.further[HORIZON_S])
+    )
     share = own.inside_now[own.conflict].mean()
     assert share == pytest.approx(2 / 3, abs=4 * np.sqrt(2 / 9 / own.conflict.sum()))
     # Three seconds ahead most are still to come.

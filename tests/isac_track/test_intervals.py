@@ -26,16 +26,22 @@ from isac_track.intervals import (
 from isac_track.rng import stream
 
 
-@pytest.mark.parametrize(("hits", "n"), [(0, 5), (3, 20), (17, 20), (250, 500), (20, 20)])
+@pytest.mark.parametrize(
+    ("hits", "n"), [(0, 5), (3, 20), (17, 20), (250, 500), (20, 20)]
+)
 def test_wilson_is_scipys(hits, n):
     expected = binomtest(hits, n).proportion_ci(method="wilson")
-    assert wilson(hits=hits, n=n) == pytest.approx((expected.low, expected.high), abs=1e-12)
+    assert wilson(hits=hits, n=n) == pytest.approx(
+        (expected.low, expected.high), abs=1e-12
+    )
 
 
 @pytest.mark.parametrize(("hits", "n"), [(0, 7), (1, 7), (5, 7), (7, 7), (1, 1)])
 def test_the_exact_interval_of_a_count_is_scipys(hits, n):
     expected = binomtest(hits, n).proportion_ci(method="exact")
-    assert exact_binomial(hits=hits, n=n) == pytest.approx((expected.low, expected.high), abs=1e-9)
+    assert exact_binomial(hits=hits, n=n) == pytest.approx(
+        (expected.low, expected.high), abs=1e-9
+    )
 
 
 @pytest.mark.parametrize("interval", [wilson, exact_binomial])
@@ -56,11 +62,15 @@ def test_weights_draw_as_many_clusters_as_there_are_and_depend_on_the_seed_alone
 
 
 def test_sums_and_a_ratio_by_hand():
-    sums = cluster_sums(values=np.array([1.0, 2.0, 4.0]), cluster=np.array([2, 0, 2]), n_clusters=4)
+    sums = cluster_sums(
+        values=np.array([1.0, 2.0, 4.0]), cluster=np.array([2, 0, 2]), n_clusters=4
+    )
     assert sums.tolist() == [2.0, 0.0, 5.0, 0.0]
     weights = np.array([[2.0, 0.0], [0.0, 2.0], [1.0, 1.0]])
     estimate = ratio_estimate(
-        numerator=np.array([1.0, 3.0]), denominator=np.array([2.0, 4.0]), weights=weights
+        numerator=np.array([1.0, 3.0]),
+        denominator=np.array([2.0, 4.0]),
+        weights=weights,
     )
     assert estimate.value == pytest.approx(4 / 6)
     assert estimate.replicates.tolist() == pytest.approx([0.5, 0.75, 4 / 6])
@@ -81,12 +91,16 @@ def test_a_share_of_zero_takes_wilson_over_clusters_and_not_a_point():
 def test_too_few_clusters_have_no_interval():
     weights = cluster_weights(n_clusters=2, n_replicates=10, seed=0)
     one = ratio_estimate(
-        numerator=np.array([1.0, 0.0]), denominator=np.array([4.0, 0.0]), weights=weights
+        numerator=np.array([1.0, 0.0]),
+        denominator=np.array([4.0, 0.0]),
+        weights=weights,
     )
     assert one.value == 0.25
     assert one.n == 1
     assert np.isnan([one.ci_low, one.ci_high]).all()
-    none = ratio_estimate(numerator=np.zeros(2), denominator=np.zeros(2), weights=weights)
+    none = ratio_estimate(
+        numerator=np.zeros(2), denominator=np.zeros(2), weights=weights
+    )
     assert np.isnan([none.value, none.ci_low, none.ci_high]).all()
     assert none.n == 0
 
@@ -97,7 +111,9 @@ ENDS = [(1.0 - CONFIDENCE) / 2.0, 1.0 - (1.0 - CONFIDENCE) / 2.0]
 @pytest.mark.parametrize("n_replicates", [1, 2, 41, 1000])
 def test_percentiles_of_many_rows_are_numpys_to_the_last_bit(n_replicates):
     rng = stream(1, "test", "percentiles", n_replicates)
-    rows = rng.standard_normal((400, n_replicates)) * 10.0 ** rng.integers(-9, 9, (400, 1))
+    rows = rng.standard_normal((400, n_replicates)) * 10.0 ** rng.integers(
+        -9, 9, (400, 1)
+    )
     rows[100:200] = rows[100:200].round(0)  # ties
     rows[rng.random(rows.shape) < np.linspace(-0.2, 0.9, 400)[:, None]] = np.nan
     rows[-1] = np.nan
@@ -128,26 +144,33 @@ def test_many_ratios_are_each_by_itself():
     sums = {"numerator": np.array(top), "denominator": np.array(bottom)}
     found = ratio_estimates(**sums, weights=weights, is_share=is_share)
     for one, (over, under, share) in zip(found, rows, strict=True):
-        alone = ratio_estimate(numerator=over, denominator=under, weights=weights, is_share=share)
+        alone = ratio_estimate(
+            numerator=over, denominator=under, weights=weights, is_share=share
+        )
         for name in ("value", "ci_low", "ci_high", "n", "replicates"):
             expected = getattr(alone, name)
-            np.testing.assert_allclose(getattr(one, name), expected, rtol=1e-12, err_msg=name)
+            np.testing.assert_allclose(
+                getattr(one, name), expected, rtol=1e-12, err_msg=name
+            )
 
 
 def test_the_clustered_interval_covers_and_the_naive_one_does_not():
-    # 60 clusters of 10 trials that share a random rate: trials within a cluster are alike.
+    # 60 clusters of 10 trials that share a random rate: trials within a cluster are
+    # alike.
     rng = stream(0, "test", "coverage")
     weights = cluster_weights(n_clusters=60, n_replicates=400, seed=0)
     clustered = naive = 0
     n_runs = 400
     for _ in range(n_runs):
         hits = rng.binomial(10, rng.beta(0.9, 2.1, 60)).astype(float)  # mean rate 0.3
-        estimate = ratio_estimate(numerator=hits, denominator=np.full(60, 10.0), weights=weights)
+        estimate = ratio_estimate(
+            numerator=hits, denominator=np.full(60, 10.0), weights=weights
+        )
         clustered += estimate.ci_low <= 0.3 <= estimate.ci_high
         low, high = wilson(hits=hits.sum(), n=600)
         naive += low <= 0.3 <= high
-    # 0.95 +- 3 standard errors of 400 runs is 0.917..0.983; the percentile interval is a
-    # little short with 60 clusters.
+    # 0.95 +- 3 standard errors of 400 runs is 0.917..0.983; the percentile interval is
+    # a little short with 60 clusters.
     assert 0.90 <= clustered / n_runs <= 0.985
     assert naive / n_runs < 0.85
 
@@ -174,7 +197,11 @@ def test_a_difference_is_paired_in_the_replicates_that_both_have():
 
 
 def test_effective_clusters_are_as_many_as_there_are_if_all_are_alike():
-    for sizes, expected in (([3.0, 3.0, 3.0, 0.0], 3), ([6.0, 1.0, 1.0], 64 / 38), ([0.0], 0)):
+    for sizes, expected in (
+        ([3.0, 3.0, 3.0, 0.0], 3),
+        ([6.0, 1.0, 1.0], 64 / 38),
+        ([0.0], 0),
+    ):
         assert effective_clusters(np.array(sizes)) == pytest.approx(expected)
 
 
@@ -185,11 +212,15 @@ def without_each(values):
 
 def test_the_jackknife_of_a_mean_is_students_interval():
     values = stream(3, "test", "mean").random(30)
-    found = jackknife_interval(without_each(values) / without_each(np.ones(30)), effective=30.0)
+    found = jackknife_interval(
+        without_each(values) / without_each(np.ones(30)), effective=30.0
+    )
     mean, error = values.mean(), values.std(ddof=1) / np.sqrt(30)
     # On the scale of the logit, whose slope is 1 / p (1 - p).
     half = t(29).ppf(0.975) * error / (mean * (1 - mean))
-    assert found == pytest.approx(tuple(1 / (1 + (1 / mean - 1) * np.exp([half, -half]))))
+    assert found == pytest.approx(
+        tuple(1 / (1 + (1 / mean - 1) * np.exp([half, -half])))
+    )
 
 
 @pytest.mark.parametrize(
@@ -197,7 +228,11 @@ def test_the_jackknife_of_a_mean_is_students_interval():
     [
         (np.arange(14) % 2, np.ones(14), exact_binomial(hits=7, n=14)),
         (2.0 * (np.arange(7) < 7), np.full(7, 2.0), exact_binomial(hits=7, n=7)),
-        (np.arange(14) % 3, np.full(14, 2.0), (np.nan, np.nan)),  # not one outcome a person
+        (
+            np.arange(14) % 3,
+            np.full(14, 2.0),
+            (np.nan, np.nan),
+        ),  # not one outcome a person
         (np.arange(14) % 2, 1.0 + np.arange(14) % 2, (np.nan, np.nan)),
         (np.zeros(20), np.ones(20), wilson(hits=0, n=20)),
         (np.zeros(0), np.zeros(0), (np.nan, np.nan)),
@@ -207,7 +242,11 @@ def test_very_few_people_have_the_interval_of_their_count_or_none(hits, trials, 
     weights = cluster_weights(n_clusters=max(trials.size, 1), n_replicates=9, seed=0)[
         :, : trials.size
     ]
-    sums = {"numerator": hits[None] * 1.0, "denominator": trials[None], "is_share": [True]}
+    sums = {
+        "numerator": hits[None] * 1.0,
+        "denominator": trials[None],
+        "is_share": [True],
+    }
     (one,) = ratio_estimates(**sums, weights=weights)
     assert (one.ci_low, one.ci_high) == pytest.approx(ends, nan_ok=True)
     assert one.replicates.size == 9
@@ -230,7 +269,9 @@ def test_what_is_no_share_has_students_interval_of_few_and_the_percentiles_of_ma
 
 def beta_binomial(rng, chances, sizes, within=0.4):
     """Hits of each person, whose own chance varies around those of all."""
-    own = rng.beta(*(one * (1 / within - 1) for one in (chances, 1 - chances)), sizes.shape)
+    own = rng.beta(
+        *(one * (1 / within - 1) for one in (chances, 1 - chances)), sizes.shape
+    )
     return rng.binomial(sizes.astype(int), own) * 1.0
 
 

@@ -52,7 +52,9 @@ def sensed(walks, law, sigma_m=0.5):
     unit = unit_errors(n_samples=t.size, law=law, rng=rng("errors", law))
     ones = np.ones_like(t)
     of = {"information": ones, "fid": ones, "offsets": OFFSETS, "law": law}
-    return Sensed(t=t, xy=xy + sigma[:, None] * unit, unit_error=unit, sigma_raw=sigma, **of)
+    return Sensed(
+        t=t, xy=xy + sigma[:, None] * unit, unit_error=unit, sigma_raw=sigma, **of
+    )
 
 
 def test_walks_start_where_they_shall_and_spread_as_the_motion_says(walks):
@@ -68,7 +70,9 @@ def test_walks_start_where_they_shall_and_spread_as_the_motion_says(walks):
 def test_the_motion_of_simulated_walks_is_found_again(walks):
     t, xy, _ = walks
     names = tuple(map(str, range(N)))
-    found = fitted_motion(Tracks(t=t, xy=xy, offsets=OFFSETS, source=names, group=names))
+    found = fitted_motion(
+        Tracks(t=t, xy=xy, offsets=OFFSETS, source=names, group=names)
+    )
     assert found.q == pytest.approx(MOTION.q, rel=0.05)
     assert found.speed_mps == pytest.approx(MOTION.speed_mps, rel=0.15)
 
@@ -110,25 +114,35 @@ def test_told_the_scales_errors_are_standard_gaussian(walks, law, mechanism):
         offsets=release.offsets,
         law=law,
     )
-    errors = errors_of(release=release, sensed=seen, mechanism=mechanism, rng=rng("genie"))
+    errors = errors_of(
+        release=release, sensed=seen, mechanism=mechanism, rng=rng("genie")
+    )
     z = (release.xy - walks[1][keep]) / np.sqrt(errors.variance)[:, None]
     assert stats.kstest(z[:, 0], "norm").pvalue > 1e-3
     # Nor does a scale tell how far off the error then is.
     assert abs(np.corrcoef(errors.variance, np.square(z).sum(axis=1))[0, 1]) < 0.02
-    assert errors.is_gaussian == (law == "isotropic" and not isinstance(mechanism, Laplace))
+    assert errors.is_gaussian == (
+        law == "isotropic" and not isinstance(mechanism, Laplace)
+    )
 
 
 @pytest.mark.parametrize("law", ["isotropic", "radial"])
 @pytest.mark.parametrize("mechanism", [Fixed(0.7), Ou(0.4)], ids=str)
-def test_the_posterior_mean_of_who_is_told_holds_the_share_that_is_expected(walks, law, mechanism):
+def test_the_posterior_mean_of_who_is_told_holds_the_share_that_is_expected(
+    walks, law, mechanism
+):
     """In a linear Gaussian world, scales told, the smoother is the optimum: here it is computed."""
     of = sensed(walks, law)
     release = mechanism.share(of, rng("share"))
-    errors = errors_of(release=release, sensed=of, mechanism=mechanism, rng=rng("genie"))
+    errors = errors_of(
+        release=release, sensed=of, mechanism=mechanism, rng=rng("genie")
+    )
     about = {"t": of.t, "offsets": OFFSETS, "errors": errors, "epsilon_m": 0.3}
     expected = known_share(**about, motion=MOTION)
     if errors.slow is None:
-        batch = Batch(of.t, release.xy, errors.variance, OFFSETS, (100.0, MOTION.speed_mps))
+        batch = Batch(
+            of.t, release.xy, errors.variance, OFFSETS, (100.0, MOTION.speed_mps)
+        )
         mean = smooth_positions(batch, q=MOTION.q)[0]
         off = np.hypot(*(mean - walks[1]).T).reshape(N, SIZE)
         share = (off < 0.3).mean(axis=1)
@@ -144,7 +158,9 @@ def _people(walks):
     stands = np.arange(N) % 2 == 0
     motions = OwnMotions(np.where(stands, 2e-3, 0.1), np.where(stands, 0.05, 1.2))
     t, _, start = walks
-    return motions, simulated(t=t, offsets=OFFSETS, start=start, motion=motions, rng=rng("people"))
+    return motions, simulated(
+        t=t, offsets=OFFSETS, start=start, motion=motions, rng=rng("people")
+    )
 
 
 def test_each_persons_motion_is_found_again(walks):
@@ -160,17 +176,23 @@ def test_each_persons_motion_is_found_again(walks):
 
 
 @pytest.mark.parametrize("mechanism", [Fixed(0.7), Ou(0.4)], ids=str)
-def test_who_knows_each_motion_holds_the_share_that_is_expected_and_others_less(walks, mechanism):
+def test_who_knows_each_motion_holds_the_share_that_is_expected_and_others_less(
+    walks, mechanism
+):
     """One smoother a motion, of those who have it, beside one smoother for all."""
     motions, xy = _people(walks)
     of = sensed((walks[0], xy, None), "isotropic")
     release = mechanism.share(of, rng("share"))
-    errors = errors_of(release=release, sensed=of, mechanism=mechanism, rng=rng("genie"))
+    errors = errors_of(
+        release=release, sensed=of, mechanism=mechanism, rng=rng("genie")
+    )
     about = {"t": of.t, "offsets": OFFSETS, "errors": errors, "epsilon_m": 0.3}
     expected = known_share(**about, motion=motions)
 
     def share(q, speed_mps):
-        batch = Batch(of.t, release.xy, errors.variance, OFFSETS, (START_STD_M, speed_mps))
+        batch = Batch(
+            of.t, release.xy, errors.variance, OFFSETS, (START_STD_M, speed_mps)
+        )
         slow = errors.slow or SlowError(0.0, 0.0)
         off = np.hypot(*(smooth_tracks(batch, slow, q=q)[0] - xy).T).reshape(N, SIZE)
         return (off < 0.3).mean(axis=1)
@@ -197,7 +219,10 @@ def test_one_gaussian_sample_is_known_as_the_rayleigh_law_says():
 def test_of_other_errors_nothing_is_said(walks, mechanism):
     of = sensed(walks, "radial")
     release = Raw().share(of, rng("share"))
-    assert errors_of(release=release, sensed=of, mechanism=mechanism, rng=rng("genie")) is None
+    assert (
+        errors_of(release=release, sensed=of, mechanism=mechanism, rng=rng("genie"))
+        is None
+    )
 
 
 def _dense(positions, covariance):
@@ -225,7 +250,9 @@ def test_ratios_of_pairs_are_those_of_dense_densities_averaged_over_rotations():
         variance = draw.uniform(0.01, 0.1, t.size)
         noise = np.sqrt(variance)[:, None] * draw.standard_normal((t.size, 2))
         prior = START_STD_M, MOTION.speed_mps
-        sides.append(Batch(t, simulated(**walk, rng=draw) + noise, variance, offsets, prior))
+        sides.append(
+            Batch(t, simulated(**walk, rng=draw) + noise, variance, offsets, prior)
+        )
     found = log_ratios(*sides, motion=MOTION, lags_s=lags_s, weight=weight)
     angles = np.exp(2j * np.pi * np.arange(360) / 360)
 

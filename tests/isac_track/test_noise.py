@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from isac_track.kalman import _linear_loops
-from isac_track.noise import MIN_VARIANCE_M2, UNKNOWN_VARIANCE_M2, innovation_variance_m2
+from isac_track.noise import (
+    MIN_VARIANCE_M2,
+    UNKNOWN_VARIANCE_M2,
+    innovation_variance_m2,
+)
 from isac_track.rng import stream
 
 
@@ -27,7 +31,8 @@ def scaled_squares(t, p):
     """Squared error of the line's forecast of each sample from the third on, per axis, scaled."""
     scaled = []
     for k in range(2, len(t)):
-        # The forecast is w1 p1 + w0 p0; independent errors of variance r leave r (1 + w1^2 + w0^2).
+        # The forecast is w1 p1 + w0 p0; independent errors of variance r leave r (1 +
+        # w1^2 + w0^2).
         w0 = -(t[k] - t[k - 1]) / (t[k - 1] - t[k - 2])
         w1 = 1.0 - w0
         errors = p[k] - (w1 * p[k - 1] + w0 * p[k - 2])
@@ -38,14 +43,17 @@ def scaled_squares(t, p):
 def by_loop(t, p):
     """Mean over triples and axes."""
     scaled = scaled_squares(t, p)
-    return max(float(np.mean(scaled)), MIN_VARIANCE_M2) if scaled else UNKNOWN_VARIANCE_M2
+    return (
+        max(float(np.mean(scaled)), MIN_VARIANCE_M2) if scaled else UNKNOWN_VARIANCE_M2
+    )
 
 
 def test_it_is_the_plain_loop():
     case = ragged(40, 1, 3, 2, 150, 4, 1)
     found = innovation_variance_m2(**case)
     expected = [
-        by_loop(case["t"][lo:hi], case["xy"][lo:hi]) for lo, hi in pairwise(case["offsets"])
+        by_loop(case["t"][lo:hi], case["xy"][lo:hi])
+        for lo, hi in pairwise(case["offsets"])
     ]
     assert found == pytest.approx(expected, rel=1e-10)
     assert found[[1, 3, 6]].tolist() == [UNKNOWN_VARIANCE_M2] * 3
@@ -54,7 +62,9 @@ def test_it_is_the_plain_loop():
 def test_by_interval_they_are_those_of_the_middle_samples():
     case = ragged(40, 1, 3, 2, 150, 4, 1)
     interval_s = np.diff(case["t"])
-    edges = np.sort([interval_s[10], interval_s[100], interval_s[20]])  # of equals to the right
+    edges = np.sort(
+        [interval_s[10], interval_s[100], interval_s[20]]
+    )  # of equals to the right
     expected = np.zeros((2, 7, 4))
     for row, (lo, hi) in enumerate(pairwise(case["offsets"])):
         t = case["t"][lo:hi]
@@ -75,7 +85,9 @@ def test_irregular_steps_leave_it_unbiased():
 
 
 def test_a_straight_walk_without_error_has_the_least_level():
-    assert innovation_variance_m2(**ragged(20, noise_m=0.0)).tolist() == [MIN_VARIANCE_M2]
+    assert innovation_variance_m2(**ragged(20, noise_m=0.0)).tolist() == [
+        MIN_VARIANCE_M2
+    ]
 
 
 def test_neighbours_frame_and_clock_change_nothing():
@@ -88,7 +100,9 @@ def test_neighbours_frame_and_clock_change_nothing():
         assert alone.tolist() == [whole[row]]
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
     moved = innovation_variance_m2(
-        t=case["t"] + 3600.0, xy=case["xy"] @ turn.T + [500.0, -9.0], offsets=case["offsets"]
+        t=case["t"] + 3600.0,
+        xy=case["xy"] @ turn.T + [500.0, -9.0],
+        offsets=case["offsets"],
     )
     assert moved == pytest.approx(whole, rel=1e-6)
 

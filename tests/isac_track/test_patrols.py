@@ -13,28 +13,39 @@ from isac_track.rng import stream
 from isac_track.sharing import Raw
 from isac_track.withholding import Window
 
-CROSSING = straight_walks((0, 20, (-10, 0), (1, 0)), (3.25, 4.1, (5, 5), (0, 1)), step_s=0.05)
+CROSSING = straight_walks(
+    (0, 20, (-10, 0), (1, 0)), (3.25, 4.1, (5, 5), (0, 1)), step_s=0.05
+)
 
 
 def patrol_with(tracks=CROSSING, *, seed=0, settings=ROUND, **changes):
-    changed = settings.changed({f"patrol.{name}": value for name, value in changes.items()})
+    changed = settings.changed(
+        {f"patrol.{name}": value for name, value in changes.items()}
+    )
     return make_patrol(tracks, settings=changed, seed=seed)
 
 
 class TestPeople:
     def test_are_sampled_at_every_scan_of_their_presence_and_no_other(self):
         patrol = patrol_with()
-        assert np.diff(patrol.people.offsets).tolist() == [201, 9]  # 0.0..20.0 and 3.3..4.1
+        assert np.diff(patrol.people.offsets).tolist() == [
+            201,
+            9,
+        ]  # 0.0..20.0 and 3.3..4.1
         np.testing.assert_allclose(patrol.people[1].t, np.arange(3.3, 4.15, 0.1))
         np.testing.assert_allclose(patrol.people.t, patrol.scan_s[patrol.scan])
 
     def test_stand_where_their_continuous_walk_is(self, tracks):
         patrol = make_patrol(tracks, settings=SETTINGS, seed=0)
         for recorded, sampled in zip(tracks, patrol.people, strict=True):
-            np.testing.assert_allclose(sampled.xy, walk(recorded)(sampled.t), atol=1e-12)
+            np.testing.assert_allclose(
+                sampled.xy, walk(recorded)(sampled.t), atol=1e-12
+            )
 
     def test_are_counted_if_no_scan_sees_them(self):
-        tracks = straight_walks((0, 5, (0, 0), (1, 0)), (1.02, 1.08, (0, 0), (1, 0)), step_s=0.01)
+        tracks = straight_walks(
+            (0, 5, (0, 0), (1, 0)), (1.02, 1.08, (0, 0), (1, 0)), step_s=0.01
+        )
         patrol = patrol_with(tracks)
         assert patrol.people.source == ("w0",)
         assert patrol.n_unseen == 1
@@ -51,12 +62,18 @@ class TestPeople:
         assert patrol.query_scan.size == 6
 
     def test_keep_the_cluster_that_they_walk_in(self, tracks):
-        assert make_patrol(tracks, settings=SETTINGS, seed=0).people.group == tracks.group
+        assert (
+            make_patrol(tracks, settings=SETTINGS, seed=0).people.group == tracks.group
+        )
 
     def test_who_are_never_present_are_one_clear_error(self):
         # One person of one sample, who sets the clock, and another between two scans.
-        tracks = straight_walks((0, 0, (0, 0), (1, 0)), (0.2, 0.8, (0, 0), (1, 0)), step_s=0.1)
-        with pytest.raises(DataError, match=r"nobody of 2 people.*set patrol\.scan_s lower"):
+        tracks = straight_walks(
+            (0, 0, (0, 0), (1, 0)), (0.2, 0.8, (0, 0), (1, 0)), step_s=0.1
+        )
+        with pytest.raises(
+            DataError, match=r"nobody of 2 people.*set patrol\.scan_s lower"
+        ):
             patrol_with(tracks, scan_s=1.0)
 
     def test_who_are_present_at_no_query_are_one_clear_error(self):
@@ -164,7 +181,9 @@ class TestSensing:
         assert names[0] == names[1] == network_of(patrol, Raw()).release.pseudonym
 
     def test_a_mechanism_that_leaves_samples_out_is_refused(self):
-        with pytest.raises(SettingsError, match="a policy selects samples, such as window"):
+        with pytest.raises(
+            SettingsError, match="a policy selects samples, such as window"
+        ):
             network_of(patrol_with(), Window(1.0))
 
 

@@ -5,7 +5,11 @@ import pytest
 from helpers.patrols import SETTINGS, network_of
 
 from isac_track.patrol_answers import disclose
-from isac_track.patrol_equal_alarms import AlarmCurve, alarm_curve, missed_at_equal_alarms
+from isac_track.patrol_equal_alarms import (
+    AlarmCurve,
+    alarm_curve,
+    missed_at_equal_alarms,
+)
 from isac_track.patrol_intervals import cluster_numbers
 from isac_track.patrol_metrics import robot_task, utility_metrics
 from isac_track.patrol_utility import answer_forecasts, conflicts_in, least_gaps
@@ -54,7 +58,9 @@ def test_alarms_that_fall_again_farther_off_are_not_waited_for():
     assert estimate.value == pytest.approx(0.7)
 
 
-@pytest.mark.parametrize("policy", [Near(3.0), RandomPeople(0.5), State(), Flag(), Everything()])
+@pytest.mark.parametrize(
+    "policy", [Near(3.0), RandomPeople(0.5), State(), Flag(), Everything()]
+)
 def test_who_is_nearer_than_the_radius_is_foreseen_within_the_horizon(crowd, policy):
     answers = answer_forecasts(crowd, disclose(crowd, policy), LeastSquares())
     foreseen = conflicts_in(crowd.patrol, answers, safety_radius_m=0.9)

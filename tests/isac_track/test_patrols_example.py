@@ -22,7 +22,9 @@ def example():
     return module
 
 
-def rows_of(example, tracks, *, policies, mechanisms=("raw",), predictors=("least_squares",)):
+def rows_of(
+    example, tracks, *, policies, mechanisms=("raw",), predictors=("least_squares",)
+):
     return list(
         example.compare(
             tracks,
@@ -37,7 +39,9 @@ def rows_of(example, tracks, *, policies, mechanisms=("raw",), predictors=("leas
 
 
 def numbers(row):
-    return {name: (estimate.value, estimate.n) for name, estimate in row.metrics.items()}
+    return {
+        name: (estimate.value, estimate.n) for name, estimate in row.metrics.items()
+    }
 
 
 def test_a_row_depends_on_no_other_policy_mechanism_or_robot(example, tracks):
@@ -61,7 +65,9 @@ def test_a_row_depends_on_no_other_policy_mechanism_or_robot(example, tracks):
         np.testing.assert_equal(numbers(same), numbers(row))
 
 
-def test_prints_a_row_for_every_policy_mechanism_robot_and_horizon(example, capsys, csv_recording):
+def test_prints_a_row_for_every_policy_mechanism_robot_and_horizon(
+    example, capsys, csv_recording
+):
     words = ["--dataset", str(csv_recording), "--policy", "near:3", "--policy", "flag"]
     words += ["--set", "patrol.fleets=2", "--set", "patrol.segment_s=8"]
     example.main(words)
@@ -69,8 +75,12 @@ def test_prints_a_row_for_every_policy_mechanism_robot_and_horizon(example, caps
     assert lines[0].endswith("2 fleets of 1 robot(s)")
     for policy in ("near:3", "flag"):
         for mechanism in ("raw", "fid:1"):
-            rows = [line for line in lines if line.startswith(f"| {mechanism} | {policy} |")]
-            assert len(rows) == 1 + 1 + 2 * 2  # Log, who follows by it, robots and horizons.
+            rows = [
+                line for line in lines if line.startswith(f"| {mechanism} | {policy} |")
+            ]
+            assert (
+                len(rows) == 1 + 1 + 2 * 2
+            )  # Log, who follows by it, robots and horizons.
     assert sum(line.startswith("Robot kalman_cv, horizon") for line in lines) == 2
 
 
@@ -85,7 +95,9 @@ def test_prints_a_row_for_every_policy_mechanism_robot_and_horizon(example, caps
 )
 def test_a_mistake_is_one_clear_line(example, csv_recording, words, message):
     with pytest.raises(SystemExit) as ended:
-        example.main(["--dataset", str(csv_recording), "--set", "patrol.segment_s=8", *words])
+        example.main(
+            ["--dataset", str(csv_recording), "--set", "patrol.segment_s=8", *words]
+        )
     assert message in str(ended.value)
     assert "\n" not in str(ended.value)
 
@@ -96,4 +108,6 @@ def test_the_usual_names_exist(example):
         ("mechanisms", example.MECHANISMS),
         ("predictors", example.PREDICTORS),
     ):
-        assert [plugin.spec for spec in specs for plugin in parse(kind, spec)] == list(specs)
+        assert [plugin.spec for spec in specs for plugin in parse(kind, spec)] == list(
+            specs
+        )

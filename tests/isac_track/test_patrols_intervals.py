@@ -54,7 +54,9 @@ def test_holds_the_truth_about_as_often_as_it_says():
     share, n_held = truth(), 0
     for seed in range(200):
         hits, trials = planted(seed=seed)
-        estimate = two_way_ratio(numerator=hits, denominator=trials, seed=0, n_replicates=400)
+        estimate = two_way_ratio(
+            numerator=hits, denominator=trials, seed=0, n_replicates=400
+        )
         n_held += estimate.ci_low <= share <= estimate.ci_high
     assert 0.90 <= n_held / 200 <= 0.99
 
@@ -69,24 +71,32 @@ def test_an_interval_over_people_alone_would_be_too_narrow():
     assert both.ci_high - both.ci_low > 2.0 * (people.ci_high - people.ci_low)
 
 
-@pytest.mark.parametrize(("n_clusters", "n_routes"), [(60, 19), (10, 30), (1, 30), (60, 1)])
+@pytest.mark.parametrize(
+    ("n_clusters", "n_routes"), [(60, 19), (10, 30), (1, 30), (60, 1)]
+)
 def test_few_people_or_few_routes_have_a_value_and_no_interval(n_clusters, n_routes):
     hits, trials = planted(n_clusters=n_clusters, n_routes=n_routes)
-    estimate = two_way_ratio(numerator=hits, denominator=trials, seed=0, n_replicates=50)
+    estimate = two_way_ratio(
+        numerator=hits, denominator=trials, seed=0, n_replicates=50
+    )
     assert estimate.value == hits.sum() / trials.sum()
     assert np.isnan([estimate.ci_low, estimate.ci_high]).all()
 
 
 def test_a_share_of_nothing_has_wilsons_interval():
     _, trials = planted()
-    estimate = two_way_ratio(numerator=np.zeros(trials.shape), denominator=trials, seed=0)
+    estimate = two_way_ratio(
+        numerator=np.zeros(trials.shape), denominator=trials, seed=0
+    )
     assert (estimate.value, estimate.ci_low) == (0.0, 0.0)
     assert 0.05 < estimate.ci_high < 0.2  # about 24 routes
 
 
 def test_without_a_trial_there_is_no_number():
     nothing = np.zeros((30, 30))
-    estimate = two_way_ratio(numerator=nothing, denominator=nothing, seed=0, n_replicates=50)
+    estimate = two_way_ratio(
+        numerator=nothing, denominator=nothing, seed=0, n_replicates=50
+    )
     assert np.isnan([estimate.value, estimate.ci_low, estimate.ci_high]).all()
     assert estimate.n == 0
 
@@ -94,6 +104,7 @@ def test_without_a_trial_there_is_no_number():
 def test_comparisons_are_paired_by_the_draws():
     hits, trials = planted()
     first, second = (
-        two_way_ratio(numerator=top, denominator=trials, seed=0) for top in (hits, 0.5 * hits)
+        two_way_ratio(numerator=top, denominator=trials, seed=0)
+        for top in (hits, 0.5 * hits)
     )
     np.testing.assert_allclose(second.replicates, 0.5 * first.replicates)

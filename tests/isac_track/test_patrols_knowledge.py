@@ -4,7 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.patrols import SETTINGS, clean_network, network_of, patrol_past, straight_walks
+from helpers.patrols import (
+    SETTINGS,
+    clean_network,
+    network_of,
+    patrol_past,
+    straight_walks,
+)
 
 from isac_track.patrol_answers import disclose
 from isac_track.patrol_knowledge import (
@@ -58,7 +64,8 @@ class TestOneCrossing:
         network = clean_network(patrol_past(CROSSING, (0, 0)))
         known = known_of(network, Near(2.0, window_s=0.5), epsilon_m=0.25)
         assert known.disclosed.tolist() == [[24]]  # six scans at each of four queries
-        # She is 0.1 m and 0.2 m away at the next two instants, and before the first entry.
+        # She is 0.1 m and 0.2 m away at the next two instants, and before the first
+        # entry.
         hold = ESTIMATORS.index("hold")
         assert known.known_undisclosed[hold].tolist() == [[4 * 2 + 2]]
         assert known.known[hold].tolist() == [[24 + 10]]
@@ -68,7 +75,8 @@ class TestOneCrossing:
         network = clean_network(patrol_past(CROSSING, (0, 0)))
         known = known_of(network, Near(2.0, window_s=0.5))
         share = shares(known)[estimator]
-        # The filter knows nothing of the 8.5 s before the first entry, the smoother all.
+        # The filter knows nothing of the 8.5 s before the first entry, the smoother
+        # all.
         assert share == pytest.approx(
             {"smooth": 1.0, "extrapolate": 116 / 201}[estimator], abs=0.02
         )
@@ -96,7 +104,9 @@ class TestOneCrossing:
         known = known_of(network, Flag())
         assert not known.seen.any()
         assert not known.disclosed.any()
-        np.testing.assert_array_equal(known.known[:, :, 0], [known.known_by_map] * len(ESTIMATORS))
+        np.testing.assert_array_equal(
+            known.known[:, :, 0], [known.known_by_map] * len(ESTIMATORS)
+        )
 
     def test_a_robot_that_meets_nobody_learns_what_the_map_says(self):
         network = clean_network(patrol_past(CROSSING, (0, 50)))
@@ -182,8 +192,12 @@ class TestEstimators:
         )
         instants = slice(*patrol.grid.offsets[person : person + 2])
         is_earlier = patrol.grid.t[instants] + 1e-5 < log.t[middle]
-        np.testing.assert_array_equal(before[instants][is_earlier], after[instants][is_earlier])
-        assert not np.allclose(before[instants][~is_earlier], after[instants][~is_earlier])
+        np.testing.assert_array_equal(
+            before[instants][is_earlier], after[instants][is_earlier]
+        )
+        assert not np.allclose(
+            before[instants][~is_earlier], after[instants][~is_earlier]
+        )
 
     @pytest.mark.parametrize("policy", [Near(3.0), Ahead(1.5), RandomPeople(0.2)])
     def test_lines_and_held_places_are_those_of_a_plain_loop(self, crowd, policy):
@@ -195,7 +209,8 @@ class TestEstimators:
         )
         for person in range(len(grid)):
             t, xy = (
-                part[log.offsets[person] : log.offsets[person + 1]] for part in (log.t, log.xy)
+                part[log.offsets[person] : log.offsets[person + 1]]
+                for part in (log.t, log.xy)
             )
             for k in range(grid.offsets[person], grid.offsets[person + 1]):
                 if not t.size:
@@ -203,8 +218,14 @@ class TestEstimators:
                     continue
                 expected = [np.interp(grid.t[k], t, xy[:, axis]) for axis in range(2)]
                 np.testing.assert_allclose(lines[k], expected, atol=1e-6)
-                earlier = [place for at_s, place in zip(t, xy, strict=True) if at_s <= grid.t[k]]
-                np.testing.assert_array_equal(held[k], earlier[-1] if earlier else xy[0])
+                earlier = [
+                    place
+                    for at_s, place in zip(t, xy, strict=True)
+                    if at_s <= grid.t[k]
+                ]
+                np.testing.assert_array_equal(
+                    held[k], earlier[-1] if earlier else xy[0]
+                )
 
     def test_more_entries_with_less_error_tell_more(self, crowd):
         everything = shares(known_of(crowd, Everything()))
@@ -231,7 +252,9 @@ class TestCounts:
                 ],
                 axis=0,
             )
-            expected = np.add.reduceat(sent[nearest].astype(int), network.patrol.grid.offsets[:-1])
+            expected = np.add.reduceat(
+                sent[nearest].astype(int), network.patrol.grid.offsets[:-1]
+            )
             assert known.disclosed[:, fleet].tolist() == expected.tolist()
         assert (known.disclosed[:, 0] != known.disclosed[:, 1]).any()
 
@@ -243,7 +266,9 @@ class TestCounts:
         ):
             if robot == 1:
                 sent[first:end] = True
-        np.testing.assert_array_equal(disclosure.sent(crowd.patrol, robots=np.array([1])), sent)
+        np.testing.assert_array_equal(
+            disclosure.sent(crowd.patrol, robots=np.array([1])), sent
+        )
 
     def test_the_nearest_sample_is_nearest(self, crowd):
         patrol = crowd.patrol
@@ -264,8 +289,12 @@ class TestCounts:
         known = known_of(crowd, Near(3.0))
         metrics = knowledge_metrics(known, group=crowd.patrol.people.group, seed=0)
         total = 3 * known.instants.sum()
-        assert metrics["disclosed_share"].value == pytest.approx(known.disclosed.sum() / total)
-        assert metrics["known_share"].value == pytest.approx(max(shares(known).values()))
+        assert metrics["disclosed_share"].value == pytest.approx(
+            known.disclosed.sum() / total
+        )
+        assert metrics["known_share"].value == pytest.approx(
+            max(shares(known).values())
+        )
         assert metrics["people_seen"].value == pytest.approx(known.seen.mean())
         assert metrics["plr_walk"].value == pytest.approx(known.leaked.mean())
         assert np.isnan(metrics["known_share"].ci_low)  # Three routes are too few.
@@ -281,7 +310,9 @@ class TestMap:
             assert np.hypot(*(guesses[row] - (5.05, 0.0))) < EPSILON_M
 
     def test_each_person_weighs_the_same_however_long_she_stays(self):
-        xy = np.concatenate([np.zeros((1000, 2)), np.full((5, 2), 7.0), np.full((5, 2), 7.0)])
+        xy = np.concatenate(
+            [np.zeros((1000, 2)), np.full((5, 2), 7.0), np.full((5, 2), 7.0)]
+        )
         xy = np.concatenate([xy, np.full((5, 2), 3.0)])
         offsets = np.array([0, 1000, 1005, 1010, 1015])
         guesses = map_guesses(xy, offsets, group=tuple("abcd"), epsilon_m=EPSILON_M)
@@ -303,7 +334,9 @@ class TestMap:
 
 def test_an_empty_log_is_no_error():
     patrol = patrol_past(CROSSING, (0, 0))
-    nothing = Log(np.zeros(0, int), np.zeros(0), np.zeros((0, 2)), np.zeros(0), np.zeros(2, int))
+    nothing = Log(
+        np.zeros(0, int), np.zeros(0), np.zeros((0, 2)), np.zeros(0), np.zeros(2, int)
+    )
     otherwise = np.ones(patrol.grid.xy.shape)
     for name in ESTIMATORS:
         stated = positions_on_grid(nothing, patrol, estimator=name, otherwise=otherwise)

@@ -45,7 +45,10 @@ LEAVING = straight_walks((0, 9.0, (-10.05, 0), (1, 0)))
 def foreseen(network, policy, predictor=None):
     disclosure = disclose(network, policy)
     return foreseen_conflicts(
-        network, disclosure, predictor=predictor or LeastSquares(), safety_radius_m=RADIUS_M
+        network,
+        disclosure,
+        predictor=predictor or LeastSquares(),
+        safety_radius_m=RADIUS_M,
     )
 
 
@@ -74,7 +77,10 @@ class TestOneCrossing:
         actual = true_conflicts(network.patrol, safety_radius_m=RADIUS_M)
         nobody = np.full_like(actual, NEVER)
         for horizon, n_conflicts in ((9, 2), (30, 4)):
-            assert missed_conflicts(actual, nobody, horizon=horizon).trials.sum() == n_conflicts
+            assert (
+                missed_conflicts(actual, nobody, horizon=horizon).trials.sum()
+                == n_conflicts
+            )
             futures = missed_futures(actual, nobody, horizon=horizon)
             assert futures.trials.sum() == n_conflicts - 1
             assert futures.rate == 1.0
@@ -83,18 +89,24 @@ class TestOneCrossing:
     def test_near_withholds_those_who_are_still_far_away(self):
         network = clean_network(patrol_past(CROSSING, (0, 0)))
         actual = true_conflicts(network.patrol, safety_radius_m=RADIUS_M)
-        # 2 m: she is in the answers of 9, 10, 11 and 12 s; conflicts within 3 s begin at 7 s.
+        # 2 m: she is in the answers of 9, 10, 11 and 12 s; conflicts within 3 s begin
+        # at 7 s.
         near = foreseen(network, Near(2.0))
         withheld = withheld_conflicts(actual, near, actual, horizon=30)
-        assert (int(withheld.hits[withheld.trials].sum()), int(withheld.trials.sum())) == (2, 3)
+        assert (
+            int(withheld.hits[withheld.trials].sum()),
+            int(withheld.trials.sum()),
+        ) == (2, 3)
 
     @pytest.mark.parametrize(
         ("radius_m", "lead", "missed"),
         [(3.0, 9, False), (2.0, 9, True), (6.0, 30, False), (4.0, 30, True)],
     )
-    def test_a_warning_comes_with_the_last_query_before_the_lead(self, radius_m, lead, missed):
-        # Entry at 9.2 s: the last query 0.9 s before is that of 8 s, 3 s before that of 6 s.
-        # She is then 2.05 m and 4.05 m away.
+    def test_a_warning_comes_with_the_last_query_before_the_lead(
+        self, radius_m, lead, missed
+    ):
+        # Entry at 9.2 s: the last query 0.9 s before is that of 8 s, 3 s before that of
+        # 6 s. She is then 2.05 m and 4.05 m away.
         network = clean_network(patrol_past(CROSSING, (0, 0)))
         entries = first_entries(network.patrol, safety_radius_m=RADIUS_M)
         counts = missed_encounters(
@@ -114,7 +126,11 @@ class TestOneCrossing:
         entries = first_entries(network.patrol, safety_radius_m=RADIUS_M)
         assert entries.tolist() == [[11]]
         counts = missed_encounters(
-            network.patrol, entries, foreseen(network, Everything()), lead=9, query_scans=10
+            network.patrol,
+            entries,
+            foreseen(network, Everything()),
+            lead=9,
+            query_scans=10,
         )
         assert not counts.trials.any()
         assert np.isnan(counts.rate)
@@ -188,7 +204,9 @@ class TestAgainstPlainLoops:
         for presence in range(len(patrol.presences)):
             places = patrol.people.xy[patrol.presences.sample[presence] :]
             for robot in range(patrol.n_robots):
-                assert actual[presence, robot] == slow_wait(patrol, robot, presence, places)
+                assert actual[presence, robot] == slow_wait(
+                    patrol, robot, presence, places
+                )
         entries = first_entries(patrol, safety_radius_m=RADIUS_M)
         for person, (first, end) in enumerate(
             zip(patrol.people.offsets[:-1], patrol.people.offsets[1:], strict=True)
@@ -197,7 +215,9 @@ class TestAgainstPlainLoops:
                 inside = [
                     patrol.scan[k]
                     for k in range(first, end)
-                    if np.hypot(*(patrol.people.xy[k] - patrol.robot_xy[robot, patrol.scan[k]]))
+                    if np.hypot(
+                        *(patrol.people.xy[k] - patrol.robot_xy[robot, patrol.scan[k]])
+                    )
                     < RADIUS_M
                 ]
                 assert entries[person, robot] == min(inside, default=NEVER)
@@ -211,7 +231,11 @@ class TestAgainstPlainLoops:
         expected = np.full((len(patrol.presences), patrol.n_robots), NEVER)
         for (robot, presence), samples in answers_of(crowd, policy).items():
             walk = Release(
-                release.t[samples], release.xy[samples], None, np.array([0, len(samples)]), ("x",)
+                release.t[samples],
+                release.xy[samples],
+                None,
+                np.array([0, len(samples)]),
+                ("x",),
             )
             now_s = patrol.people.t[patrol.presences.sample[presence]]
             mean = predictor.predict(walk, now_s + patrol.ahead_s[None]).mean[0]
@@ -232,7 +256,11 @@ class TestAgainstPlainLoops:
         assert (waits < NEVER).any()
         for (robot, presence), samples in sent.items():
             walk = Release(
-                release.t[samples], release.xy[samples], None, np.array([0, len(samples)]), ("x",)
+                release.t[samples],
+                release.xy[samples],
+                None,
+                np.array([0, len(samples)]),
+                ("x",),
             )
             now_s = patrol.people.t[patrol.presences.sample[presence]]
             mean = LeastSquares().predict(walk, now_s + patrol.ahead_s[None]).mean[0]
@@ -256,7 +284,9 @@ class TestPolicies:
     @pytest.mark.parametrize("policy", [Flag(), State()])
     def test_state_and_flag_tell_what_the_network_foresees(self, crowd, policy):
         everything = foreseen(crowd, Everything(), KalmanCV())
-        np.testing.assert_array_equal(foreseen(crowd, policy, LeastSquares()), everything)
+        np.testing.assert_array_equal(
+            foreseen(crowd, policy, LeastSquares()), everything
+        )
 
     def test_a_flag_on_raw_is_free_of_the_added_error_and_a_state_is_not(self, crowd):
         noisy = network_of(crowd.patrol, Fid(1.0))
@@ -275,18 +305,24 @@ class TestPolicies:
         np.testing.assert_array_equal(waits[sent], foreseen(crowd, State())[sent])
         assert (waits[~sent] == NEVER).all()
 
-    def test_by_construction_needs_the_same_forecaster_and_the_same_positions(self, crowd):
+    def test_by_construction_needs_the_same_forecaster_and_the_same_positions(
+        self, crowd
+    ):
         noisy = network_of(crowd.patrol, Fid(1.0))
         ahead, on_shared = Ahead(1.0, None), Ahead(1.0, None, select_on="shared")
         assert is_by_construction(crowd, ahead, KalmanCV())
         assert not is_by_construction(crowd, ahead, KalmanCV(q=0.1))
-        assert not is_by_construction(crowd, Ahead(1.0), KalmanCV())  # It reads 1.3 s only.
+        assert not is_by_construction(
+            crowd, Ahead(1.0), KalmanCV()
+        )  # It reads 1.3 s only.
         assert not is_by_construction(crowd, Near(1.0), KalmanCV())
         assert not is_by_construction(noisy, ahead, KalmanCV())
         assert is_by_construction(noisy, on_shared, KalmanCV())
         assert is_by_construction(noisy, State(), KalmanCV())
         assert is_by_construction(crowd, State(2.0), KalmanCV())
-        assert not is_by_construction(noisy, State(2.0), KalmanCV())  # It selects on raw.
+        assert not is_by_construction(
+            noisy, State(2.0), KalmanCV()
+        )  # It selects on raw.
         assert is_by_construction(noisy, Everything(), LeastSquares())
 
     def test_everything_withholds_nothing(self, crowd):

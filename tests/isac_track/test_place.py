@@ -7,7 +7,12 @@ from scipy.optimize import minimize
 
 from isac_track.config import StageSettings
 from isac_track.geometry import geometry
-from isac_track.place import geometric_median, geometric_medians, placed, placed_together
+from isac_track.place import (
+    geometric_median,
+    geometric_medians,
+    placed,
+    placed_together,
+)
 from isac_track.rng import stream
 from isac_track.types import derived
 
@@ -33,7 +38,9 @@ def crowd(n=60):
     walks = []
     for person in range(n):
         rng = stream(0, "test", "place", person)
-        steps = rng.normal(0.0, 0.3, (int(rng.integers(4, 90)), 2)) + rng.normal(0, 0.2, 2)
+        steps = rng.normal(0.0, 0.3, (int(rng.integers(4, 90)), 2)) + rng.normal(
+            0, 0.2, 2
+        )
         walks.append(rng.exponential(6.0, 2) + steps.cumsum(axis=0))
     return tracks_of(*walks)
 
@@ -48,7 +55,10 @@ def test_the_median_has_the_least_sum_of_distances(name):
     found = geometric_median(points)
     starts = [points.mean(axis=0), np.median(points, axis=0), *points[:4]]
     options = {"xatol": 1e-9, "fatol": 1e-12, "maxiter": 10_000}
-    best = min(minimize(total_m, at, method="Nelder-Mead", options=options).fun for at in starts)
+    best = min(
+        minimize(total_m, at, method="Nelder-Mead", options=options).fun
+        for at in starts
+    )
     # Rounding the distances off adds at most so much for each point.
     assert total_m(found) <= best + 1e-3 * len(points)
     assert total_m(found) == pytest.approx(best, rel=1e-4)
@@ -57,10 +67,14 @@ def test_the_median_has_the_least_sum_of_distances(name):
 def test_the_median_of_few_points_by_hand():
     assert geometric_median(np.array([[1.0, 2.0]])).tolist() == [1.0, 2.0]
     # Of any two points, all between have the same sum: the middle is unique.
-    assert geometric_median(np.array([[0.0, 0.0], [4.0, 2.0]])) == pytest.approx([2.0, 1.0])
+    assert geometric_median(np.array([[0.0, 0.0], [4.0, 2.0]])) == pytest.approx(
+        [2.0, 1.0]
+    )
     # Three corners of a regular triangle: its centre.
     corners = np.exp(2j * np.pi * np.arange(3) / 3)
-    assert np.allclose(geometric_median(np.column_stack([corners.real, corners.imag])), 0.0)
+    assert np.allclose(
+        geometric_median(np.column_stack([corners.real, corners.imag])), 0.0
+    )
     # More than half of the points in one place: there.
     points = np.array([[3.0, 3.0]] * 4 + [[0.0, 9.0], [50.0, 1.0], [2.0, -7.0]])
     assert geometric_median(points) == pytest.approx([3.0, 3.0], abs=1e-3)
@@ -82,7 +96,9 @@ def test_medians_of_many_tracks_are_those_of_each():
 
 
 @pytest.mark.parametrize("shift_m", [np.array([3.0, -40.0]), UTM_M])
-def test_a_translated_recording_is_placed_alike_with_its_middle_where_robots_start(shift_m):
+def test_a_translated_recording_is_placed_alike_with_its_middle_where_robots_start(
+    shift_m,
+):
     tracks = crowd()
     ours = placed(tracks, settings=STAGES)
     moved = placed(derived(tracks, xy=tracks.xy + shift_m), settings=STAGES)
@@ -111,14 +127,21 @@ def test_sessions_share_one_frame_and_a_file_may_keep_its_own():
 
 
 @pytest.mark.parametrize("shift_m", [UTM_M, np.array([691_000.5, 9_999_000.25])])
-def test_a_file_in_utm_coordinates_is_sensed_alike_where_its_station_goes_along(shift_m):
+def test_a_file_in_utm_coordinates_is_sensed_alike_where_its_station_goes_along(
+    shift_m,
+):
     def near(stages, tracks):
-        return geometry(placed(tracks, settings=stages), settings=stages.sensing, seed=0)
+        return geometry(
+            placed(tracks, settings=stages), settings=stages.sensing, seed=0
+        )
 
     x_m, y_m = shift_m + np.array([FILE.sensing.bs_x_m, FILE.sensing.bs_y_m])
     moved = FILE.changed({"sensing.bs_x_m": x_m, "sensing.bs_y_m": y_m})
     tracks = crowd()
-    ours, there = near(FILE, tracks), near(moved, derived(tracks, xy=tracks.xy + shift_m))
+    ours, there = (
+        near(FILE, tracks),
+        near(moved, derived(tracks, xy=tracks.xy + shift_m)),
+    )
     assert there.distance_m == pytest.approx(ours.distance_m, abs=1e-8)
     assert there.sigma_raw_m == pytest.approx(ours.sigma_raw_m, abs=1e-8)
     assert there.at_cap == ours.at_cap
@@ -144,7 +167,9 @@ def test_geometry_is_that_of_a_crowd_by_hand():
     assert 0 < near.sigma_raw_m < STAGES.sensing.sigma_cap_m
     # Twice the way there and back: the error grows with the exponent, up to the cap.
     farther = derived(tracks, xy=station_m + 2.0 * (tracks.xy - station_m))
-    long = STAGES.changed(quiet | {"sensing.sigma_cap_m": 1e6, "sensing.delay_spread_s": 0.0})
+    long = STAGES.changed(
+        quiet | {"sensing.sigma_cap_m": 1e6, "sensing.delay_spread_s": 0.0}
+    )
     ratio = [geometry(one, settings=long.sensing, seed=0) for one in (farther, tracks)]
     assert ratio[0].sigma_raw_m / ratio[1].sigma_raw_m == pytest.approx(2**2.7)
     weak = STAGES.changed({"sensing.power_dbm": -100.0}).sensing

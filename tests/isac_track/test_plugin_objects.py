@@ -50,7 +50,10 @@ def test_an_object_is_called_as_its_spec_would_be():
 
 
 def test_its_digest_is_that_of_its_pickle_and_no_others_where_that_is_unstable():
-    digests = [plugins_of("mechanisms", one)[0].digest for one in (Coarse(1), Coarse(1), Coarse(2))]
+    digests = [
+        plugins_of("mechanisms", one)[0].digest
+        for one in (Coarse(1), Coarse(1), Coarse(2))
+    ]
     assert digests[0] == digests[1] != digests[2]
     restless = [plugins_of("mechanisms", Restless(1))[0].digest for _ in range(2)]
     assert restless[0] != restless[1]
@@ -86,7 +89,9 @@ def test_an_object_runs_in_workers_and_is_computed_again_if_it_changed(tmp_path)
         mine = namespace["Mine"](cell_m)
         settings = smoke(walks, out, mechanisms=("raw", mine))
         run = evaluation.run(settings, progress=False, pictures=False)
-        cells = {path.name: path.stat().st_mtime_ns for path in (out / "cells").iterdir()}
+        cells = {
+            path.name: path.stat().st_mtime_ns for path in (out / "cells").iterdir()
+        }
         return run.frame("plr").set_index("family")["value"], cells
 
     plr, cells = ran(2.0)
@@ -110,7 +115,9 @@ class Mine:
         (True, "mine.py", "mine.py"),
     ],
 )
-def test_where_an_object_fails_is_told_by_its_file_or_its_class(tmp_path, is_there, told, traced):
+def test_where_an_object_fails_is_told_by_its_file_or_its_class(
+    tmp_path, is_there, told, traced
+):
     file = tmp_path / "mine.py"
     file.write_text(FAILS)
     namespace = {"__name__": "__main__", "dataclass": dataclass}
@@ -118,7 +125,9 @@ def test_where_an_object_fails_is_told_by_its_file_or_its_class(tmp_path, is_the
     walks, mine = write_walks(tmp_path / "walks.csv"), namespace["Mine"]()
     where = rf"failed: ZeroDivisionError: division by zero \({told}, line 4\); found by"
     with pytest.raises(PluginError, match=where):
-        evaluation.run(smoke(walks, tmp_path / "run", mechanisms=(mine,)), progress=False)
+        evaluation.run(
+            smoke(walks, tmp_path / "run", mechanisms=(mine,)), progress=False
+        )
     trace = (tmp_path / "run" / "plugin-error.txt").read_text()
     assert f'{traced}", line 4, in share' in trace
     assert "dynamic-code" not in trace

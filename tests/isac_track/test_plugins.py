@@ -105,22 +105,51 @@ def one(kind, spec):
         ("mechanisms", "raw", "raw", None, Raw()),
         ("mechanisms", "fid:7,beta=2.0", "fid:beta=2", 7.0, Fid(7.0, beta=2.0)),
         ("mechanisms", "correlated:0.75", "correlated", 0.75, Correlated(0.75)),
-        ("mechanisms", "correlated:1,tau_s=5", "correlated:tau_s=5", 1.0, Correlated(1.0, 5.0)),
+        (
+            "mechanisms",
+            "correlated:1,tau_s=5",
+            "correlated:tau_s=5",
+            1.0,
+            Correlated(1.0, 5.0),
+        ),
         ("mechanisms", "offset:0.4", "offset", 0.4, Offset(0.4)),
-        ("mechanisms", "thin:4,d_sigma=0.75", "thin:d_sigma=0.75", 4.0, Thin(4, d_sigma=0.75)),
+        (
+            "mechanisms",
+            "thin:4,d_sigma=0.75",
+            "thin:d_sigma=0.75",
+            4.0,
+            Thin(4, d_sigma=0.75),
+        ),
         ("predictors", "least_squares", "least_squares", None, LeastSquares()),
-        ("predictors", "least_squares:8", "least_squares:window=8", None, LeastSquares(8)),
+        (
+            "predictors",
+            "least_squares:8",
+            "least_squares:window=8",
+            None,
+            LeastSquares(8),
+        ),
     ],
 )
-def test_the_level_of_a_mechanism_leaves_the_name_others_stay(kind, spec, name, level, instance):
+def test_the_level_of_a_mechanism_leaves_the_name_others_stay(
+    kind, spec, name, level, instance
+):
     plugin = one(kind, spec)
     assert (plugin.name, plugin.level, plugin.instance) == (name, level, instance)
     assert one(kind, plugin.spec) == plugin
 
 
 def test_spellings_of_one_thing_are_one_thing():
-    hundred = ("fid:100", "fid:1e2", "fid:eta=100", "fid:100.0,alpha=0.5", "fid:100.00000000000004")
-    thinned = ("thin:4,d_sigma=0.75,adding=independent", "thin:4,adding=independent,d_sigma=0.75")
+    hundred = (
+        "fid:100",
+        "fid:1e2",
+        "fid:eta=100",
+        "fid:100.0,alpha=0.5",
+        "fid:100.00000000000004",
+    )
+    thinned = (
+        "thin:4,d_sigma=0.75,adding=independent",
+        "thin:4,adding=independent,d_sigma=0.75",
+    )
     for specs in (hundred, thinned):
         (plugin,) = plugins.parse_all("mechanisms", specs)
         assert one("mechanisms", plugin.spec) == plugin
@@ -154,7 +183,10 @@ def test_a_class_by_its_path(here):
     ("spec", "message"),
     [
         ("fdi:1", "unknown mechanism 'fdi'; did you mean 'fid'?"),
-        ("zzzzz", "unknown mechanism 'zzzzz'; known: clean, correlated, fid, fixed, forecast"),
+        (
+            "zzzzz",
+            "unknown mechanism 'zzzzz'; known: clean, correlated, fid, fixed, forecast",
+        ),
         ("fixed", "fixed needs a value for d_sigma, as in fixed:VALUE"),
         ("raw:3", "raw takes no value"),
         ("fid:1,alhpa=3", "fid has no parameter 'alhpa'; did you mean 'alpha'?"),
@@ -174,7 +206,10 @@ def test_a_class_by_its_path(here):
         ("q" * 5000, "unknown mechanism 'qqq"),
         ("fid:1," + "z" * 5000, "zzz... is not key=value"),
         ("correlated:-1", "'correlated:-1': d_sigma must be 0 m or more, got -1.0"),
-        ("correlated:1,tau_s=0", "'correlated:1,tau_s=0': tau_s must be positive, got 0.0"),
+        (
+            "correlated:1,tau_s=0",
+            "'correlated:1,tau_s=0': tau_s must be positive, got 0.0",
+        ),
         ("offset:-0.1", "'offset:-0.1': distance must be 0 m or more, got -0.1"),
         ("thin:0", "'thin:0': every must be 1 or more, got 0"),
         ("thin:2,d_sigma=-1", "d_sigma must be 0 m or more, got -1.0"),
@@ -189,23 +224,45 @@ def test_a_wrong_spec_says_what_is_wrong_and_repeats_it_in_short(spec, message):
 @pytest.mark.parametrize(
     ("what", "error", "message"),
     [
-        ("key", PluginError, "my.module:Picky cannot be made: KeyError: 'width'; a plug-in"),
-        ("type", PluginError, "my.module:Picky cannot be made: TypeError: no text, please; a"),
-        ("exit", PluginError, "my.module:Picky cannot be made: SystemExit: 0; a plug-in"),
-        ("value", SettingsError, r"'my.module:Picky:value': half a pair \udcff, and more"),
+        (
+            "key",
+            PluginError,
+            "my.module:Picky cannot be made: KeyError: 'width'; a plug-in",
+        ),
+        (
+            "type",
+            PluginError,
+            "my.module:Picky cannot be made: TypeError: no text, please; a",
+        ),
+        (
+            "exit",
+            PluginError,
+            "my.module:Picky cannot be made: SystemExit: 0; a plug-in",
+        ),
+        (
+            "value",
+            SettingsError,
+            r"'my.module:Picky:value': half a pair \udcff, and more",
+        ),
         ("settings", SettingsError, "'my.module:Picky:settings': ask for less"),
     ],
 )
 def test_a_plugin_that_cannot_be_made_says_why(here, what, error, message):
     with pytest.raises(error, match=re.escape(message)):
         plugins.parse("mechanisms", f"{here}:Picky:{what}")
-    with pytest.raises(SettingsError, match=r"Picky needs a value for what, as in .*Picky:VALUE"):
+    with pytest.raises(
+        SettingsError, match=r"Picky needs a value for what, as in .*Picky:VALUE"
+    ):
         plugins.parse("mechanisms", f"{here}:Picky")
 
 
 def test_inherited_parameters_are_read_where_they_are_declared(here):
-    plugin = one("mechanisms", f"{here}:Heir:0.5,adding=independent,law=isotropic,extra=3")
-    assert plugin.instance == Heir(0.5, adding="independent", law="isotropic", extra=3.0)
+    plugin = one(
+        "mechanisms", f"{here}:Heir:0.5,adding=independent,law=isotropic,extra=3"
+    )
+    assert plugin.instance == Heir(
+        0.5, adding="independent", law="isotropic", extra=3.0
+    )
     assert one("mechanisms", plugin.spec) == plugin
 
 
@@ -217,7 +274,10 @@ def test_inherited_parameters_are_read_where_they_are_declared(here):
         (UnsayableError(), "UnsayableError: (its message cannot be read)"),
         (ValueError("one\ntwo\r\n\tthree\u2028four"), "ValueError: one two three four"),
         (ValueError("\x1b[31m\udcff\u202e\0"), r"ValueError: \x1b[31m\udcff\u202e\x00"),
-        (ValueError("Zürich \N{GRINNING FACE}"), "ValueError: Zürich \N{GRINNING FACE}"),
+        (
+            ValueError("Zürich \N{GRINNING FACE}"),
+            "ValueError: Zürich \N{GRINNING FACE}",
+        ),
         (ValueError("a" * 1_000_000), "ValueError: " + "a" * 288 + "..."),
     ],
 )
@@ -228,12 +288,24 @@ def test_a_strangers_error_is_told_on_one_line(error, message):
 @pytest.mark.parametrize(
     ("kind", "name", "message"),
     [
-        ("mechanisms", "no.such.module:Thing", "cannot be loaded from no.such.module:Thing"),
+        (
+            "mechanisms",
+            "no.such.module:Thing",
+            "cannot be loaded from no.such.module:Thing",
+        ),
         ("mechanisms", "os.path:join", "must be a frozen dataclass"),
-        ("mechanisms", "my.module:Thawed", "my.module:Thawed must be a frozen dataclass"),
+        (
+            "mechanisms",
+            "my.module:Thawed",
+            "my.module:Thawed must be a frozen dataclass",
+        ),
         ("mechanisms", "my.module:Mute", "has no method share()"),
         ("predictors", "my.module:Untold", "requires must be a frozenset"),
-        ("predictors", "my.module:Secretive", "Secretive.requires: KeyError: 'a secret'"),
+        (
+            "predictors",
+            "my.module:Secretive",
+            "Secretive.requires: KeyError: 'a secret'",
+        ),
         ("mechanisms", "my.module:Unknown", "must be imported at run time"),
         ("mechanisms", "my.module:Unread", "my.module:Unread: the type of width: "),
     ],
@@ -250,7 +322,8 @@ def test_an_installed_third_party_plugin_is_found_by_name(tmp_path, monkeypatch)
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: blur\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(
-        "[isac_track.mechanisms]\nblur = isac_track.sharing:Fixed\ntorn = os.path:Nothing\n"
+        "[isac_track.mechanisms]\nblur = isac_track.sharing:Fixed\ntorn ="
+        " os.path:Nothing\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     plugins._entry_points.cache_clear()
@@ -282,7 +355,11 @@ class MyNoise:
         ("my_noise.py", "./my_noise.py:0.5", "my_noise:MyNoise"),
         ("my_noise/my_noise.py", "./my_noise:0.5", "my_noise.my_noise:MyNoise"),
         ("my_noise/my_noise.py", "my_noise:0.5", "my_noise.my_noise:MyNoise"),
-        ("some/my_noise/my_noise.py", "./some/my_noise:0.5", "some.my_noise.my_noise:MyNoise"),
+        (
+            "some/my_noise/my_noise.py",
+            "./some/my_noise:0.5",
+            "some.my_noise.my_noise:MyNoise",
+        ),
         ("my_noise.py", ".\\my_noise.py:0.5", "my_noise:MyNoise"),
         ("my_noise.py", "./my_noise.py:MyNoise:0.5", "my_noise:MyNoise"),
         ("some/my_noise.py", "some\\my_noise.py:MyNoise:0.5", "some.my_noise:MyNoise"),
@@ -298,11 +375,15 @@ def test_a_path_names_a_file_of_ones_own(tmp_path, monkeypatch, file, spec, orig
     monkeypatch.chdir(tmp_path)
     (found,) = plugins.parse("mechanisms", spec.format(tmp_path))
     assert (found.origin, found.level) == (origin, 0.5)
-    for name in [name for name in sys.modules if name.partition(".")[0] in ("my_noise", "some")]:
+    for name in [
+        name for name in sys.modules if name.partition(".")[0] in ("my_noise", "some")
+    ]:
         del sys.modules[name]
 
 
-@pytest.mark.parametrize("spec", ["./", "./my-noise", "./../elsewhere", "./my_noise.py.py"])
+@pytest.mark.parametrize(
+    "spec", ["./", "./my-noise", "./../elsewhere", "./my_noise.py.py"]
+)
 def test_a_path_that_python_cannot_import_is_refused(spec):
     with pytest.raises(SettingsError, match="followed by a Python file"):
         plugins.parse("mechanisms", spec)
@@ -340,7 +421,9 @@ def test_a_windows_path_is_seen_from_the_folder_of_a_run(path, parts):
 )
 @pytest.mark.parametrize("kind", ["mechanisms", "predictors", "attacks"])
 def test_a_path_that_is_not_below_is_a_path_still(kind, spec, way):
-    with pytest.raises(SettingsError, match="named from the folder that a run starts in") as caught:
+    with pytest.raises(
+        SettingsError, match="named from the folder that a run starts in"
+    ) as caught:
         plugins.parse(kind, spec)
     assert str(caught.value).endswith(f"write '{way}'")
     assert len(str(caught.value).splitlines()) == 1

@@ -20,7 +20,9 @@ from isac_track.types import Prediction
 # Three people, of 4, 2 and 1 samples; the robot walks along x at 1 m/s from (0, 0).
 T = np.array([0.0, 1.0, 2.0, 3.0, 2.0, 3.0, 3.0])
 OFFSETS = np.array([0, 4, 6, 7])
-RAW = np.array([[9.0, 9.0], [9.0, 9.0], [9.0, 9.0], [0.0, 2.0], [5.0, 5.0], [5.0, 5.0], [2.0, 1.0]])
+RAW = np.array(
+    [[9.0, 9.0], [9.0, 9.0], [9.0, 9.0], [0.0, 2.0], [5.0, 5.0], [5.0, 5.0], [2.0, 1.0]]
+)
 SHARED = RAW + np.array([10.0, 0.0])
 AHEAD_S = np.array([0.0, 1.0, 2.0])
 ROUTE = np.stack([AHEAD_S, np.zeros(3)], axis=1)
@@ -57,7 +59,8 @@ class TestSelection:
         assert numbers(Everything()) == [0, 1, 2, 3, 4, 5, 6]
 
     @pytest.mark.parametrize(
-        ("seconds", "selected"), [(0.5, [3, 5, 6]), (1.0, [2, 3, 4, 5, 6]), (9.0, list(range(7)))]
+        ("seconds", "selected"),
+        [(0.5, [3, 5, 6]), (1.0, [2, 3, 4, 5, 6]), (9.0, list(range(7)))],
     )
     def test_window(self, seconds, selected):
         assert numbers(Window(seconds)) == selected
@@ -79,7 +82,13 @@ class TestSelection:
     # The third person stands 1 m beside the route, where the robot is after 2 s.
     @pytest.mark.parametrize(
         ("margin_m", "horizon_s", "selected"),
-        [(1.1, 3.0, [6]), (1.0, 3.0, []), (1.1, 1.9, []), (1.5, 1.0, [6]), (2.1, 3.0, [2, 3, 6])],
+        [
+            (1.1, 3.0, [6]),
+            (1.0, 3.0, []),
+            (1.1, 1.9, []),
+            (1.5, 1.0, [6]),
+            (2.1, 3.0, [2, 3, 6]),
+        ],
     )
     def test_ahead_is_of_the_same_instants(self, margin_m, horizon_s, selected):
         assert numbers(Ahead(margin_m, horizon_s=horizon_s)) == selected
@@ -90,7 +99,9 @@ class TestSelection:
         assert numbers(Ahead(0.5, stds=1.5), std=0.2) == [6]  # 0.5 m + 1.5 * 0.4 m
 
     def test_ahead_cannot_widen_without_a_covariance(self):
-        with pytest.raises(ValueError, match="stds needs a network forecast with a covariance"):
+        with pytest.raises(
+            ValueError, match="stds needs a network forecast with a covariance"
+        ):
             Ahead(0.5, stds=1.0).select(query())
 
     def test_state_is_of_the_last_instant_and_flag_of_none(self):
@@ -119,7 +130,9 @@ def slow_selection(network, robot, presence, *, metres, forecasts, select_on):
     xy = (network.sensed if select_on == "raw" else network.release).xy
     places = xy[patrol.presences.sample[presence]][None]
     if forecasts:
-        prediction = network.raw_forecast if select_on == "raw" else network.shared_forecast
+        prediction = (
+            network.raw_forecast if select_on == "raw" else network.shared_forecast
+        )
         places = prediction.mean[presence, : int(3.0 / 0.0836) + 1]
     return any(
         np.hypot(*(place - patrol.robot_xy[robot, now + step])) < metres
@@ -129,8 +142,13 @@ def slow_selection(network, robot, presence, *, metres, forecasts, select_on):
 
 @pytest.mark.parametrize("select_on", ["raw", "shared"])
 @pytest.mark.parametrize(("policy_class", "metres"), [(Near, 3.0), (Ahead, 1.2)])
-def test_a_patrol_discloses_what_a_plain_loop_selects(crowd, policy_class, metres, select_on):
-    patrol, sent = crowd.patrol, answers_of(crowd, policy_class(metres, select_on=select_on))
+def test_a_patrol_discloses_what_a_plain_loop_selects(
+    crowd, policy_class, metres, select_on
+):
+    patrol, sent = (
+        crowd.patrol,
+        answers_of(crowd, policy_class(metres, select_on=select_on)),
+    )
     assert sent
     for robot in range(patrol.n_robots):
         for presence, sample in enumerate(patrol.presences.sample):
@@ -142,7 +160,9 @@ def test_a_patrol_discloses_what_a_plain_loop_selects(crowd, policy_class, metre
                 forecasts=policy_class is Ahead,
                 select_on=select_on,
             )
-            first = max(patrol.people.offsets[patrol.presences.person[presence]], sample - 15)
+            first = max(
+                patrol.people.offsets[patrol.presences.person[presence]], sample - 15
+            )
             samples = list(range(first, sample + 1)) if expected else None
             assert sent.get((robot, presence)) == samples
 
@@ -180,7 +200,9 @@ class TestPlugins:
             "flag": Flag(),
             "random:0.2": RandomPeople(0.2),
         }
-        assert {spec.partition(":")[0] for spec in named} == set(plugins.names("policies"))
+        assert {spec.partition(":")[0] for spec in named} == set(
+            plugins.names("policies")
+        )
         for spec, policy in named.items():
             (plugin,) = parse("policies", spec)
             assert (plugin.instance, plugin.spec) == (policy, spec)
@@ -219,10 +241,14 @@ class TestPlugins:
             parse("policies", spec)
 
     def test_a_policy_says_what_form_its_answers_have(self):
-        with pytest.raises(PluginError, match="form must be one of samples, state, flag"):
+        with pytest.raises(
+            PluginError, match="form must be one of samples, state, flag"
+        ):
             plugins.check_declared("policies", Fid(1.0), "mine:Policy")
 
-    @pytest.mark.parametrize("selected", [np.ones(3, dtype=bool), np.arange(7), None, "everybody"])
+    @pytest.mark.parametrize(
+        "selected", [np.ones(3, dtype=bool), np.arange(7), None, "everybody"]
+    )
     def test_a_policy_that_returns_no_mask_is_named(self, crowd, selected):
         class Broken:
             form = "samples"
@@ -241,5 +267,7 @@ class TestPlugins:
             def select(self, query):
                 raise ZeroDivisionError(query.n_people)
 
-        with pytest.raises(PluginError, match="policy Raising failed: ZeroDivisionError"):
+        with pytest.raises(
+            PluginError, match="policy Raising failed: ZeroDivisionError"
+        ):
             disclose(crowd, Raising())

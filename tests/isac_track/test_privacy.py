@@ -27,17 +27,29 @@ def raises(message):
 
 @pytest.mark.parametrize(
     ("shared", "truth"),
-    [((3, 2), (2, 2)), ((3, 2), (1, 2)), ((3, 3), (3, 3)), ((3,), (3,)), ((3, 2, 1),) * 2],
+    [
+        ((3, 2), (2, 2)),
+        ((3, 2), (1, 2)),
+        ((3, 3), (3, 3)),
+        ((3,), (3,)),
+        ((3, 2, 1),) * 2,
+    ],
 )
 def test_positions_come_in_pairs(shared, truth):
-    with raises(f"shared_xy and true_xy must have one shape (M, 2), got {shared} and {truth}"):
-        leakage_indicator(shared_xy=np.zeros(shared), true_xy=np.zeros(truth), epsilon_m=0.3)
+    with raises(
+        f"shared_xy and true_xy must have one shape (M, 2), got {shared} and {truth}"
+    ):
+        leakage_indicator(
+            shared_xy=np.zeros(shared), true_xy=np.zeros(truth), epsilon_m=0.3
+        )
 
 
 @pytest.mark.parametrize("epsilon_m", [0.0, -0.3, np.nan])
 def test_epsilon_is_positive(epsilon_m):
     with raises(f"epsilon_m must be positive, got {epsilon_m}"):
-        leakage_indicator(shared_xy=np.zeros((1, 2)), true_xy=np.zeros((1, 2)), epsilon_m=epsilon_m)
+        leakage_indicator(
+            shared_xy=np.zeros((1, 2)), true_xy=np.zeros((1, 2)), epsilon_m=epsilon_m
+        )
 
 
 def test_segments_end_with_their_track():
@@ -55,14 +67,17 @@ def test_segments_end_with_their_track():
 
 
 @pytest.mark.parametrize(
-    ("leaked", "t"), [((3,), (4,)), ((4,), (3,)), ((3, 1), (3, 1)), ((3, 1), (3,)), ((), ())]
+    ("leaked", "t"),
+    [((3,), (4,)), ((4,), (3,)), ((3, 1), (3, 1)), ((3, 1), (3,)), ((), ())],
 )
 def test_every_sample_has_a_time(leaked, t):
     with raises(f"leaked and t must have one shape (M,), got {leaked}, {t}"):
         exposure(leaked=np.zeros(leaked, bool), t=np.zeros(t), offsets=np.array([0, 3]))
 
 
-@pytest.mark.parametrize("offsets", [[1, 3], [0, 2], [0, 4], [0, 1, 1, 3], [0, 2, 1, 3]])
+@pytest.mark.parametrize(
+    "offsets", [[1, 3], [0, 2], [0, 4], [0, 1, 1, 3], [0, 2, 1, 3]]
+)
 def test_offsets(offsets):
     with raises("offsets must run from 0 to M without an empty trajectory"):
         exposure(leaked=np.zeros(3, bool), t=np.arange(3.0), offsets=np.array(offsets))
@@ -74,7 +89,10 @@ def test_in_one_pass_they_are_those_of_the_definitions(is_moved, intervals):
     rng = stream(0, "test", "described")
     sizes = np.array([1, 1, 1, 1, 1, 1, 2, 3, 7, 40, 300])
     offsets = np.concatenate([[0], np.cumsum(sizes)])
-    t, truth = np.cumsum(rng.uniform(0.05, 0.5, offsets[-1])), rng.normal(size=(offsets[-1], 2))
+    t, truth = (
+        np.cumsum(rng.uniform(0.05, 0.5, offsets[-1])),
+        rng.normal(size=(offsets[-1], 2)),
+    )
     xy = truth + rng.normal(scale=0.6 if is_moved else 0.3, size=truth.shape)
     here, there = xy, (xy, xy)
     if is_moved:  # halfway to the truth, in a frame turned by 2 and shifted
@@ -83,25 +101,35 @@ def test_in_one_pass_they_are_those_of_the_definitions(is_moved, intervals):
         there = (here @ turned + 5.0, xy @ turned + 5.0)
     moved = {"moved": there, "turn": np.exp(2j)} if is_moved else {}
     settings = PrivacySettings(intervals=intervals)
-    found = described(xy=xy, truth=truth, t=t, offsets=offsets, settings=settings, **moved)
+    found = described(
+        xy=xy, truth=truth, t=t, offsets=offsets, settings=settings, **moved
+    )
     leaked = leakage_indicator(shared_xy=here, true_xy=truth, epsilon_m=0.3)
     assert set(leaked[:6]) == {False, True}  # also of a single sample
     expected = exposure(leaked=leaked, t=t, offsets=offsets, intervals=intervals)
-    by_eye = oracles.exposure_of_all(leaked=leaked, t=t, offsets=offsets, intervals=intervals)
-    np.testing.assert_allclose([expected.plr, expected.ael_s, expected.mel_s], by_eye[:3])
+    by_eye = oracles.exposure_of_all(
+        leaked=leaked, t=t, offsets=offsets, intervals=intervals
+    )
+    np.testing.assert_allclose(
+        [expected.plr, expected.ael_s, expected.mel_s], by_eye[:3]
+    )
     parts = np.split(((here - truth) ** 2).sum(axis=1), offsets[1:-1])
     rows = (expected.plr, expected.ael_s, expected.mel_s, expected.segments)
     np.testing.assert_allclose(found[:4], rows, rtol=1e-12)
     np.testing.assert_allclose(found[4], [one.mean() for one in parts], rtol=1e-11)
     away_m = [np.sqrt(one) for one in parts]
-    np.testing.assert_allclose(found[5], [(one < 0.4).mean() for one in away_m], rtol=1e-12)
+    np.testing.assert_allclose(
+        found[5], [(one < 0.4).mean() for one in away_m], rtol=1e-12
+    )
     np.testing.assert_allclose(found[6], [np.median(one) for one in away_m], rtol=1e-9)
 
 
 def test_mean_interval():
     t = np.array([0.0, 1.0, 2.0, 10.0, 7.0, 0.0, pi])
     interval_s = mean_interval_s(t=t, offsets=np.array([0, 4, 5, 7]))
-    assert interval_s.tolist() == pytest.approx([10 / 3, np.nan, pi], rel=1e-15, nan_ok=True)
+    assert interval_s.tolist() == pytest.approx(
+        [10 / 3, np.nan, pi], rel=1e-15, nan_ok=True
+    )
 
 
 def test_the_alignment_error_is_what_no_turn_and_no_shift_undoes():

@@ -32,7 +32,9 @@ def test_errors_of_a_session_are_an_ornstein_uhlenbeck_process():
     assert (np.abs(got - expected) < room).all()
     steps = np.diff(together[:, 1:4], axis=1)  # 83 and 117 ms apart, over one bridge
     wanted = -2.0 * np.expm1(-np.diff(INSTANTS[1:4]) / TAU_S)
-    assert np.mean(steps**2, axis=0) == pytest.approx(wanted, rel=4.5 * np.sqrt(2 / len(steps)))
+    assert np.mean(steps**2, axis=0) == pytest.approx(
+        wanted, rel=4.5 * np.sqrt(2 / len(steps))
+    )
     assert stats.kstest(together[:, 0], "norm").pvalue > 1e-4
     assert abs(np.mean(drawn[:, 1, 0] * drawn[:, 1, 1])) < 4.5 / np.sqrt(N_WALKS)
 
@@ -44,10 +46,14 @@ def test_two_releases_of_a_session_bear_one_path():
     assert not np.allclose(early[0], early[1])
 
 
-@pytest.mark.parametrize("make", [Ou, lambda std, **of: OuFid(1e-9, std / 0.5, 1.0, **of)])
+@pytest.mark.parametrize(
+    "make", [Ou, lambda std, **of: OuFid(1e-9, std / 0.5, 1.0, **of)]
+)
 def test_reuse_decides_whether_a_second_release_has_the_same_error(make):
     sensed = sensed_walks(law="isotropic")
-    fresh = [make(2.0).share(sensed, np.random.default_rng(seed)).xy for seed in range(2)]
+    fresh = [
+        make(2.0).share(sensed, np.random.default_rng(seed)).xy for seed in range(2)
+    ]
     again = [
         make(2.0, reuse="session").share(sensed, np.random.default_rng(seed)).xy
         for seed in range(2)
@@ -116,5 +122,11 @@ def test_what_cannot_be_is_refused(make, says):
 
 def test_tracks_shorter_than_the_correlation_time_or_of_one_sample_are_shared():
     sensed = sensed_walks(sizes=(1, 2))
-    for mechanism in (Ou(1.0, 1e6), Ou(1.0, 1e6, "session"), OuFid(1.0), Laplace(1), Forecast(1)):
+    for mechanism in (
+        Ou(1.0, 1e6),
+        Ou(1.0, 1e6, "session"),
+        OuFid(1.0),
+        Laplace(1),
+        Forecast(1),
+    ):
         assert np.isfinite(mechanism.share(sensed, draws()).xy).all()

@@ -47,7 +47,10 @@ OFFERED = {
 
 def context(*granted, **changes):
     return AttackContext(
-        rng=stream(0, "test"), epsilon_m=0.3, granted=frozenset(granted), **OFFERED | changes
+        rng=stream(0, "test"),
+        epsilon_m=0.3,
+        granted=frozenset(granted),
+        **OFFERED | changes,
     )
 
 
@@ -61,7 +64,9 @@ class TestContext:
                 assert getattr(given, name) is OFFERED[name]
             else:
                 # No AttributeError: hasattr() of an attack must not hide it.
-                with pytest.raises(KnowledgeDenied, match=f"{kind.name} was not granted"):
+                with pytest.raises(
+                    KnowledgeDenied, match=f"{kind.name} was not granted"
+                ):
                     hasattr(given, name)
 
     @pytest.mark.parametrize("what", [None, *HELD])
@@ -69,12 +74,19 @@ class TestContext:
         given = context(*filter(None, [what]))
         assert not hasattr(given, "__dict__")
         slots = [getattr(given, slot) for slot in type(given).__slots__]
-        reachable = [*slots, *(one for slot in slots if isinstance(slot, dict) for one in slot)]
-        reachable += [one for slot in slots if isinstance(slot, dict) for one in slot.values()]
+        reachable = [
+            *slots,
+            *(one for slot in slots if isinstance(slot, dict) for one in slot),
+        ]
+        reachable += [
+            one for slot in slots if isinstance(slot, dict) for one in slot.values()
+        ]
         for kind, name in HELD.items():
             assert any(one is OFFERED[name] for one in reachable) == (kind is what)
 
-    @pytest.mark.parametrize("missing", [[MECHANISM], [TRAIN], [REPEATS], [MECHANISM, TRAIN]])
+    @pytest.mark.parametrize(
+        "missing", [[MECHANISM], [TRAIN], [REPEATS], [MECHANISM, TRAIN]]
+    )
     def test_a_grant_of_what_is_not_there_is_an_error_of_the_caller(self, missing):
         said = ", ".join(sorted(what.name for what in missing))
         with pytest.raises(ValueError, match=f"granted, but not given: {said}$"):
@@ -127,7 +139,9 @@ def test_each_adversary_knows_more_than_the_weaker_one():
 
 
 def test_an_adversary_beyond_the_usual_is_there_if_asked_for():
-    attack = Attack(requires=frozenset(), uses=frozenset({MECHANISM, Knowledge.ANCHOR, SCENE}))
+    attack = Attack(
+        requires=frozenset(), uses=frozenset({MECHANISM, Knowledge.ANCHOR, SCENE})
+    )
     assert list(grants(attack)) == ["blind", "informed", "oracle"]
     rows = grants(attack, asked=("anchor", "companions"))
     assert list(rows) == ["blind", "informed", "anchor", "oracle"]
@@ -143,7 +157,11 @@ def test_an_adversary_beyond_the_usual_is_there_if_asked_for():
         (
             (),
             (MECHANISM, TRAIN, SIGMA),
-            {"blind": set(), "informed": {MECHANISM, TRAIN}, "oracle": {MECHANISM, TRAIN, SIGMA}},
+            {
+                "blind": set(),
+                "informed": {MECHANISM, TRAIN},
+                "oracle": {MECHANISM, TRAIN, SIGMA},
+            },
         ),
         ((TRAIN,), (TRAIN,), {"informed": {TRAIN}}),
         ((TRAIN,), (MECHANISM,), {"informed": {MECHANISM, TRAIN}}),
@@ -154,7 +172,9 @@ def test_an_adversary_beyond_the_usual_is_there_if_asked_for():
         (tuple(Knowledge), (), {"oracle": set(Knowledge)}),
     ],
 )
-def test_a_row_is_named_after_the_weakest_adversary_that_gets_as_much(requires, uses, rows):
+def test_a_row_is_named_after_the_weakest_adversary_that_gets_as_much(
+    requires, uses, rows
+):
     attack = Attack(requires=frozenset(requires), uses=frozenset(uses))
     assert grants(attack) == rows
     assert list(grants(attack)) == list(rows)  # weakest first

@@ -14,7 +14,9 @@ from isac_track.types import Tracks
 def some_tracks(*durations_s):
     rng = stream(0, "test", "resample")
     sizes = [int(duration_s / 0.4 + 1e-9) + 1 for duration_s in durations_s]
-    return tracks_of(*(0.1 * rng.standard_normal((size, 2)).cumsum(axis=0) for size in sizes))
+    return tracks_of(
+        *(0.1 * rng.standard_normal((size, 2)).cumsum(axis=0) for size in sizes)
+    )
 
 
 def test_the_walk_is_the_not_a_knot_cubic_of_another_implementation():
@@ -26,7 +28,9 @@ def test_the_walk_is_the_not_a_knot_cubic_of_another_implementation():
 
 
 @pytest.mark.parametrize("max_overshoot_m", [0.05, 0.2])
-def test_no_piece_leaves_the_chord_or_runs_and_the_others_are_the_spline(max_overshoot_m):
+def test_no_piece_leaves_the_chord_or_runs_and_the_others_are_the_spline(
+    max_overshoot_m,
+):
     rng = stream(0, "test", "overshoot")
     t = np.cumsum(rng.choice([1e-6, 0.4, 1.3], size=200))
     xy = np.cumsum(rng.normal(0.0, 0.2, (200, 2)), axis=0)
@@ -38,7 +42,9 @@ def test_no_piece_leaves_the_chord_or_runs_and_the_others_are_the_spline(max_ove
         at = t[row] + share * (t[row + 1] - t[row])
         line = xy[row] + share[:, None] * (xy[row + 1] - xy[row])
         chord = LineString([xy[row], xy[row + 1]])
-        assert max(chord.distance(point) for point in curve(at)) <= max_overshoot_m + 1e-7
+        assert (
+            max(chord.distance(point) for point in curve(at)) <= max_overshoot_m + 1e-7
+        )
         n_replaced += not np.array_equal(curve(at), spline(at))
         assert np.allclose(curve(t[row : row + 2]), xy[row : row + 2], atol=1e-9)
         if chord.speed(t[row + 1] - t[row]) > SPEED_LIMIT_MPS:
@@ -85,7 +91,9 @@ def test_one_sample_is_no_walk():
 
 def test_the_rate_is_held_for_a_second_and_lies_in_its_range():
     settings = ResampleSettings()
-    t = sampling_times(start_s=3.0, end_s=63.0, settings=settings, rng=stream(1, "test", "rate"))
+    t = sampling_times(
+        start_s=3.0, end_s=63.0, settings=settings, rng=stream(1, "test", "rate")
+    )
     interval = np.diff(t)
     assert t[0] == 3.0
     assert t[-1] <= 63.0

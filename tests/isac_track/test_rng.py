@@ -14,19 +14,26 @@ def first(seed, *keys):
 
 
 def test_keying_is_pinned():
-    # Worked out apart, from the bytes: a change of the keying changes every result ever made.
+    # Worked out apart, from the bytes: a change of the keying changes every result ever
+    # made.
     assert first(0, "a") == 7582406776310106918
     assert first(7, "sensing", "scene", 17) == 2578434188189093347
 
 
-@pytest.mark.parametrize("seed", [0, 7, 2**32 - 1, 2**32, 2**128 - 1, 2**128, 2**200 + 1])
+@pytest.mark.parametrize(
+    "seed", [0, 7, 2**32 - 1, 2**32, 2**128 - 1, 2**128, 2**200 + 1]
+)
 def test_a_stream_and_its_children_are_those_of_a_seed_sequence_with_a_spawn_key(seed):
     text = b"sname"
     name = len(text).to_bytes(8, "little") + text
     key = struct.unpack("<4I", hashlib.sha256(name).digest()[:16])
-    plain = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
+    plain = np.random.Generator(
+        np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key))
+    )
     ours = stream(seed, "name")
-    assert [one.random() for one in ours.spawn(2)] == [one.random() for one in plain.spawn(2)]
+    assert [one.random() for one in ours.spawn(2)] == [
+        one.random() for one in plain.spawn(2)
+    ]
     assert ours.random() == plain.random()
 
 
@@ -60,7 +67,9 @@ def test_seeds_make_other_streams_and_the_type_of_an_integer_does_not():
 
 
 def test_streams_are_uncorrelated():
-    draws = np.stack([stream(0, "scene", key).standard_normal(2000) for key in range(20)])
+    draws = np.stack(
+        [stream(0, "scene", key).standard_normal(2000) for key in range(20)]
+    )
     correlation = np.corrcoef(draws)[~np.eye(20, dtype=bool)]
     # 190 pairs, standard error 1 / sqrt(2000): five of them are never reached by chance
     assert np.abs(correlation).max() < 5 / np.sqrt(2000)

@@ -9,7 +9,13 @@ from isac_track.config import StageSettings
 from isac_track.conflict import minimum_separation
 from isac_track.errors import DataError
 from isac_track.resample import resample, walk
-from isac_track.scenes import cut, history_samples, make_scenes, robot_positions, track_order
+from isac_track.scenes import (
+    cut,
+    history_samples,
+    make_scenes,
+    robot_positions,
+    track_order,
+)
 from isac_track.types import Release
 from predictors.least_squares import LeastSquares
 
@@ -33,11 +39,15 @@ def separations(scenes, scene, agent):
     way = scenes.robot_destination[scene] - scenes.robot_start[scene]
     row = scene * 4 + agent
     elapsed = scenes.t_future[row] - scenes.t_future[row, 0]
-    robot = scenes.robot_start[scene] + 1.4 * elapsed[:, None] * way / np.linalg.norm(way)
+    robot = scenes.robot_start[scene] + 1.4 * elapsed[:, None] * way / np.linalg.norm(
+        way
+    )
     return np.linalg.norm(robot - scenes.xy_future[row], axis=1)
 
 
-def test_the_split_is_at_70_percent_of_the_samples_and_loses_none_to_rounding(tracks, known):
+def test_the_split_is_at_70_percent_of_the_samples_and_loses_none_to_rounding(
+    tracks, known
+):
     whole = np.diff(resample(tracks, settings=SETTINGS.resample, seed=0).offsets)
     assert np.diff(known.offsets).tolist() == (7 * whole // 10).tolist()
     for n_samples, expected in ((330, 231), (170, 119), (331, 231), (10, 7), (9, 6)):
@@ -91,7 +101,9 @@ def test_more_redraws_move_nobody_who_has_a_place(known):
             known,
             order=order,
             first=0,
-            settings=SETTINGS.changed({"scenes.clearance_m": 5.4, "scenes.max_redraws": most}),
+            settings=SETTINGS.changed(
+                {"scenes.clearance_m": 5.4, "scenes.max_redraws": most}
+            ),
             seed=0,
         )
         for most in (20, 100)
@@ -112,12 +124,18 @@ def test_a_track_is_only_shifted(known, scenes):
         assert np.allclose(scenes.xy_future[row] - shift, known.xy_future[source])
 
 
-def test_now_is_the_last_history_sample_and_the_robot_does_not_arrive_within_the_horizon(scenes):
+def test_now_is_the_last_history_sample_and_the_robot_does_not_arrive_within_the_horizon(
+    scenes,
+):
     last = scenes.offsets[1:] - 1
     assert np.allclose(scenes.xy_future[:, 0], scenes.xy[last])
     assert np.array_equal(scenes.t_future[:, 0], scenes.t[last])
     length = np.linalg.norm(scenes.robot_destination - scenes.robot_start, axis=1)
-    elapsed = (scenes.t_future[:, -1] - scenes.t_future[:, 0]).reshape(N_SCENES, 4).max(axis=1)
+    elapsed = (
+        (scenes.t_future[:, -1] - scenes.t_future[:, 0])
+        .reshape(N_SCENES, 4)
+        .max(axis=1)
+    )
     assert (length > 1.4 * elapsed).all()
 
 
@@ -131,11 +149,15 @@ def test_a_scene_is_the_same_in_any_block(known, scenes):
 
 def test_a_perfect_prediction_has_the_true_separation(scenes):
     robot = robot_positions(scenes, settings=SETTINGS.conflict)
-    found = minimum_separation(robot=robot, agents=scenes.xy_future.reshape(robot.shape))
+    found = minimum_separation(
+        robot=robot, agents=scenes.xy_future.reshape(robot.shape)
+    )
     assert np.allclose(found, scenes.separation)
 
 
-@pytest.mark.parametrize(("n_tracks", "agents"), [(13, 4), (8, 4), (9, 2), (5, 4), (6, 4), (7, 4)])
+@pytest.mark.parametrize(
+    ("n_tracks", "agents"), [(13, 4), (8, 4), (9, 2), (5, 4), (6, 4), (7, 4)]
+)
 def test_tracks_are_taken_in_turn_and_never_twice_in_a_scene(n_tracks, agents):
     order = track_order(n_tracks=n_tracks, n_scenes=200, agents=agents, seed=2)
     flat = order.reshape(-1)
@@ -148,14 +170,20 @@ def test_every_track_gets_to_be_the_first_agent_and_more_scenes_change_none():
     # A fixed cycle over 106 tracks with 4 agents lets only 53 of them ever be first.
     long = track_order(n_tracks=106, n_scenes=500, agents=4, seed=0)
     assert len(set(long[:, 0])) > 100
-    assert np.array_equal(long[:30], track_order(n_tracks=106, n_scenes=30, agents=4, seed=0))
-    assert not np.array_equal(long, track_order(n_tracks=106, n_scenes=500, agents=4, seed=1))
+    assert np.array_equal(
+        long[:30], track_order(n_tracks=106, n_scenes=30, agents=4, seed=0)
+    )
+    assert not np.array_equal(
+        long, track_order(n_tracks=106, n_scenes=500, agents=4, seed=1)
+    )
 
 
 def test_too_few_tracks_are_an_error_with_a_way_out(tracks):
     lasting = tracks.t[tracks.offsets[1:] - 1] - tracks.t[tracks.offsets[:-1]]
     fourth = np.floor(10 * np.sort(lasting)[-4]) / 10
-    with pytest.raises(DataError, match="no track lasts 60 s; the longest last") as caught:
+    with pytest.raises(
+        DataError, match="no track lasts 60 s; the longest last"
+    ) as caught:
         cut(tracks, settings=SETTINGS.changed({"resample.min_duration_s": 60}), seed=0)
     (way_out,) = re.findall(r"--set (\S+)=(\S+) takes 4 or more", str(caught.value))
     assert way_out == ("resample.min_duration_s", f"{fourth:g}")
@@ -175,10 +203,14 @@ def test_tracks_without_a_future_are_counted(tracks):
         cut(tracks, settings=later, seed=0)
 
 
-def test_students03_has_the_papers_history_and_the_error_of_the_sixteen_sample_line(students03):
+def test_students03_has_the_papers_history_and_the_error_of_the_sixteen_sample_line(
+    students03,
+):
     known = cut(students03.tracks, settings=SETTINGS, seed=0)
     names = tuple(f"{row}" for row in range(len(known)))
-    release = Release(t=known.t, xy=known.xy, sigma=None, offsets=known.offsets, pseudonym=names)
+    release = Release(
+        t=known.t, xy=known.xy, sigma=None, offsets=known.offsets, pseudonym=names
+    )
     assert len(known) == 106
     assert np.diff(known.offsets).mean() == pytest.approx(366, abs=4)
     assert 0.083 <= np.mean([np.diff(one.t).mean() for one in release]) <= 0.084

@@ -31,7 +31,9 @@ from isac_track.sensing import (
 def draw(numbers=(1,), n_samples=(3, 4), seed=5, **changes):
     """The channel of scenes of two tracks, in which everybody walks 0.1 m a sample."""
     return draw_channel(
-        walked_m=np.concatenate([0.1 * np.arange(n) for _ in numbers for n in n_samples]),
+        walked_m=np.concatenate(
+            [0.1 * np.arange(n) for _ in numbers for n in n_samples]
+        ),
         n_samples=np.array([n_samples] * len(numbers)),
         keys=[("scene", number) for number in numbers],
         settings=SensingSettings(**changes),
@@ -42,7 +44,9 @@ def draw(numbers=(1,), n_samples=(3, 4), seed=5, **changes):
 def gain_db(distance_m, *, power=(1.0,), delay=(0.0,), **changes):
     """Without randomness: paths of this power and delay, by themselves one direct path."""
     none = np.zeros(1)
-    channel = Channel(none, np.array([power]), np.array([delay]), none, np.zeros((1, 2)))
+    channel = Channel(
+        none, np.array([power]), np.array([delay]), none, np.zeros((1, 2))
+    )
     gain = link_gain(
         distance_m=np.array([distance_m]),
         owner=np.array([0]),
@@ -58,7 +62,8 @@ def test_density_by_hand():
         t=np.array([0.0, 0.1, 0.3, 4.0, 2.0, 2.5]),
         offsets=np.array([0, 3, 4, 6]),
     )
-    # The first sample of a track takes the interval after it; a lone sample is unbounded.
+    # The first sample of a track takes the interval after it; a lone sample is
+    # unbounded.
     assert density.tolist() == pytest.approx([10.0, 20.0, 15.0, np.inf, 14.0, 16.0])
 
 
@@ -66,8 +71,12 @@ def test_path_loss_is_two_way_with_the_tables_exponent():
     assert gain_db(20.0) - gain_db(40.0) == pytest.approx(2 * 27 * np.log10(2))
     # Radar equation in decibels at 1 m: 20 log wavelength - 30 log 4 pi.
     wavelength_m = 0.299792458 / 3.5
-    assert gain_db(1.0) == pytest.approx(20 * np.log10(wavelength_m) - 30 * np.log10(4 * np.pi))
-    assert gain_db(20.0) - gain_db(20.0, carrier_ghz=7.0) == pytest.approx(20 * np.log10(2))
+    assert gain_db(1.0) == pytest.approx(
+        20 * np.log10(wavelength_m) - 30 * np.log10(4 * np.pi)
+    )
+    assert gain_db(20.0) - gain_db(20.0, carrier_ghz=7.0) == pytest.approx(
+        20 * np.log10(2)
+    )
     assert gain_db(20.0, rcs_m2=0.1) == pytest.approx(gain_db(20.0) - 10)
 
 
@@ -100,7 +109,9 @@ def test_sigma_is_the_bound_times_the_gap_up_to_the_cap_at_which_information_has
     assert strong < settings.sigma_cap_m
     assert weak == pytest.approx(settings.sigma_cap_m)
     settings = replace(settings, crb_gap_db=20 * np.log10(4.9))
-    sigma = sigma_from_information(information=np.array([100.0, 24.01]), settings=settings)
+    sigma = sigma_from_information(
+        information=np.array([100.0, 24.01]), settings=settings
+    )
     assert sigma.tolist() == pytest.approx([0.49, 1.0])
 
 
@@ -109,9 +120,13 @@ def test_information_per_snr_is_the_curvature_of_the_likelihood():
     bandwidth_hz = 100e6
     f = np.linspace(-bandwidth_hz / 2, bandwidth_hz / 2, 20_001)
     mean_square_bandwidth = np.trapezoid(f**2, f) / bandwidth_hz
-    per_delay = 2 * (2 * np.pi) ** 2 * mean_square_bandwidth  # 2 E/N0 (2 pi)^2 <f^2> at SNR 1
+    per_delay = (
+        2 * (2 * np.pi) ** 2 * mean_square_bandwidth
+    )  # 2 E/N0 (2 pi)^2 <f^2> at SNR 1
     per_range = per_delay * (2 / 299_792_458.0) ** 2
-    assert range_information_per_snr(bandwidth_mhz=100.0) == pytest.approx(per_range, rel=1e-6)
+    assert range_information_per_snr(bandwidth_mhz=100.0) == pytest.approx(
+        per_range, rel=1e-6
+    )
 
 
 def test_channel_draws_have_their_laws():
@@ -175,7 +190,9 @@ def test_the_gain_at_distances_of_a_walk_has_that_covariance_whichever_are_asked
 
 
 @pytest.mark.parametrize("decorrelation_m", [0.1, 10.0, 1e4])
-def test_interpolation_between_knots_is_off_the_covariance_by_less_than_its_bound(decorrelation_m):
+def test_interpolation_between_knots_is_off_the_covariance_by_less_than_its_bound(
+    decorrelation_m,
+):
     """By the weights of the knots: exact, whatever is drawn."""
     knots = np.arange(2 * KNOTS + 2)
     at = stream(0, "test", "between knots").uniform(0, 2 * KNOTS, 150)
@@ -207,7 +224,9 @@ def test_a_gain_that_never_forgets_is_constant_along_a_track_and_begins_as_any_o
     some, constant = draw((1, 2)), draw((1, 2), decorrelation_m=np.inf)
     starts = np.array([0, 3, 7, 10])
     assert np.array_equal(constant.large_scale[starts], some.large_scale[starts])
-    assert np.array_equal(constant.large_scale, np.repeat(some.large_scale[starts], [3, 4, 3, 4]))
+    assert np.array_equal(
+        constant.large_scale, np.repeat(some.large_scale[starts], [3, 4, 3, 4])
+    )
     rngs = [stream(0, "test", "constant") for _ in range(2)]
     gain = gain_at(walked_m=np.linspace(0, 90, 5), decorrelation_m=np.inf, rng=rngs[0])
     assert np.array_equal(gain, np.full(5, rngs[1].standard_normal()))
@@ -229,7 +248,10 @@ def windows_of(*spans, walk="w", **changes):
 
 
 def test_windows_of_one_walk_share_what_lasts_and_fade_by_themselves():
-    (channel, offsets), (alone, _) = windows_of((0, 3), (1, 4), (9, 12)), windows_of((0, 3))
+    (channel, offsets), (alone, _) = (
+        windows_of((0, 3), (1, 4), (9, 12)),
+        windows_of((0, 3)),
+    )
     first, second, _ = (slice(*pair) for pair in pairwise(offsets))
     gain = channel.large_scale
     assert np.allclose(gain[first][10:], gain[second][:20], atol=1e-12)
@@ -239,7 +261,9 @@ def test_windows_of_one_walk_share_what_lasts_and_fade_by_themselves():
     assert not np.isclose(channel.unit_error[first], channel.unit_error[second]).any()
     # Whatever else is cut from the walk.
     assert np.array_equal(alone.large_scale, gain[first])
-    assert not np.isclose(windows_of((0, 3), walk="other")[0].large_scale, gain[first]).any()
+    assert not np.isclose(
+        windows_of((0, 3), walk="other")[0].large_scale, gain[first]
+    ).any()
 
 
 def test_errors_of_a_fixed_direction_keep_it_over_a_gap():
@@ -252,7 +276,9 @@ def test_errors_of_a_fixed_direction_keep_it_over_a_gap():
 
 
 def test_walked_is_the_length_of_the_way_so_far():
-    xy = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 4.0], [9.0, 12.0], [50.0, 50.0], [50.0, 51.0]])
+    xy = np.array(
+        [[0.0, 0.0], [3.0, 4.0], [3.0, 4.0], [9.0, 12.0], [50.0, 50.0], [50.0, 51.0]]
+    )
     found = walked_within(xy, np.array([0, 4, 6]))
     assert found.tolist() == pytest.approx([0.0, 5.0, 5.0, 15.0, 0.0, 1.0])
 
@@ -261,9 +287,15 @@ def test_sensing_adds_the_unit_error_scaled():
     t = np.array([0.0, 0.1, 0.2, 0.0, 0.1])
     xy = stream(0, "test", "sense").standard_normal((5, 2))
     settings = SensingSettings()
-    rest = {"offsets": np.array([0, 3, 5]), "channel": draw((0,), (3, 2)), "settings": settings}
+    rest = {
+        "offsets": np.array([0, 3, 5]),
+        "channel": draw((0,), (3, 2)),
+        "settings": settings,
+    }
     sensed = sense(t=t, xy=xy, **rest)
-    assert np.allclose(sensed.xy - xy, sensed.sigma_raw[:, None] * rest["channel"].unit_error)
+    assert np.allclose(
+        sensed.xy - xy, sensed.sigma_raw[:, None] * rest["channel"].unit_error
+    )
     assert (sensed.sigma_raw > 0).all()
     assert (sensed.sigma_raw <= settings.sigma_cap_m + 1e-12).all()
     assert sensed.law == "radial"
@@ -272,7 +304,11 @@ def test_sensing_adds_the_unit_error_scaled():
 @pytest.mark.parametrize("away_m", [0.0, 1e-9, 0.5, 1.0])
 def test_nobody_is_sensed_as_nearer_than_the_reference_distance(away_m):
     t, settings = np.array([0.0, 0.1, 0.2, 0.0, 0.1]), SensingSettings()
-    rest = {"offsets": np.array([0, 3, 5]), "channel": draw((0,), (3, 2)), "settings": settings}
+    rest = {
+        "offsets": np.array([0, 3, 5]),
+        "channel": draw((0,), (3, 2)),
+        "settings": settings,
+    }
     station = np.array([settings.bs_x_m, settings.bs_y_m])
     near, at_reference = (
         sense(t=t, xy=np.tile(station + np.array([0.0, distance_m]), (5, 1)), **rest)
@@ -285,7 +321,9 @@ def test_nobody_is_sensed_as_nearer_than_the_reference_distance(away_m):
 def test_errors_of_a_fixed_direction_lie_on_one_line_for_each_track():
     offsets = np.array([0, 40, 41, 100])
     drawn = [
-        unit_errors(n_samples=100, law=law, rng=np.random.default_rng(5), offsets=offsets)
+        unit_errors(
+            n_samples=100, law=law, rng=np.random.default_rng(5), offsets=offsets
+        )
         for law in ("fixed_direction", "radial")
     ]
     assert np.allclose(*(np.hypot(*errors.T) for errors in drawn))
@@ -299,7 +337,10 @@ def test_errors_of_a_fixed_direction_lie_on_one_line_for_each_track():
 def test_fixed_directions_are_uniform_over_tracks():
     offsets = np.arange(4001)
     errors = unit_errors(
-        n_samples=4000, law="fixed_direction", rng=np.random.default_rng(6), offsets=offsets
+        n_samples=4000,
+        law="fixed_direction",
+        rng=np.random.default_rng(6),
+        offsets=offsets,
     )
     angle = np.arctan2(errors[:, 1], errors[:, 0])
     assert stats.kstest(angle, stats.uniform(-np.pi, 2 * np.pi).cdf).pvalue > 1e-3

@@ -25,7 +25,9 @@ def raises(message):
 
 def test_far_below_the_threshold_nothing_overflows():
     for fid, eta in ((0.0, 1e-3), (-1e9, 1.0)):
-        assert fid_d_sigma(fid=np.full(1, fid), eta=eta, alpha_m=0.5, beta=1.5).tolist() == [0.0]
+        assert fid_d_sigma(
+            fid=np.full(1, fid), eta=eta, alpha_m=0.5, beta=1.5
+        ).tolist() == [0.0]
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -36,7 +38,9 @@ def test_linear_adding_scales_the_true_error_and_draws_none(law):
     expected = truth(13) + (batch.sigma_raw + d_sigma)[:, None] * batch.unit_error
     assert_allclose(release.xy, expected, rtol=0, atol=1e-12)
     assert_allclose(release.sigma, batch.sigma_raw + d_sigma, rtol=1e-15)
-    assert_array_equal(release.xy, perturb(batch, d_sigma, rng("b"), adding="linear").xy)
+    assert_array_equal(
+        release.xy, perturb(batch, d_sigma, rng("b"), adding="linear").xy
+    )
     with raises("linear adding scales the raw error and so keeps its law"):
         perturb(batch, 0.1, rng(), law=LAWS[1 - LAWS.index(law)])
     with raises("linear adding scales the raw error and takes no other"):
@@ -50,14 +54,17 @@ class TestIndependentAdding:
         batch = sensed(sizes=(LARGE,), sigma_raw=0.6, law=raw_law)
         release = perturb(batch, 0.8, rng("variances", law), **INDEPENDENT, law=law)
         error = release.xy - truth(LARGE)
-        # Both axes: the radial law has variance sigma^2 in all, the isotropic one on each axis.
+        # Both axes: the radial law has variance sigma^2 in all, the isotropic one on
+        # each axis.
         axes = {"radial": 1, "isotropic": 2}
         expected = axes[raw_law] * 0.6**2 + axes[law] * 0.8**2
         square = (error**2).sum(axis=1)
         assert abs(square.mean() - expected) < 5 * square.std() / sqrt(LARGE)
         for axis in range(2):  # half of it each, and none of it in common
             axis_square = error[:, axis] ** 2
-            assert abs(axis_square.mean() - expected / 2) < 5 * axis_square.std() / sqrt(LARGE)
+            assert abs(
+                axis_square.mean() - expected / 2
+            ) < 5 * axis_square.std() / sqrt(LARGE)
         product = error[:, 0] * error[:, 1]
         assert abs(product.mean()) < 5 * product.std() / sqrt(LARGE)
 
@@ -65,10 +72,14 @@ class TestIndependentAdding:
         batch = sensed(law=law)
         default = perturb(batch, 0.8, rng(), **INDEPENDENT)
         named = perturb(batch, 0.8, rng(), **INDEPENDENT, law=law)
-        changed = perturb(batch, 0.8, rng(), **INDEPENDENT, law=LAWS[1 - LAWS.index(law)])
+        changed = perturb(
+            batch, 0.8, rng(), **INDEPENDENT, law=LAWS[1 - LAWS.index(law)]
+        )
         assert_array_equal(default.xy, named.xy)
         assert not np.allclose(default.xy, changed.xy)
-        perturb(batch, 0.8, rng(), **INDEPENDENT, law="fixed_direction")  # of each track
+        perturb(
+            batch, 0.8, rng(), **INDEPENDENT, law="fixed_direction"
+        )  # of each track
 
     def test_levels_share_their_draws_and_pseudonyms_take_none(self, law):
         batch = sensed(law=law)
@@ -102,10 +113,17 @@ def test_an_error_that_is_given_is_added_as_it_is():
 @pytest.mark.parametrize(
     ("d_sigma", "names", "message"),
     [
-        *((one, {}, "d_sigma must be finite and not negative") for one in (-0.1, np.nan, inf)),
+        *(
+            (one, {}, "d_sigma must be finite and not negative")
+            for one in (-0.1, np.nan, inf)
+        ),
         (np.r_[np.zeros(12), -0.1], {}, "d_sigma must be finite and not negative"),
         (np.zeros(12), {}, ".*broadcast"),
-        (0.1, {"adding": "square"}, "unknown adding rule 'square'; known: linear, independent"),
+        (
+            0.1,
+            {"adding": "square"},
+            "unknown adding rule 'square'; known: linear, independent",
+        ),
         (0.1, INDEPENDENT | {"law": "square"}, "unknown error law 'square'"),
     ],
 )
@@ -116,7 +134,9 @@ def test_what_perturb_refuses(d_sigma, names, message):
 
 def test_pseudonyms_are_opaque_cover_all_bytes_and_differ_between_releases():
     batch = sensed(sizes=(1,) * 2000)
-    names, others = (Raw().share(batch, rng(name)).pseudonym for name in ("first", "second"))
+    names, others = (
+        Raw().share(batch, rng(name)).pseudonym for name in ("first", "second")
+    )
     assert len({*names, *others}) == 4000
     assert all(re.fullmatch("[0-9a-f]{16}", name) for name in names)
     assert {name[k : k + 2] for name in names for k in range(0, 16, 2)} == {
@@ -126,7 +146,9 @@ def test_pseudonyms_are_opaque_cover_all_bytes_and_differ_between_releases():
 
 class TestMechanisms:
     # With parameters at the edge of their range.
-    @pytest.mark.parametrize("mechanism", [Raw(), Fixed(0.0), Fid(0.5, 0.0, beta=1.0), Clean()])
+    @pytest.mark.parametrize(
+        "mechanism", [Raw(), Fixed(0.0), Fid(0.5, 0.0, beta=1.0), Clean()]
+    )
     def test_are_frozen_plug_ins_that_leave_times_and_tracks(self, mechanism):
         assert isinstance(mechanism, Mechanism)
         batch = sensed()
@@ -149,7 +171,9 @@ class TestMechanisms:
     )
     @pytest.mark.parametrize("law", LAWS)
     def test_fid_far_above_its_threshold_is_fixed_075(self, rule, law):
-        batch = sensed(law=law)  # fid of at least 72; exp(-71) is below the last digit of 1.5
+        batch = sensed(
+            law=law
+        )  # fid of at least 72; exp(-71) is below the last digit of 1.5
         fid = Fid(1.0, **rule).share(batch, rng())
         fixed = Fixed(0.75, **rule).share(batch, rng())
         assert_array_equal(fid.xy, fixed.xy)
@@ -164,7 +188,8 @@ class TestMechanisms:
     def test_fid_uses_its_parameters_sample_by_sample(self):
         batch = sensed()
         d_sigma = [
-            oracles.fid_d_sigma(fid=one, eta=700.0, alpha_m=0.3, beta=2.0) for one in batch.fid
+            oracles.fid_d_sigma(fid=one, eta=700.0, alpha_m=0.3, beta=2.0)
+            for one in batch.fid
         ]
         assert 0 < np.count_nonzero(d_sigma) < len(d_sigma)
         release = Fid(700.0, alpha=0.3, beta=2.0).share(batch, rng())
@@ -172,8 +197,14 @@ class TestMechanisms:
 
     def test_fixed_passes_its_law_on(self):
         batch = sensed(sizes=(LARGE,), sigma_raw=0.2)
-        added = Fixed(0.5, "independent", "isotropic").share(batch, rng("law")).xy - batch.xy
-        assert stats.kstest(np.hypot(*added.T), stats.rayleigh(scale=0.5).cdf).pvalue > 1e-3
+        added = (
+            Fixed(0.5, "independent", "isotropic").share(batch, rng("law")).xy
+            - batch.xy
+        )
+        assert (
+            stats.kstest(np.hypot(*added.T), stats.rayleigh(scale=0.5).cdf).pvalue
+            > 1e-3
+        )
 
     @pytest.mark.parametrize(
         ("kind", "values", "message"),
@@ -197,7 +228,9 @@ class TestMechanisms:
 class TestErrorLaws:
     """Seeded draws, so a p-value above 0.001 is a fact about them and does not flicker."""
 
-    def test_norm_and_direction_have_their_laws_and_do_not_depend_on_each_other(self, law, norm):
+    def test_norm_and_direction_have_their_laws_and_do_not_depend_on_each_other(
+        self, law, norm
+    ):
         unit = unit_errors(n_samples=LARGE, law=law, rng=rng("ks"))
         length, angle = np.hypot(*unit.T), np.arctan2(unit[:, 1], unit[:, 0])
         assert stats.kstest(length, norm.cdf).pvalue > 1e-3

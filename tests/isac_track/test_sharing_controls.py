@@ -40,25 +40,37 @@ class TestSlowErrors:
             for later in range(k, INSTANTS_S.size):
                 product = (errors[:, k] * errors[:, later]).sum(axis=1) / SQUARE[law]
                 expected = exp(-(INSTANTS_S[later] - INSTANTS_S[k]) / TAU_S)
-                assert abs(product.mean() - expected) < 5 * product.std() / sqrt(N_TRACKS)
-        product = (errors[:-1, -1] * errors[1:, 0]).sum(axis=1)  # of one track with the next
+                assert abs(product.mean() - expected) < 5 * product.std() / sqrt(
+                    N_TRACKS
+                )
+        product = (errors[:-1, -1] * errors[1:, 0]).sum(
+            axis=1
+        )  # of one track with the next
         assert abs(product.mean()) < 5 * product.std() / sqrt(N_TRACKS)
 
-    def test_have_the_law_of_the_sensing_error_from_the_first_sample_to_the_last(self, law):
+    def test_have_the_law_of_the_sensing_error_from_the_first_sample_to_the_last(
+        self, law
+    ):
         errors = many_tracks(law)
         white = unit_errors(n_samples=N_TRACKS, law=law, rng=rng("white"))
         for k in (0, 2, -1):
             norms = [np.hypot(*one.T) for one in (errors[:, k], white)]
             assert stats.ks_2samp(*norms).pvalue > 1e-3
             angle = np.arctan2(errors[:, k, 1], errors[:, k, 0])
-            assert stats.kstest(angle, stats.uniform(-np.pi, 2 * np.pi).cdf).pvalue > 1e-3
+            assert (
+                stats.kstest(angle, stats.uniform(-np.pi, 2 * np.pi).cdf).pvalue > 1e-3
+            )
             assert abs(np.corrcoef(norms[0], np.cos(angle))[0, 1]) < 5 / sqrt(N_TRACKS)
 
     def test_are_a_step_by_step_recursion_on_tracks_of_any_length(self, law):
         sizes = [1, 700, 2, 1, 33, 64, 65]
-        t = np.concatenate([np.cumsum(rng("t", n).uniform(0.05, 3.0, n)) for n in sizes])
+        t = np.concatenate(
+            [np.cumsum(rng("t", n).uniform(0.05, 3.0, n)) for n in sizes]
+        )
         offsets = np.concatenate([[0], np.cumsum(sizes)])
-        found = correlated_errors(t=t, offsets=offsets, law=law, tau_s=TAU_S, rng=rng("one"))
+        found = correlated_errors(
+            t=t, offsets=offsets, law=law, tau_s=TAU_S, rng=rng("one")
+        )
         draws = rng("one").standard_normal((t.size, 3))
         tau_s = TAU_S if law == "isotropic" else 2 * TAU_S
         for lo, hi in pairwise(offsets):
@@ -78,11 +90,15 @@ class TestSlowErrors:
 
 def slow_errors(batch, law="radial", tau_s=TAU_S):
     """The errors that a mechanism draws for a batch."""
-    return correlated_errors(t=batch.t, offsets=batch.offsets, law=law, tau_s=tau_s, rng=rng())
+    return correlated_errors(
+        t=batch.t, offsets=batch.offsets, law=law, tau_s=tau_s, rng=rng()
+    )
 
 
 def test_an_unknown_law_is_refused():
-    with pytest.raises(ValueError, match="unknown error law 'square'; known: radial, isotropic"):
+    with pytest.raises(
+        ValueError, match="unknown error law 'square'; known: radial, isotropic"
+    ):
         slow_errors(sensed(), law="square")
 
 
@@ -91,7 +107,9 @@ class TestCorrelated:
     def test_declares_what_fixed_declares(self, adding):
         batch = sensed()
         slow = Correlated(0.75, adding=adding).share(batch, rng())
-        np.testing.assert_array_equal(slow.sigma, Fixed(0.75, adding).share(batch, rng()).sigma)
+        np.testing.assert_array_equal(
+            slow.sigma, Fixed(0.75, adding).share(batch, rng()).sigma
+        )
         np.testing.assert_array_equal(slow.t, batch.t)
         np.testing.assert_array_equal(slow.offsets, batch.offsets)
 
@@ -103,7 +121,9 @@ class TestCorrelated:
     @pytest.mark.parametrize(("level", "tau_s"), [(0.2, 2.0), (1.0, 50.0)])
     def test_independent_leaves_the_raw_error_and_adds_to_it(self, level, tau_s):
         batch = sensed()
-        added = Correlated(level, tau_s, "independent").share(batch, rng()).xy - batch.xy
+        added = (
+            Correlated(level, tau_s, "independent").share(batch, rng()).xy - batch.xy
+        )
         expected = level * slow_errors(batch, tau_s=tau_s)
         np.testing.assert_allclose(added, expected, rtol=0, atol=1e-12)
 
@@ -122,20 +142,27 @@ class TestOffset:
     def test_levels_share_their_directions_and_declare_the_raw_uncertainty(self):
         batch = sensed()
         near, far = (Offset(level).share(batch, rng()) for level in (0.1, 1.0))
-        np.testing.assert_allclose(10 * (near.xy - batch.xy), far.xy - batch.xy, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(
+            10 * (near.xy - batch.xy), far.xy - batch.xy, rtol=0, atol=1e-12
+        )
         np.testing.assert_array_equal(far.sigma, batch.sigma_raw)
 
 
 class TestThin:
     @pytest.mark.parametrize("adding", ADDING)
     @pytest.mark.parametrize(
-        ("every", "kept"), [(1, range(16)), (3, [1, 4, 5, 6, 9, 12, 15]), (1000, [4, 5, 12, 15])]
+        ("every", "kept"),
+        [(1, range(16)), (3, [1, 4, 5, 6, 9, 12, 15]), (1000, [4, 5, 12, 15])],
     )
-    def test_keeps_of_fixed_what_is_counted_back_from_the_last(self, adding, every, kept):
+    def test_keeps_of_fixed_what_is_counted_back_from_the_last(
+        self, adding, every, kept
+    ):
         batch = sensed(sizes=(5, 1, 7, 3))
         thin = Thin(every, adding, 0.75).share(batch, rng())
         fixed = Fixed(0.75, adding).share(batch, rng())
         assert thin.offsets.tolist() == np.searchsorted(kept, batch.offsets).tolist()
         assert thin.pseudonym == fixed.pseudonym
         for name in ("t", "xy", "sigma"):
-            np.testing.assert_array_equal(getattr(thin, name), getattr(fixed, name)[list(kept)])
+            np.testing.assert_array_equal(
+                getattr(thin, name), getattr(fixed, name)[list(kept)]
+            )

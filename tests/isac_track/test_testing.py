@@ -49,7 +49,12 @@ class TestMistakesAreCaught:
         assert outcome.message
 
     def test_by_each_check_at_least_once(self):
-        caught = {name for mistakes in BROKEN.values() for _, *names in mistakes for name in names}
+        caught = {
+            name
+            for mistakes in BROKEN.values()
+            for _, *names in mistakes
+            for name in names
+        }
         assert {one.name for one in CHECKS} == caught
 
     def test_and_not_what_they_are_made_of(self):
@@ -61,11 +66,26 @@ class TestMistakesAreCaught:
     @pytest.mark.parametrize(
         ("broken", "message"),
         [
-            (lambda *_: "one"[9], "mel_s raised IndexError: string index out of range; called as"),
-            (lambda *_: sys.exit("enough"), "mel_s raised SystemExit: enough; called as mel_s([["),
-            (broken_metrics.mel_changes_its_input, "mel_s changed its input; called as mel_s([["),
-            (lambda *_: None, "mel_s returned None, which cannot be read as its result: "),
-            (broken_metrics.duration(sum), "MEL is 1.0, expected 0.75; leakage pattern 101110,"),
+            (
+                lambda *_: "one"[9],
+                "mel_s raised IndexError: string index out of range; called as",
+            ),
+            (
+                lambda *_: sys.exit("enough"),
+                "mel_s raised SystemExit: enough; called as mel_s([[",
+            ),
+            (
+                broken_metrics.mel_changes_its_input,
+                "mel_s changed its input; called as mel_s([[",
+            ),
+            (
+                lambda *_: None,
+                "mel_s returned None, which cannot be read as its result: ",
+            ),
+            (
+                broken_metrics.duration(sum),
+                "MEL is 1.0, expected 0.75; leakage pattern 101110,",
+            ),
         ],
     )
     def test_with_a_counterexample(self, broken, message):
@@ -93,11 +113,19 @@ class TestRunning:
         assert needed == {item.name for item in fields(Metrics)}
 
     def test_what_is_not_offered_is_skipped_with_the_reason(self):
-        names = ["plr_hand_examples", "mel_is_at_least_ael", "mel_is_zero_exactly_when_plr_is"]
+        names = [
+            "plr_hand_examples",
+            "mel_is_at_least_ael",
+            "mel_is_zero_exactly_when_plr_is",
+        ]
         reasons = ["", "not offered: ael_s, mel_s", "not offered: mel_s"]
-        assert [one.message for one in run_checks(Metrics(plr=OWN.plr), names=names)] == reasons
+        assert [
+            one.message for one in run_checks(Metrics(plr=OWN.plr), names=names)
+        ] == reasons
 
-    def test_checks_are_selected_by_name_and_once_and_a_wrong_one_gets_the_nearest(self):
+    def test_checks_are_selected_by_name_and_once_and_a_wrong_one_gets_the_nearest(
+        self,
+    ):
         names = ["mel_single_sample", "plr_single_sample", "mel_single_sample"]
         assert [one.name for one in select_checks(names)] == names[:2]
         for wrong, message in (
@@ -123,12 +151,19 @@ class TestRunning:
 class TestCommand:
     def test_own_metrics_pass(self, capsys):
         names = ["grid_starts_now", "plr_hand_examples"]
-        assert main(["isac_track.testing:OWN", *(f"--check={name}" for name in names)]) == 0
-        shown = [f"passed  {name}" for name in names] + ["2 passed, 0 failed, 0 skipped"]
+        assert (
+            main(["isac_track.testing:OWN", *(f"--check={name}" for name in names)])
+            == 0
+        )
+        shown = [f"passed  {name}" for name in names] + [
+            "2 passed, 0 failed, 0 skipped"
+        ]
         assert capsys.readouterr().out.splitlines() == shown
 
     def test_failure_and_skips(self, capsys, module):
-        name = module("from isac_track.testing import Metrics\nM = Metrics(plr=lambda *_: 2.0)")
+        name = module(
+            "from isac_track.testing import Metrics\nM = Metrics(plr=lambda *_: 2.0)"
+        )
         words = ["--check", "plr_single_sample", "--check", "mel_single_sample"]
         assert main([f"{name}:M", *words]) == 1
         counterexample = "leakage pattern 1, t = [0] s, epsilon 0.3 m"
@@ -148,14 +183,32 @@ class TestCommand:
             ([], "name the functions to check: package.module:OBJECT"),
             (["--no-such-option"], "(see --help)"),
             ([":OWN"], "cannot import ':OWN', expected package.module:OBJECT"),
-            (["isac_track.testing:"], "must be an isac_track.testing.Metrics, got module"),
-            (["no_such_package.x:OWN"], "expected package.module:OBJECT: ModuleNotFoundError"),
-            (["isac_track.testing:OWEN"], "AttributeError: module 'isac_track.testing' has no"),
-            (["isac_track.testing:CHECKS"], "must be an isac_track.testing.Metrics, got tuple"),
-            (["isac_track.testing:OWN", "--check", "plr_hand"], "did you mean 'plr_hand_examples'"),
+            (
+                ["isac_track.testing:"],
+                "must be an isac_track.testing.Metrics, got module",
+            ),
+            (
+                ["no_such_package.x:OWN"],
+                "expected package.module:OBJECT: ModuleNotFoundError",
+            ),
+            (
+                ["isac_track.testing:OWEN"],
+                "AttributeError: module 'isac_track.testing' has no",
+            ),
+            (
+                ["isac_track.testing:CHECKS"],
+                "must be an isac_track.testing.Metrics, got tuple",
+            ),
+            (
+                ["isac_track.testing:OWN", "--check", "plr_hand"],
+                "did you mean 'plr_hand_examples'",
+            ),
             ("1 / 0", "ZeroDivisionError: division by zero"),
             ("raise SystemExit(0)", "SystemExit: 0"),
-            ("from isac_track.testing import Metrics\nM = Metrics()", "offers no function"),
+            (
+                "from isac_track.testing import Metrics\nM = Metrics()",
+                "offers no function",
+            ),
         ],
     )
     def test_wrong_usage(self, arguments, message, capsys, module):
@@ -174,21 +227,27 @@ class TestDocumentation:
     BLOCKS = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
 
     def test_example_runs(self, pytester, monkeypatch, capsys):
-        for name, text in zip(("my_metrics", "test_my_metrics"), self.BLOCKS, strict=True):
+        for name, text in zip(
+            ("my_metrics", "test_my_metrics"), self.BLOCKS, strict=True
+        ):
             (pytester.path / f"{name}.py").write_text(text, encoding="utf-8")
         monkeypatch.syspath_prepend(pytester.path)
         assert main(["my_metrics:METRICS"]) == 0
         del sys.modules["my_metrics"]  # the name is free again for other tests
         shown = capsys.readouterr()
         assert shown.err == ""
-        assert re.search(r"^\d+ passed, 0 failed, \d+ skipped$", shown.out, re.MULTILINE)
+        assert re.search(
+            r"^\d+ passed, 0 failed, \d+ skipped$", shown.out, re.MULTILINE
+        )
         assert "skipped ael_hand_examples: not offered: ael_s" in shown.out
         words = ["-W", "error", "-p", "no:cacheprovider", "-k", "single_sample"]
         done = pytester.runpytest_inprocess(*words)
         done.assert_outcomes(passed=2, skipped=1, deselected=len(CHECKS) - 3)
 
     def test_every_function_is_named(self):
-        assert [item.name for item in fields(Metrics) if f"`{item.name}`" not in self.TEXT] == []
+        assert [
+            item.name for item in fields(Metrics) if f"`{item.name}`" not in self.TEXT
+        ] == []
 
 
 @pytest.fixture

@@ -59,7 +59,8 @@ MADE = (*RAGGED, scenes)
 
 
 @pytest.mark.parametrize(
-    "rows", [[0, 1, 2], [2, 0, 1], [1], [0, 2], [1, 1, 2], [2, 1, 0], np.empty(0, dtype=int)]
+    "rows",
+    [[0, 1, 2], [2, 0, 1], [1], [0, 2], [1, 1, 2], [2, 1, 0], np.empty(0, dtype=int)],
 )
 def test_some_tracks_are_their_samples_end_to_end(rows):
     some = release(xy=XY + np.pi).tracks(rows)
@@ -87,7 +88,9 @@ def test_neighbours_are_one_stretch_and_one_stretch_is_a_view():
 @pytest.mark.parametrize("make", RAGGED)
 def test_length_indexing_and_iteration_agree_on_views_of_each_track(make):
     batch = make()
-    names = [item.name for item in fields(batch) if item.metadata.get("per") == "sample"]
+    names = [
+        item.name for item in fields(batch) if item.metadata.get("per") == "sample"
+    ]
     assert len(batch) == 3
     assert [len(one) for one in batch] == [1, 1, 1]
     assert [one.t.tolist() for one in batch] == [[0.0, 0.1, 0.3], [5.0], [0.0, 2.0]]
@@ -105,8 +108,15 @@ def test_length_indexing_and_iteration_agree_on_views_of_each_track(make):
 
 
 def test_one_track_keeps_its_names_and_law():
-    assert [one.source + one.group for one in tracks()] == [("a", "g"), ("b", "g"), ("c", "h")]
-    assert (release()[-1].pseudonym, sensed(law="isotropic")[0].law) == (("r",), "isotropic")
+    assert [one.source + one.group for one in tracks()] == [
+        ("a", "g"),
+        ("b", "g"),
+        ("c", "h"),
+    ]
+    assert (release()[-1].pseudonym, sensed(law="isotropic")[0].law) == (
+        ("r",),
+        "isotropic",
+    )
 
 
 def assert_read_only(container):
@@ -140,9 +150,14 @@ def test_what_is_derived_is_read_only_and_else_the_same_objects(make):
     assert later.flags.writeable
     assert_read_only(new)
     for item in fields(batch):
-        assert (getattr(new, item.name) is getattr(batch, item.name)) == (item.name != "t")
+        assert (getattr(new, item.name) is getattr(batch, item.name)) == (
+            item.name != "t"
+        )
     assert batch.t.tolist() == T.tolist()
-    assert derived(Prediction(np.zeros((1, 1, 2)), np.zeros((1, 1, 2, 2))), cov=None).cov is None
+    assert (
+        derived(Prediction(np.zeros((1, 1, 2)), np.zeros((1, 1, 2, 2))), cov=None).cov
+        is None
+    )
 
 
 REFUSED = [
@@ -173,8 +188,16 @@ REFUSED = [
     (RAGGED, {"xy": XY[:5]}, r"xy must have shape \(6, 2\)"),
     (RAGGED, {"xy": np.zeros((6, 3))}, r"xy must have shape \(6, 2\)"),
     (MADE, {"xy": np.zeros(6)}, "xy must have 2 dimension"),
-    (MADE, {"xy": np.zeros((6, 2), complex)}, "xy must hold real numbers, .* got a complex array"),
-    (MADE, {"t": np.ma.masked_less(T, 0.2)}, "t must hold real numbers, all of them, got a masked"),
+    (
+        MADE,
+        {"xy": np.zeros((6, 2), complex)},
+        "xy must hold real numbers, .* got a complex array",
+    ),
+    (
+        MADE,
+        {"t": np.ma.masked_less(T, 0.2)},
+        "t must hold real numbers, all of them, got a masked",
+    ),
     (RAGGED, {"xy": np.where(XY == 4, np.nan, XY)}, "a position is not finite"),
     (RAGGED, {"xy": np.where(XY == 4, np.inf, XY)}, "a position is not finite"),
     ([tracks], {"source": ("a", "b")}, "source must name 3 tracks, got 2"),
@@ -187,7 +210,11 @@ REFUSED = [
         for name in ("unit_error", "sigma_raw", "information", "fid")
     ),
     *(
-        ([sensed], {"sigma_raw": np.r_[np.ones(5), wrong]}, "sigma_raw must not be negative or N")
+        (
+            [sensed],
+            {"sigma_raw": np.r_[np.ones(5), wrong]},
+            "sigma_raw must not be negative or N",
+        )
         for wrong in (-1e-9, np.nan)
     ),
     ([scenes], {"index": np.arange(2)}, "do not fill"),
@@ -244,7 +271,10 @@ def test_a_single_precision_covariance_is_one():
 
 
 def test_an_estimate_may_lie_at_the_limit_is_read_only_and_needs_no_claim():
-    xy, std = ESTIMATE_LIMIT_M * np.array([[-1.0, 1.0], [0.5, 0.0]]), np.array([0.0, 1e12])
+    xy, std = (
+        ESTIMATE_LIMIT_M * np.array([[-1.0, 1.0], [0.5, 0.0]]),
+        np.array([0.0, 1e12]),
+    )
     found = Reconstruction(xy, std)
     assert (found.xy.tolist(), found.std.tolist()) == (xy.tolist(), std.tolist())
     assert Prediction(xy[None]).mean.tolist() == [xy.tolist()]
@@ -254,20 +284,49 @@ def test_an_estimate_may_lie_at_the_limit_is_read_only_and_needs_no_claim():
     assert Reconstruction([[1, 2]]).std is Prediction(np.zeros((2, 3, 2))).cov is None
     assert Reconstruction([[1, 2]]).xy.dtype == np.float64
     # Nothing was shared, nothing is estimated.
-    assert Prediction(np.zeros((0, 3, 2)), np.zeros((0, 3, 2, 2))).mean.shape == (0, 3, 2)
+    assert Prediction(np.zeros((0, 3, 2)), np.zeros((0, 3, 2, 2))).mean.shape == (
+        0,
+        3,
+        2,
+    )
     assert Reconstruction(np.zeros((0, 2)), np.zeros(0)).xy.shape == (0, 2)
 
 
 @pytest.mark.parametrize(
     ("kind", "estimate", "spread", "message"),
     [
-        (Prediction, np.zeros((2, 3, 3)), None, r"mean must have shape \(N, H, 2\), got"),
+        (
+            Prediction,
+            np.zeros((2, 3, 3)),
+            None,
+            r"mean must have shape \(N, H, 2\), got",
+        ),
         (Prediction, np.zeros((3, 2)), None, "3 dimension"),
         (Prediction, np.full((2, 3, 2), np.nan), None, "not finite"),
-        (Prediction, np.full((1, 1, 2), 1.01e12), None, r"^a predicted .* beyond 1e\+12 m$"),
-        (Prediction, np.full((1, 1, 2), -1.01e12), None, r"^a predicted .* beyond 1e\+12 m$"),
-        (Reconstruction, np.array([[0, 1.01e12]]), None, r"^a reconstructed .* beyond 1e\+12 m$"),
-        (Reconstruction, np.array([[0, -1.01e12]]), None, r"^a reconstructed .* beyond 1e\+12 m$"),
+        (
+            Prediction,
+            np.full((1, 1, 2), 1.01e12),
+            None,
+            r"^a predicted .* beyond 1e\+12 m$",
+        ),
+        (
+            Prediction,
+            np.full((1, 1, 2), -1.01e12),
+            None,
+            r"^a predicted .* beyond 1e\+12 m$",
+        ),
+        (
+            Reconstruction,
+            np.array([[0, 1.01e12]]),
+            None,
+            r"^a reconstructed .* beyond 1e\+12 m$",
+        ),
+        (
+            Reconstruction,
+            np.array([[0, -1.01e12]]),
+            None,
+            r"^a reconstructed .* beyond 1e\+12 m$",
+        ),
         (Prediction, np.zeros((2, 3, 2)), np.zeros((2, 4, 2, 2)), r"\(2, 3, 2, 2\)"),
         (Prediction, np.zeros((2, 3, 2)), np.zeros((2, 3, 2)), "4 dimension"),
         *(
@@ -282,16 +341,49 @@ def test_an_estimate_may_lie_at_the_limit_is_read_only_and_needs_no_claim():
                 ((1, 0, 0, -1e-4), "not positive semidefinite"),
                 ((1, 1.1, 1.1, 1), "not positive semidefinite"),
                 ((0, 1, 1, 0), "not positive semidefinite"),
-                ((1e-8, 2e-8, 2e-8, 1e-8), "not positive semidefinite"),  # however small
+                (
+                    (1e-8, 2e-8, 2e-8, 1e-8),
+                    "not positive semidefinite",
+                ),  # however small
             )
         ),
-        (Reconstruction, np.zeros(4), None, r"xy must have 2 dimension\(s\), got shape \(4,\)"),
-        (Reconstruction, np.zeros((4, 3)), None, r"xy must have shape \(M, 2\), got \(4, 3\)"),
+        (
+            Reconstruction,
+            np.zeros(4),
+            None,
+            r"xy must have 2 dimension\(s\), got shape \(4,\)",
+        ),
+        (
+            Reconstruction,
+            np.zeros((4, 3)),
+            None,
+            r"xy must have shape \(M, 2\), got \(4, 3\)",
+        ),
         (Reconstruction, np.array([[0.0, np.nan]]), None, "position is not finite"),
-        (Reconstruction, np.zeros((4, 2)), np.zeros(3), r"std must have shape \(4,\), got \(3,\)"),
-        (Reconstruction, np.zeros((4, 2)), np.zeros((4, 2)), "std must have 1 dimension"),
-        (Reconstruction, np.zeros((2, 2)), np.array([0.1, -0.1]), "finite and not negative"),
-        (Reconstruction, np.zeros((2, 2)), np.array([0.1, np.inf]), "finite and not negative"),
+        (
+            Reconstruction,
+            np.zeros((4, 2)),
+            np.zeros(3),
+            r"std must have shape \(4,\), got \(3,\)",
+        ),
+        (
+            Reconstruction,
+            np.zeros((4, 2)),
+            np.zeros((4, 2)),
+            "std must have 1 dimension",
+        ),
+        (
+            Reconstruction,
+            np.zeros((2, 2)),
+            np.array([0.1, -0.1]),
+            "finite and not negative",
+        ),
+        (
+            Reconstruction,
+            np.zeros((2, 2)),
+            np.array([0.1, np.inf]),
+            "finite and not negative",
+        ),
         (Reconstruction, np.zeros((1, 2)), np.array([1.01e12]), r"at most 1e\+12 m"),
     ],
 )

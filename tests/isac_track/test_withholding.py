@@ -27,10 +27,14 @@ class TestWindow:
         shared = samples_of_the_last_seconds(batch, seconds)
         window = Window(seconds, adding, 0.75).share(batch, rng())
         fixed = Fixed(0.75, adding).share(batch, rng())
-        assert window.offsets.tolist() == np.searchsorted(shared, batch.offsets).tolist()
+        assert (
+            window.offsets.tolist() == np.searchsorted(shared, batch.offsets).tolist()
+        )
         assert window.pseudonym == fixed.pseudonym
         for name in ("t", "xy", "sigma"):
-            np.testing.assert_array_equal(getattr(window, name), getattr(fixed, name)[shared])
+            np.testing.assert_array_equal(
+                getattr(window, name), getattr(fixed, name)[shared]
+            )
 
     def test_always_shares_the_last_sample(self):
         batch = sensed(sizes=(4, 1))
@@ -47,7 +51,9 @@ class TestWindow:
         with pytest.raises(ValueError, match="seconds"):
             Window(seconds)
 
-    @pytest.mark.parametrize("spec", ["window:0", "window:-1", "window:1,d_sigma=-1", "window"])
+    @pytest.mark.parametrize(
+        "spec", ["window:0", "window:-1", "window:1,d_sigma=-1", "window"]
+    )
     def test_a_spec_that_cannot_be_meant_is_a_settings_error(self, spec):
         with pytest.raises(SettingsError, match="window"):
             parse("mechanisms", spec)

@@ -17,7 +17,9 @@ from predictors.kalman import GATE, KalmanCA, KalmanCV, KalmanIMM
 
 TRACKERS = [KalmanCV(), KalmanCA(), KalmanIMM()]
 AWARE = KalmanCV(aware=True).knowing(Correlated(0.8, 3.0, "independent"))
-by_name = pytest.mark.parametrize("tracker", TRACKERS, ids=lambda one: type(one).__name__)
+by_name = pytest.mark.parametrize(
+    "tracker", TRACKERS, ids=lambda one: type(one).__name__
+)
 
 
 def walks(*sizes, noise_m=0.4, q=0.05, from_s=0.0):
@@ -32,12 +34,16 @@ def walks(*sizes, noise_m=0.4, q=0.05, from_s=0.0):
     return release, t[ahead], path[ahead]
 
 
-@pytest.mark.parametrize("tracker", [*TRACKERS, AWARE], ids=lambda one: type(one).__name__)
+@pytest.mark.parametrize(
+    "tracker", [*TRACKERS, AWARE], ids=lambda one: type(one).__name__
+)
 @pytest.mark.parametrize("noise", ["estimated", "declared"])
 def test_the_kernels_are_filterpy(tracker, noise):
     release, t_future, _ = walks(60, 1, 2, 3, 200, 17)
     xy = release.xy.copy()
-    xy[[20, 41, 42, 43, 44, 45, 150]] += 9.0  # alone, and more in a row than are rejected
+    xy[[20, 41, 42, 43, 44, 45, 150]] += (
+        9.0  # alone, and more in a row than are rejected
+    )
     release = replace(release, xy=xy)
     ours = replace(tracker, noise=noise).predict(release, t_future)
     theirs = replace(tracker, noise=noise, engine="filterpy").predict(release, t_future)
@@ -59,9 +65,14 @@ def test_what_it_tracks_is_filterpy_after_each_sample(tracker, noise):
     assert np.allclose(tracker.track(release), mean[:, :, 0], atol=1e-9, rtol=1e-9)
     for k in range(30):  # what it knows of the noise is from these samples, too
         alone = flat_release(
-            release.t[: k + 1], xy[: k + 1], np.array([0, k + 1]), sigma=release.sigma[: k + 1]
+            release.t[: k + 1],
+            xy[: k + 1],
+            np.array([0, k + 1]),
+            sigma=release.sigma[: k + 1],
         )
-        assert batch.variance[k] == pytest.approx(tracker.batch(alone).variance[-1], rel=1e-9)
+        assert batch.variance[k] == pytest.approx(
+            tracker.batch(alone).variance[-1], rel=1e-9
+        )
 
 
 @by_name
@@ -103,7 +114,9 @@ def nees(*, sigma_off):
     """NEES of the forecasts where the model is exact, (400, 12), with sigma declared too large."""
     release, t_future, future = walks(*[80] * 400, noise_m=0.4, q=0.05)
     told = replace(release, sigma=release.sigma * sigma_off)
-    forecast = KalmanCV(q=0.05, noise="declared", gate=float("inf")).predict(told, t_future)
+    forecast = KalmanCV(q=0.05, noise="declared", gate=float("inf")).predict(
+        told, t_future
+    )
     gap = forecast.mean - future
     return np.einsum("nha,nhab,nhb->nh", gap, np.linalg.inv(forecast.cov), gap)
 
@@ -134,11 +147,15 @@ def test_only_declared_noise_asks_for_sigma():
     assert declared.name == "kalman_imm:noise=declared"
 
 
-@pytest.mark.parametrize(("law", "noise_m"), [("radial", 0.4), ("isotropic", 0.4 * np.sqrt(2.0))])
+@pytest.mark.parametrize(
+    ("law", "noise_m"), [("radial", 0.4), ("isotropic", 0.4 * np.sqrt(2.0))]
+)
 def test_the_declared_std_means_what_the_law_says(law, noise_m):
     release, t_future, _ = walks(60, noise_m=0.4)
     # sigma is 0.4 sqrt(2): 0.4 per axis if radial, all of it if isotropic.
-    found = KalmanCV(noise="declared", law=law).predict(release, t_future).cov[0, 0, 0, 0]
+    found = (
+        KalmanCV(noise="declared", law=law).predict(release, t_future).cov[0, 0, 0, 0]
+    )
     same = replace(release, sigma=np.full(60, noise_m))
     expected = KalmanCV(noise="declared", law="isotropic").predict(same, t_future)
     assert found == pytest.approx(expected.cov[0, 0, 0, 0])
@@ -179,7 +196,8 @@ def test_only_who_is_aware_takes_what_a_mechanism_says():
     knows = KalmanCV(aware=True).knowing(Offset(1.0))
     assert (knows.tau_s, knows.added_std_m) == pytest.approx((np.inf, np.sqrt(0.5)))
     release, t_future, _ = walks(60)
-    # A white error that is added is the least that it reckons with; a little one changes nothing.
+    # A white error that is added is the least that it reckons with; a little one
+    # changes nothing.
     robots = [KalmanCV(added_std_m=one) for one in (0.0, 0.01, 2.0)]
     predicted = [one.predict(release, t_future).mean for one in robots]
     np.testing.assert_array_equal(predicted[0], predicted[1])

@@ -23,7 +23,9 @@ def test_it_is_polyfit_over_the_last_samples(window):
         t, xy = track.t[-window:], track.xy[-window:]
         for axis in range(2):
             line = np.polyfit(t, xy[:, axis], 1)
-            assert np.allclose(found[row, :, axis], np.polyval(line, t_future[row]), atol=1e-8)
+            assert np.allclose(
+                found[row, :, axis], np.polyval(line, t_future[row]), atol=1e-8
+            )
 
 
 def test_one_sample_stands_still():

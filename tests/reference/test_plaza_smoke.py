@@ -18,7 +18,8 @@ KEY = ["dataset", "mechanism", "level", "consumer", "knowledge", "metric"]
 PART = {
     "mechanisms": ("raw", "fid:1"),
     "tasks": ("handover-2s", "new_traversal"),
-    # Those are for re-releases; with nothing that suits them, they would run in any task.
+    # Those are for re-releases; with nothing that suits them, they would run in any
+    # task.
     "attacks": tuple(
         spec
         for spec in PRESETS["smoke"].attacks
@@ -47,7 +48,9 @@ def test_a_fresh_run_gives_the_published_numbers(tmp_path):
             (published["mechanism"] == "fid") & (published["level"] == 1)
         )
         published = published[is_run & levels]
-    both = published.merge(fresh, on=KEY, suffixes=("", "_fresh"), how="outer", indicator=True)
+    both = published.merge(
+        fresh, on=KEY, suffixes=("", "_fresh"), how="outer", indicator=True
+    )
     assert (both["_merge"] == "both").all()
     assert len(both) > 1700
     for name in ("value", "ci_low", "ci_high", "n"):

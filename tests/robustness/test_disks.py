@@ -26,7 +26,17 @@ def place(tmp_path_factory):
 
 
 def matrix(folder, out, **how):
-    options = (*FEW, "--scenes", 8, "--jobs", 1, "--dataset", folder / "walks.csv", "--out", out)
+    options = (
+        *FEW,
+        "--scenes",
+        8,
+        "--jobs",
+        1,
+        "--dataset",
+        folder / "walks.csv",
+        "--out",
+        out,
+    )
     return run(folder, *UNDRAWN, *options, **how)
 
 
@@ -54,15 +64,26 @@ def a_link(path):
 
 
 NO_FOLDER = {
-    # What the folder is called; what stands in place of which of its files; what is said.
+    # What the folder is called; what stands in place of which of its files; what is
+    # said.
     "a file": ("run", "", a_file, "is a file"),
     "below a file": ("at/run", "..", a_file, "is a file"),
-    "a link to nowhere": ("run", "", lambda path: path.symlink_to("gone/far"), "cannot write"),
+    "a link to nowhere": (
+        "run",
+        "",
+        lambda path: path.symlink_to("gone/far"),
+        "cannot write",
+    ),
     "a name too long": ("n" * 300, "..", None, "File name too long"),
     "cells is a file": ("run", "cells", a_file, "cells"),
     "the manifest is a folder": ("run", "manifest.json", Path.mkdir, "manifest.json"),
     "the manifest is nonsense": ("run", "manifest.json", a_file, "manifest.json"),
-    "a table is a folder": ("run", "summary.csv", Path.mkdir, "summary.csv: Is a directory"),
+    "a table is a folder": (
+        "run",
+        "summary.csv",
+        Path.mkdir,
+        "summary.csv: Is a directory",
+    ),
     "the checksums are a pipe": ("run", "SHA256SUMS", os.mkfifo, "SHA256SUMS"),
     "the lock is a link": ("run", ".lock", a_link, ".lock"),
     "the tables are a link": ("run", "tables", a_link, "tables is a link"),
@@ -82,7 +103,9 @@ def test_where_no_run_can_be(what, place, tmp_path):
         plant(out.parent if inside == ".." else out / inside)
     ended = matrix(place, out)
     assert_refused(ended, says)
-    assert any(way in ended.err for way in (OTHER, KEPT, "--fresh", "elete it", "remove it")), ended
+    assert any(
+        way in ended.err for way in (OTHER, KEPT, "--fresh", "elete it", "remove it")
+    ), ended
     assert list((tmp_path / "precious").iterdir()) == []
 
 
@@ -92,7 +115,9 @@ def test_while_somebody_else_writes(second, place, tmp_path):
     with (out / ".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         ended = matrix(place, out) if second == "matrix" else run(place, *REPORT, out)
-        assert_refused(ended, f"another run is writing to {out}", f"wait for it or {OTHER}")
+        assert_refused(
+            ended, f"another run is writing to {out}", f"wait for it or {OTHER}"
+        )
     assert matrix(place, out).code == 0
     assert_same(out, content(place / "undisturbed"))
 

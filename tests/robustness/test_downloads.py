@@ -43,7 +43,9 @@ def fetch(mirror, tmp_path):
 
 
 def files(folder):
-    return {path.name: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        path.name: path.read_bytes() for path in folder.rglob("*") if path.is_file()
+    }
 
 
 @pytest.mark.parametrize("what", FAILS)
@@ -52,7 +54,9 @@ def test_a_server_that(what, mirror, fetch, tmp_path):
     mirror.files["/base/small/obsmat.txt"] = answer
     ended = fetch(timeout_s=MOST_S)
     place = "save in DIR/small and set ISAC_TRACK_DATA=DIR"
-    assert_refused(ended, f"{mirror.address}small/obsmat.txt: {says}", "Way out: get", place)
+    assert_refused(
+        ended, f"{mirror.address}small/obsmat.txt: {says}", "Way out: get", place
+    )
     assert files(tmp_path) == {}
     mirror.files["/base/small/obsmat.txt"] = WALK
     assert fetch().code == 0
@@ -60,7 +64,9 @@ def test_a_server_that(what, mirror, fetch, tmp_path):
 
 
 @pytest.mark.parametrize("sign", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
-def test_what_is_ended_halfway_leaves_nothing_that_the_next_keeps(sign, mirror, fetch, tmp_path):
+def test_what_is_ended_halfway_leaves_nothing_that_the_next_keeps(
+    sign, mirror, fetch, tmp_path
+):
     mirror.files["/base/small/obsmat.txt"] = (len(WALK), WALK[:10], silent)
     process = fetch(start)
     wait_for(lambda: files(tmp_path), most_s=20)

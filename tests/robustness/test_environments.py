@@ -6,7 +6,15 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from helpers.commands import FEW, MATRIX, UNDRAWN, assert_refused, assert_same, content, run
+from helpers.commands import (
+    FEW,
+    MATRIX,
+    UNDRAWN,
+    assert_refused,
+    assert_same,
+    content,
+    run,
+)
 from helpers.small_runs import write_walks
 
 pytestmark = pytest.mark.slow
@@ -29,10 +37,22 @@ def matrix(folder, out, *options, command=MATRIX, **how):
 
 SAME = {
     # What else the environment says; None takes a name out of it.
-    "no language": {"LC_ALL": "C", "LANG": None, "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+    "no language": {
+        "LC_ALL": "C",
+        "LANG": None,
+        "PYTHONUTF8": "0",
+        "PYTHONCOERCECLOCALE": "0",
+    },
     "a language that is not there": {"LC_ALL": "tr_TR.ISO-8859-9", "LANG": "xx_YY"},
-    "a terminal of ASCII": {"PYTHONIOENCODING": "ascii", "TERM": "dumb", "NO_COLOR": "1"},
-    "a terminal of Latin-1, in colour": {"PYTHONIOENCODING": "latin-1", "FORCE_COLOR": "1"},
+    "a terminal of ASCII": {
+        "PYTHONIOENCODING": "ascii",
+        "TERM": "dumb",
+        "NO_COLOR": "1",
+    },
+    "a terminal of Latin-1, in colour": {
+        "PYTHONIOENCODING": "latin-1",
+        "FORCE_COLOR": "1",
+    },
     "a narrow terminal": {"COLUMNS": "20", "LINES": "3"},
     "columns that are no number": {"COLUMNS": "many"},
     "no columns": {"COLUMNS": "0"},
@@ -44,10 +64,23 @@ SAME = {
     "another clock": {"TZ": "Pacific/Kiritimati", "SOURCE_DATE_EPOCH": "0"},
     "warnings that are errors": {"PYTHONWARNINGS": "error"},
     "hashes of another order": {"PYTHONHASHSEED": "12345"},
-    "no network": {"http_proxy": "http://127.0.0.1:1", "https_proxy": "http://127.0.0.1:1"},
-    "many threads": {"OMP_NUM_THREADS": "64", "OPENBLAS_NUM_THREADS": "64", "MKL_NUM_THREADS": "x"},
-    "a folder of data that is not there": {"ISAC_TRACK_DATA": NOWHERE, "ISAC_TRACK_CACHE": ""},
-    "only one's own search path": {"PYTHONNOUSERSITE": "1", "PYTHONDONTWRITEBYTECODE": "1"},
+    "no network": {
+        "http_proxy": "http://127.0.0.1:1",
+        "https_proxy": "http://127.0.0.1:1",
+    },
+    "many threads": {
+        "OMP_NUM_THREADS": "64",
+        "OPENBLAS_NUM_THREADS": "64",
+        "MKL_NUM_THREADS": "x",
+    },
+    "a folder of data that is not there": {
+        "ISAC_TRACK_DATA": NOWHERE,
+        "ISAC_TRACK_CACHE": "",
+    },
+    "only one's own search path": {
+        "PYTHONNOUSERSITE": "1",
+        "PYTHONDONTWRITEBYTECODE": "1",
+    },
 }
 
 
@@ -72,7 +105,9 @@ PROCESSES = {
         "preexec_fn": lambda: os.closerange(0, 3),
         **dict.fromkeys(("stdin", "stdout", "stderr")),
     },
-    "few open files": {"preexec_fn": lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))},
+    "few open files": {
+        "preexec_fn": lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
+    },
     "files for oneself alone": {"preexec_fn": lambda: os.umask(0o077) and None},
 }
 
@@ -83,7 +118,9 @@ def test_the_same_bytes_in_a_process_with(what, jobs, place, tmp_path):
     out, usual = tmp_path / "run", content(place / "usual")
     ended = matrix(place, out, "--jobs", jobs, command=UNDRAWN, **PROCESSES[what])
     assert ended.code == 0, ended
-    assert_same(out, {name: held for name, held in usual.items() if "figures/" not in name})
+    assert_same(
+        out, {name: held for name, held in usual.items() if "figures/" not in name}
+    )
 
 
 def test_a_folder_that_is_gone_is_one_line(tmp_path):

@@ -98,7 +98,16 @@ def place(tmp_path_factory):
 
 
 def words(place, out, *options, scenes=12, jobs=2):
-    much = ("--dataset", place / "walks.csv", "--scenes", scenes, "--jobs", jobs, "--out", out)
+    much = (
+        "--dataset",
+        place / "walks.csv",
+        "--scenes",
+        scenes,
+        "--jobs",
+        jobs,
+        "--out",
+        out,
+    )
     return [str(word) for word in (*FEW, *much, *options)]
 
 
@@ -144,7 +153,9 @@ def hanging(place):
 
     def hang(out, *, jobs=2):
         flag.unlink(missing_ok=True)
-        started.append(begin(place, out, "--mechanism", "faulty:ShareHolds:0.5", jobs=jobs))
+        started.append(
+            begin(place, out, "--mechanism", "faulty:ShareHolds:0.5", jobs=jobs)
+        )
         wait_for(flag.exists, most_s=60)
         return started[-1]
 
@@ -154,24 +165,32 @@ def hanging(place):
 
 
 class TestInterrupted:
-    def test_a_second_run_is_refused_and_ctrl_c_ends_even_what_hangs(self, place, hanging, ran):
+    def test_a_second_run_is_refused_and_ctrl_c_ends_even_what_hangs(
+        self, place, hanging, ran
+    ):
         out = place / "hanging"
         process = hanging(out)
         for second in (ran(matrix, *words(place, out)), ran(report, out)):
-            assert_refused(second, f"another run is writing to {out} (process {process.pid})")
+            assert_refused(
+                second, f"another run is writing to {out} (process {process.pid})"
+            )
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does
         started = time.monotonic()
         _, errors = process.communicate(timeout=30)
         assert time.monotonic() - started < END_S
         assert process.returncode == 130, errors
-        assert errors.splitlines()[-1].startswith("interrupted; finished cells are kept, the same")
+        assert errors.splitlines()[-1].startswith(
+            "interrupted; finished cells are kept, the same"
+        )
         assert "Traceback" not in errors
         wait_for(lambda: not in_session(process.pid), most_s=END_S)
         # Now the folder is free again.
         with locked(out):
             pass
 
-    def test_a_worker_that_lets_no_thread_run_ends_with_its_parent(self, place, hanging):
+    def test_a_worker_that_lets_no_thread_run_ends_with_its_parent(
+        self, place, hanging
+    ):
         process = hanging(place / "orphaned", jobs=1)
         assert len(in_session(process.pid)) >= 2
         process.kill()
@@ -179,11 +198,15 @@ class TestInterrupted:
         wait_for(lambda: not in_session(process.pid), most_s=END_S)
 
 
-def test_every_kind_of_damage_is_found_and_computed_again(place, many_scenes, ran, capsys):
+def test_every_kind_of_damage_is_found_and_computed_again(
+    place, many_scenes, ran, capsys
+):
     out = place / "damaged"
     shutil.copytree(place / "many-scenes", out)
     cells = sorted((out / "cells").iterdir())
-    cut, another, flipped = (bytearray(cells[number].read_bytes()) for number in (0, 1, 2))
+    cut, another, flipped = (
+        bytearray(cells[number].read_bytes()) for number in (0, 1, 2)
+    )
     flipped[len(flipped) // 2] ^= 1
     damage = {0: cut[:-100], 2: flipped, 4: b"", 6: another}
     for number, held in damage.items():
@@ -195,7 +218,9 @@ def test_every_kind_of_damage_is_found_and_computed_again(place, many_scenes, ra
     # One line is missing, and the last one was cut short.
     left = [line for line in lines if line not in others[:2]]
     sums.write_text("\n".join([*left, others[1][:40]]))
-    assert_refused(ran(report, out), "and 5 more: not as the run wrote it", str(out / "cells"))
+    assert_refused(
+        ran(report, out), "and 5 more: not as the run wrote it", str(out / "cells")
+    )
     here(place, out, jobs=1)
     errors = capsys.readouterr().err
     assert "6 damaged cells computed again" in errors
@@ -208,7 +233,9 @@ def test_every_kind_of_damage_is_found_and_computed_again(place, many_scenes, ra
     shutil.rmtree(out / "figures")  # which the others were made without
     assert_same(out, many_scenes)
     check = ["sha256sum", "--check", "--quiet", "SHA256SUMS"]
-    checked = subprocess.run(check, cwd=out, capture_output=True, text=True, check=False)
+    checked = subprocess.run(
+        check, cwd=out, capture_output=True, text=True, check=False
+    )
     assert checked.returncode == 0, checked.stdout  # the next line stands by itself
     assert "1 line is improperly formatted" in checked.stderr
 

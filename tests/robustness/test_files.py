@@ -34,16 +34,32 @@ PLACES = {
     # How it is made; what it is called, and more words; what is said.
     "nothing": (None, ["walks.csv"], "walks.csv: no such file"),
     "nearly a name": (None, ["stuednts03"], "did you mean students03?"),
-    "a folder": (os.mkdir, ["f.csv"], "f.csv: this is a folder, and holds no session (.csv"),
+    "a folder": (
+        os.mkdir,
+        ["f.csv"],
+        "f.csv: this is a folder, and holds no session (.csv",
+    ),
     "a pipe": (os.mkfifo, ["f.csv"], "f.csv: no such file"),
-    "a link to nowhere": (lambda path: path.symlink_to("gone"), ["f.csv"], "f.csv: no such file"),
+    "a link to nowhere": (
+        lambda path: path.symlink_to("gone"),
+        ["f.csv"],
+        "f.csv: no such file",
+    ),
     "a link to itself": (a_loop, ["f.csv"], "f.csv: "),
-    "a name that is too long": (None, [f"{'x' * 300}.csv"], "cannot be read (File name too long)"),
+    "a name that is too long": (
+        None,
+        [f"{'x' * 300}.csv"],
+        "cannot be read (File name too long)",
+    ),
     "a name that is no text": (None, [os.fsdecode(b"\xff.csv")], "no such file"),
     "lines in its name": (None, ["a\nb.csv"], "no such file"),
     "no format": (GAN, ["f.dat"], "--format"),
     "an unknown format": (CSV, ["f.csv", "--format", "cvs"], "csv"),
-    "an extension that is not it": (GAN, ["f.parquet"], "f.parquet: not a parquet file"),
+    "an extension that is not it": (
+        GAN,
+        ["f.parquet"],
+        "f.parquet: not a parquet file",
+    ),
     "a rate of no number": (GAN, ["f", "--format", "pedpy", "--fps", "fast"], "--fps"),
 }
 

@@ -5,7 +5,16 @@ import signal
 import time
 
 import pytest
-from helpers.commands import FEW, MATRIX, UNDRAWN, assert_same, content, in_session, run, start
+from helpers.commands import (
+    FEW,
+    MATRIX,
+    UNDRAWN,
+    assert_same,
+    content,
+    in_session,
+    run,
+    start,
+)
 from helpers.processes import wait_for
 from helpers.small_runs import write_walks
 
@@ -41,7 +50,14 @@ def place(tmp_path_factory):
 
 
 def words(out, *, drawn):
-    return (MATRIX if drawn else UNDRAWN), (*FEW, *SCENES, "--dataset", "walks.csv", "--out", out)
+    return (MATRIX if drawn else UNDRAWN), (
+        *FEW,
+        *SCENES,
+        "--dataset",
+        "walks.csv",
+        "--out",
+        out,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +85,9 @@ def test_five_ends_when_a_run_has_begun_with(moment, place, undisturbed):
             before = {}
 
         def has_begun(before=before):
-            found = {one: one.stat().st_mtime_ns for one in out.glob(pattern) if one.exists()}
+            found = {
+                one: one.stat().st_mtime_ns for one in out.glob(pattern) if one.exists()
+            }
             assert process.poll() is None, process.communicate()  # noqa: B023 - of this turn
             return len(found.items() - before.items()) >= number
 

@@ -58,11 +58,15 @@ def test_a_linked_folder_is_refused(run, victim, name):
     if (run / name).exists():
         shutil.rmtree(run / name)
     (run / name).symlink_to(victim.parent)
-    with pytest.raises((DataError, SettingsError), match=re.escape(f"{run / name} is a link")):
+    with pytest.raises(
+        (DataError, SettingsError), match=re.escape(f"{run / name} is a link")
+    ):
         rebuild(run)
 
 
-@pytest.mark.parametrize("name", [".lock", "SHA256SUMS", "manifest.json", "gallery.parquet"])
+@pytest.mark.parametrize(
+    "name", [".lock", "SHA256SUMS", "manifest.json", "gallery.parquet"]
+)
 @pytest.mark.parametrize("planted", ["link", "pipe"])
 def test_what_is_no_file_of_the_run_is_refused(run, victim, name, planted):
     (run / name).unlink(missing_ok=True)
@@ -82,7 +86,9 @@ def test_a_linked_cell_counts_as_damaged(run, victim):
 
 def test_what_a_killed_run_left_goes(run):
     write_whole(run / "summary.csv", b"")
-    left = [run / f".{name}.{16 * '0'}.tmp" for name in ("report.html", "manifest.json")]
+    left = [
+        run / f".{name}.{16 * '0'}.tmp" for name in ("report.html", "manifest.json")
+    ]
     for one in (*left, run / "cells" / left[0].name, run / ".mine.tmp"):
         one.write_text("half")
     with locked(run):

@@ -10,17 +10,26 @@ pytestmark = pytest.mark.slow
 
 LIMIT_S = 6
 DIED, SLOW = "its worker died", f"it ran for longer than {LIMIT_S} s"
-FAR, COVARIANCE = (f"failed: ValueError: a predicted {what}" for what in ("position", "covariance"))
+FAR, COVARIANCE = (
+    f"failed: ValueError: a predicted {what}" for what in ("position", "covariance")
+)
 FAULTS = {
-    # What it returns, given the mean (2D arrays by track) and the release: why it is left out.
+    # What it returns, given the mean (2D arrays by track) and the release: why it is
+    # left out.
     "raises": ("raises(KeyError('no idea'))", "failed: KeyError: 'no idea'"),
-    "raises lines": (r"raises(ValueError('one\ntwo\x1b[31m' * 9**6))", "ValueError: one two"),
+    "raises lines": (
+        r"raises(ValueError('one\ntwo\x1b[31m' * 9**6))",
+        "ValueError: one two",
+    ),
     "raises silently": ("raises(Silent())", "failed: Silent"),
     "closes": ("raises(GeneratorExit())", "failed: GeneratorExit"),
     "stops": ("raises(StopIteration())", "failed: StopIteration"),
     "goes deeper": ("deeper()", "failed: RecursionError"),
     "wants memory": ("np.empty(10**15)", "failed: "),
-    "imports": ("__import__('not_there')", "ModuleNotFoundError: No module named 'not_there'"),
+    "imports": (
+        "__import__('not_there')",
+        "ModuleNotFoundError: No module named 'not_there'",
+    ),
     "exits with 0": ("os._exit(0)", DIED),
     "exits with 3": ("os._exit(3)", DIED),
     "kills itself": ("os.kill(os.getpid(), signal.SIGKILL)", DIED),
@@ -58,7 +67,9 @@ HARMLESS = {
 
 
 def table(calls):
-    return "".join(f"{name!r}: lambda mean, release: ({call}),\n" for name, call in calls.items())
+    return "".join(
+        f"{name!r}: lambda mean, release: ({call}),\n" for name, call in calls.items()
+    )
 
 
 PLUGINS = f"""
@@ -136,7 +147,9 @@ def place(tmp_path_factory):
 
 
 def matrix(place, *options, command=UNDRAWN, **how):
-    return run(place, *command, *FEW, "--scenes", 8, "--dataset", "walks.csv", *options, **how)
+    return run(
+        place, *command, *FEW, "--scenes", 8, "--dataset", "walks.csv", *options, **how
+    )
 
 
 @pytest.fixture(scope="module")
@@ -151,14 +164,23 @@ def ended(place):
 
 def rows(out, consumer):
     found = pd.read_csv(out / "summary.csv", dtype=str, keep_default_na=False)
-    return found[found["consumer"] == consumer].drop(columns="consumer").to_csv(index=False)
+    return (
+        found[found["consumer"] == consumer]
+        .drop(columns="consumer")
+        .to_csv(index=False)
+    )
 
 
 def test_the_run_goes_on_and_says_so(ended):
     found, out = ended
     assert found.code == 3, found
     assert (out / "report.html").exists()
-    assert {one.name for one in out.parent.iterdir()} >= {"all", "odd.py", "usual", "walks.csv"}
+    assert {one.name for one in out.parent.iterdir()} >= {
+        "all",
+        "odd.py",
+        "usual",
+        "walks.csv",
+    }
     failed = pd.read_csv(out / "failed.csv")
     assert {one.partition("what=")[2] for one in failed["consumer"]} == set(FAULTS)
 
@@ -185,7 +207,16 @@ def test_that_all_others_are_as_without_it(name, ended):
 
 
 def test_so_do_a_mechanism_and_a_linker_and_take_nobody_along(place):
-    linked = (*FEW[:4], *FEW[-4:], "--scenes", 8, "--dataset", "walks.csv", "--attack", "shape")
+    linked = (
+        *FEW[:4],
+        *FEW[-4:],
+        "--scenes",
+        8,
+        "--dataset",
+        "walks.csv",
+        "--attack",
+        "shape",
+    )
     linked += ("--task", "rerelease", "--cell-timeout", 3, "--jobs", 2, "--out")
     odd = ("--mechanism", "odd:Hangs:0.5", "--attack", "odd:Leaves")
     assert run(place, *UNDRAWN, *linked, "odd", *odd).code == 3
@@ -194,7 +225,9 @@ def test_so_do_a_mechanism_and_a_linker_and_take_nobody_along(place):
     assert set(failed.index) == {"raw", "fixed:0.7", "clean"}
     assert all(DIED in why for reasons in failed for why in reasons)
     assert run(place, *UNDRAWN, *linked, "linked").code == 0
-    usual = pd.read_csv(place / "linked" / "summary.csv", dtype=str, keep_default_na=False)
+    usual = pd.read_csv(
+        place / "linked" / "summary.csv", dtype=str, keep_default_na=False
+    )
     found = pd.read_csv(place / "odd" / "summary.csv", dtype=str, keep_default_na=False)
     pd.testing.assert_frame_equal(found[usual.columns], usual)
 

@@ -197,28 +197,47 @@ AT_ONCE = {
 MECHANISMS = {
     # SPEC without the module: why it is left out
     "Shared:0.5,sigma_m=100000000000": "declared a sigma above 1e+10 m, the limit",
-    "Shared:0.5,sigma_m=0": "declared no sigma: a standard deviation for every sample, in m",
+    "Shared:0.5,sigma_m=0": (
+        "declared no sigma: a standard deviation for every sample, in m"
+    ),
     "Shared:0.5,sigma_m=-0.1": "declared a sigma below 0 or NaN",
-    "Shared:0.5,east_m=1e+250": "shared a position that is not within 1e+10 m of the origin",
-    "Wrong:0.5,what=later": "shared a position that is not within 1e+10 m of the origin",
+    "Shared:0.5,east_m=1e+250": (
+        "shared a position that is not within 1e+10 m of the origin"
+    ),
+    "Wrong:0.5,what=later": (
+        "shared a position that is not within 1e+10 m of the origin"
+    ),
     "Wrong:0.5": "must return a Release, got NoneType",
     "Wrong:0.5,what=mutates": "failed: ValueError: assignment destination is read-only",
     "Wrong:0.5,what=retimes": "changed the tracks or their times: ",
 }
 PREDICTORS = {
-    "Predicted:xx=-1": "failed: ValueError: a predicted covariance is not positive semidefinite",
-    "Predicted:east_m=1e+13": "failed: ValueError: a predicted position lies beyond 1e+12 m",
+    "Predicted:xx=-1": (
+        "failed: ValueError: a predicted covariance is not positive semidefinite"
+    ),
+    "Predicted:east_m=1e+13": (
+        "failed: ValueError: a predicted position lies beyond 1e+12 m"
+    ),
     "Fails": r"failed: ValueError: half a pair \udcff and \x1b[31mred",
     "Fails:what=lengthy": "failed: ValueError: one two all work and no play all work",
     "Fails:what=leaves": "failed: SystemExit: 0",
     "Fails:what=interrupts": "failed: KeyboardInterrupt",
 }
-ATTACKS = {"Distant": "failed: ValueError: a reconstructed position lies beyond 1e+12 m"}
+ATTACKS = {
+    "Distant": "failed: ValueError: a reconstructed position lies beyond 1e+12 m"
+}
 ALONE = ("--attack", "none", "--task", "none", "--jobs", 1)
 """As few cells as there can be."""
 GOOD = (
     *("--task", "rerelease", "--mechanism", "fixed:0.7", "--predictor", "kalman_cv"),
-    *("--attack", "moving_average", "--attack", "shape", "--set", "conflict.decision=probability"),
+    *(
+        "--attack",
+        "moving_average",
+        "--attack",
+        "shape",
+        "--set",
+        "conflict.decision=probability",
+    ),
 )
 
 
@@ -248,7 +267,10 @@ def named(**axes):
 FAR_M = f"{0.99 * SHARED_LIMIT_M:g}"
 EDGE = named(
     mechanism=[f"Shared:east_m={FAR_M},sigma_m={FAR_M}"],
-    predictor=[f"Predicted:east_m={0.9 * ESTIMATE_LIMIT_M:g}", "Predicted:xx=1e24,yy=0"],
+    predictor=[
+        f"Predicted:east_m={0.9 * ESTIMATE_LIMIT_M:g}",
+        "Predicted:xx=1e24,yy=0",
+    ],
 )
 
 
@@ -262,7 +284,9 @@ def rows(out):
 @pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_each_fails_alone_by_name_and_on_one_line(tmp_path, arguments, capsys, jobs):
     assert matrix.main(arguments("--out", tmp_path / "good", *GOOD, "--jobs", 1)) == 0
-    bad = named(mechanism=[*MECHANISMS, "Strange"], predictor=PREDICTORS, attack=ATTACKS)
+    bad = named(
+        mechanism=[*MECHANISMS, "Strange"], predictor=PREDICTORS, attack=ATTACKS
+    )
     options = ("--out", tmp_path / "all", *GOOD, *EDGE, *bad, "--jobs", jobs)
     assert matrix.main(arguments(*options)) == 3
     captured = capsys.readouterr()
@@ -285,7 +309,9 @@ def test_each_fails_alone_by_name_and_on_one_line(tmp_path, arguments, capsys, j
     assert rows(tmp_path / "all") == rows(tmp_path / "good")
     assert rows(tmp_path / "good")
     # A fault of our own takes no other cells along and is not hidden.
-    ours = table[(table["spec"] == "odd:Strange:0.5") & ~table["consumer"].str.startswith("odd:")]
+    ours = table[
+        (table["spec"] == "odd:Strange:0.5") & ~table["consumer"].str.startswith("odd:")
+    ]
     assert set(ours["consumer"]) == {"moving_average", "bound"}
     (why,) = set(ours["why"])
     assert "KeyError: 'nobody expected this'" in why
@@ -300,7 +326,13 @@ def test_each_fails_alone_by_name_and_on_one_line(tmp_path, arguments, capsys, j
     assert {"shared", "kalman_cv", "moving_average", "rerelease/shape"} <= computed
     assert sum(name.startswith("odd:Predicted") for name in computed) == 2
     # Too few people for these, or no calibration.
-    refused = ["cllr", "rank1_g100", "tpr_at_fpr_1pct", "tpr_at_fpr_01pct", "plr_worst_tenth"]
+    refused = [
+        "cllr",
+        "rank1_g100",
+        "tpr_at_fpr_1pct",
+        "tpr_at_fpr_01pct",
+        "plr_worst_tenth",
+    ]
     own = summary[at_edge & ~summary["metric"].isin(refused)]
     assert np.isfinite(own["value"]).all()
     ends = own[["ci_low", "ci_high"]].to_numpy()
@@ -311,7 +343,13 @@ def test_each_fails_alone_by_name_and_on_one_line(tmp_path, arguments, capsys, j
 @pytest.mark.parametrize("name", ["Signals", "Swallows"])
 def test_a_ctrl_c_while_a_plugin_runs_is_the_users(tmp_path, arguments, capsys, name):
     """Even where the plug-in computes the last cell and makes another error of it."""
-    options = ("--out", tmp_path / "run", "--mechanism", "raw", *named(predictor=[name]))
+    options = (
+        "--out",
+        tmp_path / "run",
+        "--mechanism",
+        "raw",
+        *named(predictor=[name]),
+    )
     assert matrix.main(arguments(*options, *ALONE)) == 130
     assert "interrupted; finished cells are kept" in capsys.readouterr().err
 
@@ -331,13 +369,17 @@ def test_a_ctrl_c_that_python_cannot_raise_is_heard_and_told_in_one_line(capsys)
     assert capsys.readouterr().err == "interrupted\n"
 
 
-def test_what_spoils_its_process_spoils_no_run(tmp_path, arguments, capsys, monkeypatch):
+def test_what_spoils_its_process_spoils_no_run(
+    tmp_path, arguments, capsys, monkeypatch
+):
     """Even with one job a stranger's plug-in is in a process of its own."""
     monkeypatch.chdir(tmp_path)
     limit = sys.getrecursionlimit()
     odd = named(predictor=["Spoils:what=wanders", "Spoils:what=recurses", "Spoils"])
     odd += ["--set", "conflict.horizons_s=none"]
-    assert matrix.main(arguments("--out", "run", "--mechanism", "raw", *odd, *ALONE)) == 3
+    assert (
+        matrix.main(arguments("--out", "run", "--mechanism", "raw", *odd, *ALONE)) == 3
+    )
     failed = pd.read_csv(tmp_path / "run" / "failed.csv").set_index("consumer")["why"]
     assert "its worker died" in failed["odd:Spoils"]
     assert "odd:Spoils:what=wanders" not in failed
@@ -359,10 +401,17 @@ def test_without_a_command_nobody_knows_whose_ctrl_c_it_was():
 @pytest.mark.usefixtures("one_process")
 def test_where_nothing_is_left_the_reason_is_one_line(tmp_path, arguments, capsys):
     options = ("--out", tmp_path / "run", "--predictor", "none", *ALONE)
-    assert matrix.main(arguments(*options, *named(mechanism=["Shared:east_m=1e250"]))) == 2
+    assert (
+        matrix.main(arguments(*options, *named(mechanism=["Shared:east_m=1e250"]))) == 2
+    )
     last = capsys.readouterr().err.splitlines()[-1]
-    assert last.startswith("error: mechanism 'odd:Shared:0.5,east_m=1e+250' shared a position")
-    assert json.loads((tmp_path / "run" / "manifest.json").read_text())["state"] == "failed"
+    assert last.startswith(
+        "error: mechanism 'odd:Shared:0.5,east_m=1e+250' shared a position"
+    )
+    assert (
+        json.loads((tmp_path / "run" / "manifest.json").read_text())["state"]
+        == "failed"
+    )
     assert not (tmp_path / "run" / "summary.csv").exists()
 
 
@@ -370,13 +419,21 @@ def tried(arguments, name, out, *options):
     """Run what fails before the run, and nothing else that is a stranger's."""
     axis, plugin = name.split()
     few = ["--mechanism", "raw", "--task", "none", "--jobs", 1, "--out", out, *options]
-    others = [word for one in {"predictor", "attack"} - {axis} for word in (f"--{one}", "none")]
-    bad = named(**{axis: [plugin]}) + (["--cell-timeout", 3] if plugin == "Hangs" else [])
+    others = [
+        word
+        for one in {"predictor", "attack"} - {axis}
+        for word in (f"--{one}", "none")
+    ]
+    bad = named(**{axis: [plugin]}) + (
+        ["--cell-timeout", 3] if plugin == "Hangs" else []
+    )
     assert matrix.main(arguments(*few, *others, *bad)) == 2
 
 
 @pytest.mark.parametrize("name", AT_ONCE)
-def test_what_fails_with_anybody_fails_before_the_run(tmp_path, arguments, capsys, name):
+def test_what_fails_with_anybody_fails_before_the_run(
+    tmp_path, arguments, capsys, name
+):
     plugin, (says, words), out = name.split()[1], AT_ONCE[name], tmp_path / "run"
     with nullcontext() if plugin in {"Dies", "Hangs"} else one_process():
         tried(arguments, name, out)

@@ -38,12 +38,19 @@ def figures(run: Results) -> Iterator[Figure]:
     looks = _looks(run, curves)
     panels, key = list[tuple[str, Chart]](), dict[str, Look]()
     for rule in ADDING_RULES:
-        under = [where for where in curves if rule in family_of(run.families, where[0]).rules]
+        under = [
+            where for where in curves if rule in family_of(run.families, where[0]).rules
+        ]
         drawn = [
-            _curve(looks[_name(run, where)], _name(run, where), curves[where]) for where in under
+            _curve(looks[_name(run, where)], _name(run, where), curves[where])
+            for where in under
         ]
         if any(where[0] != RAW for where in under):
-            key |= {} if label_room(drawn) else {curve.label: curve.look for curve in drawn}
+            key |= (
+                {}
+                if label_room(drawn)
+                else {curve.label: curve.look for curve in drawn}
+            )
             x, y = Axis("net speed (m/s)"), Axis("PLR after attack (%)")
             panels.append((f"{rule} adding", curves_chart(drawn, x=x, y=y)))
     yield Figure(
@@ -100,7 +107,10 @@ def _name(run: Results, where: Where) -> str:
 def _curve(look: Look, name: str, rows: pd.DataFrame) -> Curve:
     """Return a level over the mean speed of each bin; its name tells both ends."""
     rows = rows.sort_values("speed_mps")
-    x, values = rows["speed_mps"].to_numpy(), PERCENT * rows[ENDS].to_numpy(dtype=np.float64).T
+    x, values = (
+        rows["speed_mps"].to_numpy(),
+        PERCENT * rows[ENDS].to_numpy(dtype=np.float64).T,
+    )
     points = [f"{values[0, n]:.1f} % at {x[n]:.2f} m/s" for n in (0, -1)]
     attack = Source(str(rows["consumer"].iloc[0]), str(rows["knowledge"].iloc[0])).label
     ends = " to ".join(dict.fromkeys(points))

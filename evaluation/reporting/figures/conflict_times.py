@@ -26,7 +26,9 @@ def figures(run: Results) -> Iterator[Figure]:
         x, y = Axis("time from now (s)"), Axis("conflicts that have begun (%)")
         chart = curves_chart([curve], x=x, y=y, across=[(_NOW, now)])
         horizon_s = horizon_of(str(dataset).rpartition(":")[2])
-        heading = "the run's own horizon" if horizon_s is None else f"{horizon_s:g} s ahead"
+        heading = (
+            "the run's own horizon" if horizon_s is None else f"{horizon_s:g} s ahead"
+        )
         panels.append((f"{heading}: {now:.0f} % now", chart))
         shares_now.append(now)
     yield Figure(
@@ -36,6 +38,12 @@ def figures(run: Results) -> Iterator[Figure]:
         panels=panels,
         columns=2,
         key={},
-        caption=f"Of the conflicts at the run's own horizon, {shares_now[0]:.0f} % have begun now.",
-        note="Dashed: somebody is inside the safety radius already, so no robot can foresee it.",
+        caption=(
+            f"Of the conflicts at the run's own horizon, {shares_now[0]:.0f} % have"
+            " begun now."
+        ),
+        note=(
+            "Dashed: somebody is inside the safety radius already, so no robot can"
+            " foresee it."
+        ),
     )

@@ -42,7 +42,9 @@ class Figure:
     title: str
     panels: Sequence[tuple[str, Chart]]  # Heading and chart, row by row.
     columns: int
-    key: Mapping[str, Look]  # What each mark is of, where no label beside a curve says so.
+    key: Mapping[
+        str, Look
+    ]  # What each mark is of, where no label beside a curve says so.
     caption: str = ""  # What its numbers say: a sentence.
     note: str = ""  # How to read it.
 
@@ -72,7 +74,9 @@ def write(figures: Iterable[Figure], *, folder: Path, dataset: str, pdf: bool) -
         folder.mkdir(parents=True, exist_ok=True)
     template = HTML.get_template("figure.svg.j2")
     for of in figures:
-        one = replace(of, title=printable(f"{shortened(dataset, room=_ROOM)}: {of.title}"))
+        one = replace(
+            of, title=printable(f"{shortened(dataset, room=_ROOM)}: {of.title}")
+        )
         text = template.render(of=one, at=_layout(one))
         write_whole(folder / f"{one.name}.svg", text.encode())
         if pdf:
@@ -121,7 +125,9 @@ def _printed(of: Figure) -> bytes:
         # A data set may be named in a script that the bundled font lacks.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         page = Page(figsize=(at.width / 72.0, at.height / 72.0))
-        ax = page.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0.0, at.width), ylim=(at.height, 0.0))
+        ax = page.add_axes(
+            (0.0, 0.0, 1.0, 1.0), xlim=(0.0, at.width), ylim=(at.height, 0.0)
+        )
         ax.set_axis_off()
         ax.text(8.0, 16.0, of.title, fontsize=11.0, weight="bold")
         for left, top, heading, chart in at.panels:
@@ -129,7 +135,14 @@ def _printed(of: Figure) -> bytes:
             for x, y, kind, text in chart.texts:
                 ax.text(left + x, top + y, text, fontsize=8.5, ha=_ALIGNED[kind])
             middle = top + 0.5 * chart.bottom
-            ax.text(left + 10.0, middle, chart.y_label, fontsize=8.5, rotation=90, va="center")
+            ax.text(
+                left + 10.0,
+                middle,
+                chart.y_label,
+                fontsize=8.5,
+                rotation=90,
+                va="center",
+            )
             for css, strokes in [("grid", chart.grid), *chart.lines]:
                 kind, _, colour = css.partition(" k")
                 ink = {"color": INKS[int(colour or 0)], **_PRINTED[kind]}
@@ -140,18 +153,27 @@ def _printed(of: Figure) -> bytes:
                     _mark(ax, left + x, top + y, look)
             for label in chart.labels:
                 _mark(ax, left + label.x, top + label.y, label.look)
-                ax.text(left + label.x + 6.0, top + label.y + 3.0, label.text, fontsize=8.5)
+                ax.text(
+                    left + label.x + 6.0, top + label.y + 3.0, label.text, fontsize=8.5
+                )
         for y, text in at.lines:
             ax.text(8.0, y, text, fontsize=8.5)
         for x, y, name, look in at.key:
             _mark(ax, x, y, look)
             ax.text(x + 8.0, y + 3.0, name, fontsize=8.5)
-        sink, dated = io.BytesIO(), dict.fromkeys(("CreationDate", "Creator", "Producer"))
+        sink, dated = (
+            io.BytesIO(),
+            dict.fromkeys(("CreationDate", "Creator", "Producer")),
+        )
         page.savefig(sink, format="pdf", metadata=dated)
     return sink.getvalue()
 
 
 def _mark(ax: Any, x: float, y: float, of: Look) -> None:  # noqa: ANN401 - matplotlib's axes
     ink = INKS[of.place]
-    look = {"color": ink, "markerfacecolor": "white" if of.hollow else ink, "markersize": 5.0}
+    look = {
+        "color": ink,
+        "markerfacecolor": "white" if of.hollow else ink,
+        "markersize": 5.0,
+    }
     ax.plot([x], [y], MARKERS[of.shape], **look)

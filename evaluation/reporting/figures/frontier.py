@@ -65,8 +65,10 @@ def figures(run: Results) -> Iterator[Figure]:
         columns=2,
         key=key,
         caption=_caption(run, rows),
-        note=f"{price_text(rows)} Lower is better. Hollow: an adversary that knows more. "
-        f"{INDEPENDENT_NOTE}",
+        note=(
+            f"{price_text(rows)} Lower is better. Hollow: an adversary that knows more."
+            f" {INDEPENDENT_NOTE}"
+        ),
     )
 
 
@@ -85,7 +87,11 @@ def _panel(
     curves, marked = list[Curve](), list[Mark]()
     for place, name in enumerate(names):
         if name in parts:
-            title = "white" if name == WHITE else short_family_name(family_of(run.families, name))
+            title = (
+                "white"
+                if name == WHITE
+                else short_family_name(family_of(run.families, name))
+            )
             curve, marks = _drawn(parts[name], title, Look(place))
             curves.append(curve)
             marked += marks
@@ -99,15 +105,18 @@ def _panel(
 
 def _caption(run: Results, rows: pd.DataFrame) -> str:
     """Return which mechanism has the lowest PLR where misses of a robot rise by 5 points."""
-    usual = rows[rows["knowledge"].isin(HEADLINE) & np.isclose(rows["target"], _TELLING)]
+    usual = rows[
+        rows["knowledge"].isin(HEADLINE) & np.isclose(rows["target"], _TELLING)
+    ]
     usual = usual[usual["robot"] == usual["robot"].iloc[0]] if len(usual) else usual
     if usual.empty:
         return ""
     best = usual.sort_values("value", kind="stable").iloc[0]
     name = family_name(family_of(run.families, str(best["mechanism"])))
     text = (
-        f"If {robot_subject(str(best['robot']))} may miss {PERCENT * _TELLING:g} points more, "
-        f"{name} has the lowest PLR after attack: {PERCENT * best['value']:.0f} %"
+        f"If {robot_subject(str(best['robot']))} may miss {PERCENT * _TELLING:g} points"
+        f" more, {name} has the lowest PLR after attack:"
+        f" {PERCENT * best['value']:.0f} %"
     )
     white = usual.loc[usual["mechanism"] == WHITE, "value"]
     beside = f"; white noise {PERCENT * white.iloc[0]:.0f} %" if len(white) else ""
@@ -120,7 +129,9 @@ def _drawn(rows: pd.DataFrame, title: str, look: Look) -> tuple[Curve, list[Mark
     of = rows[is_usual]
     ends = of[list(VALUE)].to_numpy(dtype=np.float64).T * PERCENT
     x = of["target"].to_numpy(dtype=np.float64) * PERCENT
-    points = ", ".join(f"{y:.0f} % at +{at:g}" for at, y in zip(x, ends[0], strict=True))
+    points = ", ".join(
+        f"{y:.0f} % at +{at:g}" for at, y in zip(x, ends[0], strict=True)
+    )
     for one in rows_of(rows[~is_usual]):
         at, value = PERCENT * one["target"], PERCENT * one["value"]
         who = f"{title}, after {Source(one['consumer'], one['knowledge']).label}"

@@ -35,7 +35,11 @@ from evaluation.reporting.result_tables import after_attack, sources_of
 
 _FILES = {FID: "fid_threshold", FIXED: "fixed_error"}
 _MOST_CHARACTERS = 80  # Of a file's name.
-_SHARED_LOOKS = {EXPOSURE: Look(5), "ael": Look(4, hollow=True), "mel": Look(5, hollow=True)}
+_SHARED_LOOKS = {
+    EXPOSURE: Look(5),
+    "ael": Look(4, hollow=True),
+    "mel": Look(5, hollow=True),
+}
 _PAPER_LOOK = Look(LOOKS - 1)
 _PANELS = {
     "missed conflicts (%)": (MISSED_RATE,),
@@ -85,7 +89,10 @@ def _panel(
         shown, rows = METRICS[metric], scheme.of(every[np.isfinite(every["value"])])
         values = shown.scale * rows[ENDS].to_numpy(dtype=np.float64).T
         pairs = zip(values[0], rows["level"], strict=True)
-        ends = [f"{one:.{shown.digits}f} {shown.unit} at {scheme.at(at)}" for one, at in pairs]
+        ends = [
+            f"{one:.{shown.digits}f} {shown.unit} at {scheme.at(at)}"
+            for one, at in pairs
+        ]
         if ends:
             told = " to ".join(dict.fromkeys([ends[0], ends[-1]]))
             x = rows["level"].to_numpy(dtype=np.float64)
@@ -108,11 +115,14 @@ def _sweep(run: picked.Results, known: Sequence[picked.Scheme], *, name: str) ->
     """Return the figure of a swept mechanism: a column for each adding rule, a row an axis."""
     ours = run.ours[~is_attack(run.ours)]
     of = ours.set_index(["consumer", "metric"], drop=False).sort_index(kind="stable")
-    predictors = ours.loc[ours["metric"] == MISSED_RATE, "consumer"].unique()[: LOOKS - 2]
+    predictors = ours.loc[ours["metric"] == MISSED_RATE, "consumer"].unique()[
+        : LOOKS - 2
+    ]
     looks = {(one, MISSED_RATE): Look(place) for place, one in enumerate(predictors)}
     looks |= {(SHARED, metric): look for metric, look in _SHARED_LOOKS.items()}
     series = [
-        _Series(_sweep_label(*at), look, of[of.index == at], at[1]) for at, look in looks.items()
+        _Series(_sweep_label(*at), look, of[of.index == at], at[1])
+        for at, look in looks.items()
     ]
     panels, key = list[tuple[str, Chart]](), dict[str, Look]()
     for label, metrics in _PANELS.items():
@@ -185,12 +195,18 @@ def _attacked(run: picked.Results) -> Iterator[Figure]:
     """Yield PLR over the level, as shared and after each attack; hollow if the oracle's alone."""
     rows = after_attack(run.ours)
     rows = rows[rows["metric"] == EXPOSURE]
-    chosen = [source for source in most_knowing(sources_of(rows)) if source.consumer != IDENTITY]
+    chosen = [
+        source
+        for source in most_knowing(sources_of(rows))
+        if source.consumer != IDENTITY
+    ]
     oracle = [source for source in chosen if source.knowledge == ORACLE]
     others = [source for source in chosen if source.knowledge and source not in oracle]
     looks = {AS_SHARED: Look(LOOKS - 1)} if AS_SHARED in chosen else {}
     looks |= {of: Look(place) for place, of in enumerate(others[: LOOKS - 1])}
-    looks |= {of: Look(place, hollow=True) for place, of in enumerate(oracle[: LOOKS - 1])}
+    looks |= {
+        of: Look(place, hollow=True) for place, of in enumerate(oracle[: LOOKS - 1])
+    }
     if not looks.keys() - {AS_SHARED}:
         return
     series = [
@@ -201,7 +217,9 @@ def _attacked(run: picked.Results) -> Iterator[Figure]:
     across = _raw([one for one in series if one.label == "as shared"])
     panels, key = list[tuple[str, Chart]](), dict[str, Look]()
     for scheme in picked.schemes(rows):
-        panels += _panel(scheme, series, key, y=Axis("PLR, shared or attacked (%)"), across=across)
+        panels += _panel(
+            scheme, series, key, y=Axis("PLR, shared or attacked (%)"), across=across
+        )
     yield Figure(
         name="after_attack",
         section="after",
@@ -227,7 +245,9 @@ def _rise(series: Sequence[_Series]) -> str:
     The oracle does not count.
     """
     shared = [one.rows for one in series if one.label == _label(AS_SHARED)]
-    attacked = [one.rows for one in series if not one.look.hollow and one.label != "as shared"]
+    attacked = [
+        one.rows for one in series if not one.look.hollow and one.label != "as shared"
+    ]
     if not (shared and attacked):
         return ""
     at = ["mechanism", "level"]
@@ -236,6 +256,8 @@ def _rise(series: Sequence[_Series]) -> str:
     if rises.empty:
         return ""
     low, high = rises.min(), rises.max()
-    change = f"raises PLR by {low:.0f} to" if low > 0 else f"changes PLR by {low:+.0f} to"
+    change = (
+        f"raises PLR by {low:.0f} to" if low > 0 else f"changes PLR by {low:+.0f} to"
+    )
     end = f"{high:.0f}" if low > 0 else f"{high:+.0f}"
     return f"The strongest attack {change} {end} points at the levels drawn."

@@ -11,7 +11,15 @@ from evaluation.analysis.families import RAW
 from evaluation.analysis.keys import Source
 from evaluation.analysis.linkability import LinkedTask
 from evaluation.reporting.amounts import sentence_case, whole
-from evaluation.reporting.charts import PERCENT, Axis, Chart, Curve, Look, curves_chart, label_room
+from evaluation.reporting.charts import (
+    PERCENT,
+    Axis,
+    Chart,
+    Curve,
+    Look,
+    curves_chart,
+    label_room,
+)
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.lookups import ENDS
 from evaluation.reporting.names import INDEPENDENT_MARK, task_head, task_phrase
@@ -23,7 +31,9 @@ _KINDS: Final[Mapping[str, tuple[str, ...]]] = {
     "different steps": ("split", "new_traversal", "cross_session"),
 }
 """Tasks by kind; a task of a user is a kind of its own."""
-_MOST_SWEPT: Final = 4  # Mechanisms with panels: more would be unreadable at the width of a page.
+_MOST_SWEPT: Final = (
+    4  # Mechanisms with panels: more would be unreadable at the width of a page.
+)
 _AXIS: Final = Axis("re-identified (rank 1, %)")
 _CHANCE: Final = "k6"
 
@@ -32,11 +42,15 @@ class _Linked(NamedTuple):
     """A linkage task by the strongest attack on it."""
 
     task: str
-    rows: pd.DataFrame  # Columns mechanism, level, value, ci_low, ci_high, chance: fractions.
+    rows: (
+        pd.DataFrame
+    )  # Columns mechanism, level, value, ci_low, ci_high, chance: fractions.
 
     def at_raw(self) -> list[float]:
         """Return rank 1 of raw positions in %; empty where it is not known."""
-        return (PERCENT * self.rows.loc[self.rows["mechanism"] == RAW, "value"]).to_list()
+        return (
+            PERCENT * self.rows.loc[self.rows["mechanism"] == RAW, "value"]
+        ).to_list()
 
     def chance(self) -> list[float]:
         """Return rank 1 of a random guess in %; empty where it is not known."""
@@ -58,9 +72,14 @@ def figures(run: Results) -> Iterator[Figure]:
                 x = Axis(rules[0].label, rules[0].log)
                 chart = curves_chart(curves, x=x, y=_AXIS, across=across)
                 panels.append((f"{rules[0].title}: {title}", chart))
-                key |= {} if label_room(curves) else {one.label: one.look for one in curves}
+                key |= (
+                    {}
+                    if label_room(curves)
+                    else {one.label: one.look for one in curves}
+                )
     note = (
-        "Hollow, *: noise independent of the sensing error. Dashed: raw positions; black: chance."
+        "Hollow, *: noise independent of the sensing error. Dashed: raw positions;"
+        " black: chance."
     )
     if names != shown:
         note += f" Drawn: {len(shown)} of {len(names)} mechanisms."
@@ -88,7 +107,10 @@ def _strongest(run: Results, task: LinkedTask) -> _Linked:
 def _kinds(tasks: Iterable[str]) -> dict[str, list[str]]:
     """Return the tasks of a run by kind, each kind a row of panels."""
     names = list(tasks)
-    kinds = {title: [task for task in known if task in names] for title, known in _KINDS.items()}
+    kinds = {
+        title: [task for task in known if task in names]
+        for title, known in _KINDS.items()
+    }
     usual = {task for known in _KINDS.values() for task in known}
     kinds |= {task: [task] for task in names if task not in usual}
     return {title: members for title, members in kinds.items() if members}
@@ -104,7 +126,9 @@ def _drawn(
             is_hollow = scheme.rules == ("independent",) and len(rules) > 1
             rows = scheme.of(linked.rows)
             if len(rows):
-                curves.append(_curve(linked.task, scheme, rows, Look(place, hollow=is_hollow)))
+                curves.append(
+                    _curve(linked.task, scheme, rows, Look(place, hollow=is_hollow))
+                )
         across += [(f"k{place}", value) for value in linked.at_raw()]
         across += [(_CHANCE, value) for value in linked.chance()]
     return curves, list(dict.fromkeys(across))
@@ -117,20 +141,31 @@ def _curve(task: str, scheme: Scheme, rows: pd.DataFrame, look: Look) -> Curve:
     ends = [f"{values[0, place]:.1f} % at {scheme.at(x[place])}" for place in (0, -1)]
     name = f"{task}, {scheme.rule_text}: {' to '.join(dict.fromkeys(ends))}"
     label = task_head(task)
-    return Curve(look, name, x, values, f"{label}{INDEPENDENT_MARK}" if look.hollow else label)
+    return Curve(
+        look, name, x, values, f"{label}{INDEPENDENT_MARK}" if look.hollow else label
+    )
 
 
 def _caption(tasks: Sequence[_Linked], shown: Sequence[Scheme]) -> str:
     """Return between which shares the strongest attack re-identifies people in the first task."""
-    leading = [task for kind in _kinds(task.task for task in tasks).values() for task in kind]
+    leading = [
+        task for kind in _kinds(task.task for task in tasks).values() for task in kind
+    ]
     by_name = {task.task: task for task in tasks}
     for linked in (by_name[name] for name in leading):
-        values = pd.concat([scheme.of(linked.rows)["value"] for scheme in shown] or [pd.Series()])
+        values = pd.concat(
+            [scheme.of(linked.rows)["value"] for scheme in shown] or [pd.Series()]
+        )
         if len(values):
             low, high = (whole(PERCENT * end) for end in (values.min(), values.max()))
-            beside = "".join(f"; chance is {whole(value)} %" for value in linked.chance())
+            beside = "".join(
+                f"; chance is {whole(value)} %" for value in linked.chance()
+            )
             phrase = sentence_case(task_phrase(linked.task))
-            return f"{phrase}, an attack re-identifies {low} % to {high} % of people{beside}."
+            return (
+                f"{phrase}, an attack re-identifies {low} % to {high} % of"
+                f" people{beside}."
+            )
     return ""
 
 

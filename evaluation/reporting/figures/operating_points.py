@@ -11,7 +11,14 @@ from evaluation.analysis.keys import is_attack
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE
 from evaluation.experiment.presets import SHARED
 from evaluation.reporting import rows as picked
-from evaluation.reporting.charts import LOOKS, Axis, Curve, Look, curves_chart, label_room
+from evaluation.reporting.charts import (
+    LOOKS,
+    Axis,
+    Curve,
+    Look,
+    curves_chart,
+    label_room,
+)
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.lookups import ENDS
 from evaluation.reporting.names import robot_name, robot_subject
@@ -30,8 +37,14 @@ def figures(run: picked.Results) -> Iterator[Figure]:
             points = scheme.of(plane).sort_values("x", kind="stable")
             if rule in scheme.rules and len(points):
                 x, values = points["x"].to_numpy(), points[ENDS].to_numpy().T
-                name = f"{scheme.title}, noisiest at {scheme.at(points['level'].iloc[-1])}: "
-                name += f"{x[-1]:.1f} % missed, {shown.head} {values[0, -1]:.{shown.digits}f}"
+                name = (
+                    f"{scheme.title}, noisiest at"
+                    f" {scheme.at(points['level'].iloc[-1])}: "
+                )
+                name += (
+                    f"{x[-1]:.1f} % missed, {shown.head}"
+                    f" {values[0, -1]:.{shown.digits}f}"
+                )
                 look = Look(scheme.place % (LOOKS - 1))
                 curves.append(Curve(look, name, x, values, scheme.title))
         raw = plane[plane["mechanism"] == RAW]
@@ -39,7 +52,9 @@ def figures(run: picked.Results) -> Iterator[Figure]:
             marked.append((Look(LOOKS - 1), at, value, f"raw: {at:.1f} % missed"))
         if curves:
             y = Axis(f"{shown.head}, shared ({shown.unit})", metric != EXPOSURE)
-            chart = curves_chart(curves, x=Axis("missed conflicts (%)"), y=y, marked=marked)
+            chart = curves_chart(
+                curves, x=Axis("missed conflicts (%)"), y=y, marked=marked
+            )
             panels.append((f"{shown.head}, {rule} adding", chart))
             key |= {} if label_room(curves) else {one.label: one.look for one in curves}
             key |= {"raw positions": Look(LOOKS - 1)} if marked else {}

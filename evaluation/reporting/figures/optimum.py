@@ -25,7 +25,10 @@ def figures(run: Results) -> Iterator[Figure]:
     panels, key = [], dict[str, Look]()
     for world in dict.fromkeys(one.world for one in known):
         of = [one for one in known if one.world == world]
-        every = {name: (look, [take(one) for one in of]) for name, (look, take) in _MARKS.items()}
+        every = {
+            name: (look, [take(one) for one in of])
+            for name, (look, take) in _MARKS.items()
+        }
         series = {name: drawn for name, drawn in every.items() if any(drawn[1])}
         key |= {name: look for name, (look, _) in series.items()}
         names = [_level(run, gap) for gap in of]
@@ -39,7 +42,10 @@ def figures(run: Results) -> Iterator[Figure]:
         columns=2,
         key=key,
         caption=_caption(known),
-        note="Ceiling: it also knows the scale of every error; attacks need not reach it.",
+        note=(
+            "Ceiling: it also knows the scale of every error; attacks need not"
+            " reach it."
+        ),
     )
 
 
@@ -52,8 +58,14 @@ def _caption(known: Sequence[Gap]) -> str:
     """Return how far the closest attack stays below the optimum, at the worst level."""
     exact = [PERCENT * gap.gap.value for gap in known if gap.is_exact]
     if exact:
-        return f"The closest attack stays at most {max(exact):.1f} points of PLR below the optimum."
+        return (
+            f"The closest attack stays at most {max(exact):.1f} points of PLR below the"
+            " optimum."
+        )
     bounded = [PERCENT * gap.gap.value for gap in known]
     if not bounded:
         return ""
-    return f"The closest attack stays at most {max(bounded):.1f} points of PLR below the ceiling."
+    return (
+        f"The closest attack stays at most {max(bounded):.1f} points of PLR below the"
+        " ceiling."
+    )

@@ -1,9 +1,10 @@
 """The project's own pedestrian crowd: a generator, and the two sessions that are bundled.
 
-``plaza.npz`` and ``plaza_session2.npz`` are the output of ``python -m isac_track.datasets.crowd
---out DIR``. ``docs/plaza.md`` describes the model, how it was tuned and what it must not be
-used for. Same settings, seed and session give the same millimetres, very likely on any machine:
-the state is rounded in every step (`model.GRID_DIGITS`).
+``plaza.npz`` and ``plaza_session2.npz`` are the output of ``python -m
+isac_track.datasets.crowd --out DIR``. ``docs/plaza.md`` describes the model, how it was
+tuned and what it must not be used for. Same settings, seed and session give the same
+millimetres, very likely on any machine: the state is rounded in every step
+(`model.GRID_DIGITS`).
 """
 
 import json
@@ -12,29 +13,40 @@ from pathlib import Path
 import numpy as np
 
 from isac_track.datasets.crowd.model import simulate
-from isac_track.datasets.crowd.plan import CrowdSettings, draw_traits, person_id, plan_session
+from isac_track.datasets.crowd.plan import (
+    CrowdSettings,
+    draw_traits,
+    person_id,
+    plan_session,
+)
 from isac_track.types import Tracks
 
 __all__ = ["BUNDLED_SEED", "FILES", "CrowdSettings", "bundled_path", "generate"]
 
 BUNDLED_SEED = 1
-FILES = {1: "plaza.npz", 2: "plaza_session2.npz"}  # Each bundled session's, in the folder above.
+FILES = {
+    1: "plaza.npz",
+    2: "plaza_session2.npz",
+}  # Each bundled session's, in the folder above.
 
 
 def generate(settings: CrowdSettings, *, seed: int, session: int = 1) -> Tracks:
     """Simulate one session of the crowd, numbered from 1.
 
-    The same seed gives the same people with the same traits in every session, however many, on new
-    routes, at other times, in other company. There is one walk a person, in whole millimetres at
-    multiples of ``settings.frame_s`` seconds; `source` is the persistent id (``p0001``), `group`
-    the party that he or she walks with in this session (``s1g001``).
+    The same seed gives the same people with the same traits in every session, however
+    many, on new routes, at other times, in other company. There is one walk a person,
+    in whole millimetres at multiples of ``settings.frame_s`` seconds; `source` is the
+    persistent id (``p0001``), `group` the party that he or she walks with in this
+    session (``s1g001``).
     """
     traits = draw_traits(settings, seed=seed)
     plan = plan_session(settings, traits, seed=seed, session=session)
     frame, person, xy = simulate(plan, seed=seed, session=session)
     order = np.lexsort((frame, person))
     rows, first = np.unique(person[order], return_index=True)
-    party = {row: number for number, one in enumerate(plan.parties, 1) for row in one.members}
+    party = {
+        row: number for number, one in enumerate(plan.parties, 1) for row in one.members
+    }
     return Tracks(
         t=frame[order].astype(np.float64) * settings.frame_s,
         xy=np.rint(xy[order] * 1e3) / 1e3,
@@ -49,14 +61,17 @@ def bundled_path(session: int) -> Path:
     return Path(__file__).parents[1] / FILES[session]
 
 
-def write_npz(path: Path, tracks: Tracks, *, frame_s: float, about: dict[str, object]) -> None:
+def write_npz(
+    path: Path, tracks: Tracks, *, frame_s: float, about: dict[str, object]
+) -> None:
     """Write tracks with a sample every `frame_s`, as whole millimetres in int16.
 
     `about`, where the tracks come from, is kept in the file as JSON.
     """
     frame = np.rint(tracks.t / frame_s)
     xy_mm = np.rint(tracks.xy * 1e3).astype(np.int16)
-    # Steps compress better than positions. They may wrap around: so does the sum in read_npz.
+    # Steps compress better than positions. They may wrap around: so does the sum in
+    # read_npz.
     steps = np.diff(xy_mm, axis=0, prepend=np.zeros((1, 2), dtype=np.int16))
     np.savez_compressed(
         path,
@@ -76,7 +91,9 @@ def read_npz(path: Path) -> Tracks:
     with np.load(path, allow_pickle=False) as file:
         samples = file["samples"].astype(np.int64)
         offsets = np.concatenate([[0], np.cumsum(samples)])
-        frame = np.arange(offsets[-1]) + np.repeat(file["first_frame"] - offsets[:-1], samples)
+        frame = np.arange(offsets[-1]) + np.repeat(
+            file["first_frame"] - offsets[:-1], samples
+        )
         return Tracks(
             t=frame * float(file["frame_s"]),
             xy=np.cumsum(file["steps_mm"], axis=1, dtype=np.int16).T / 1e3,

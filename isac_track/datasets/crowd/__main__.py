@@ -4,12 +4,20 @@ from argparse import ArgumentParser
 from dataclasses import asdict
 from pathlib import Path
 
-from isac_track.datasets.crowd import BUNDLED_SEED, FILES, CrowdSettings, generate, write_npz
+from isac_track.datasets.crowd import (
+    BUNDLED_SEED,
+    FILES,
+    CrowdSettings,
+    generate,
+    write_npz,
+)
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Write both sessions of the crowd to a folder."""
-    parser = ArgumentParser(prog="python -m isac_track.datasets.crowd", description=main.__doc__)
+    parser = ArgumentParser(
+        prog="python -m isac_track.datasets.crowd", description=main.__doc__
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument("--seed", type=int, default=BUNDLED_SEED)
     parser.add_argument("--trait-strength", type=float, default=1.0, metavar="S")

@@ -2,10 +2,11 @@
 
 References
 ----------
-Helbing and Molnar, Phys. Rev. E 51, 4282 (1995): relaxation to a desired velocity and an
-exponential repulsion at contact. Karamouzas, Skinner and Guy, Phys. Rev. Lett. 113, 238701
-(2014): interaction energy ``k / tau^2 exp(-tau / tau_0)`` in the time to collision tau.
-Moussaid, Perozo, Garnier, Helbing and Theraulaz, PLoS ONE 5, e10047 (2010): walking groups.
+Helbing and Molnar, Phys. Rev. E 51, 4282 (1995): relaxation to a desired velocity and
+an exponential repulsion at contact. Karamouzas, Skinner and Guy, Phys. Rev. Lett. 113,
+238701 (2014): interaction energy ``k / tau^2 exp(-tau / tau_0)`` in the time to
+collision tau. Moussaid, Perozo, Garnier, Helbing and Theraulaz, PLoS ONE 5, e10047
+(2010): walking groups.
 """
 
 from typing import TypeAlias
@@ -18,23 +19,42 @@ from isac_track.datasets.crowd.plan import Plan, streams
 from isac_track.types import Bools, Floats, Ints
 
 RELAXATION_S = 0.6  # Time to reach the desired velocity.
-ENERGY_M2 = 1.2  # k of the time-to-collision law, in m^2 (energy over mass times time squared).
+ENERGY_M2 = (
+    1.2  # k of the time-to-collision law, in m^2 (energy over mass times time squared).
+)
 FORESIGHT_S = 3.0  # tau_0 of the same law.
 COLLISION_M = 0.4  # Distance of two centres that counts as a collision.
-AVOID_MAX_MPS2 = 2.0  # Cap of one neighbour's anticipatory force: the law diverges at contact.
-CONTACT_MPS2, CONTACT_M, CONTACT_RANGE_M = 2.0, 0.36, 0.1  # Of the exponential repulsion.
+AVOID_MAX_MPS2 = (
+    2.0  # Cap of one neighbour's anticipatory force: the law diverges at contact.
+)
+CONTACT_MPS2, CONTACT_M, CONTACT_RANGE_M = (
+    2.0,
+    0.36,
+    0.1,
+)  # Of the exponential repulsion.
 FORMATION_PER_S2, FORMATION_MAX_MPS2 = 1.2, 1.2  # Spring to one's place, and its cap.
-PACE_MPS, PACE_S = 0.18, 1.2  # Ornstein-Uhlenbeck noise of the speed: sd, correlation time.
+PACE_MPS, PACE_S = (
+    0.18,
+    1.2,
+)  # Ornstein-Uhlenbeck noise of the speed: sd, correlation time.
 WANDER_S = 1.8  # Correlation time of the heading's wandering; its size is a trait.
-STEADY_MPS = 0.9  # Less 0.1 m/s; slower people hold their heading up to three times less well.
-HEADING_S = 0.6  # Smoothing time of the body's orientation, which the sway is lateral to.
+STEADY_MPS = (
+    0.9  # Less 0.1 m/s; slower people hold their heading up to three times less well.
+)
+HEADING_S = (
+    0.6  # Smoothing time of the body's orientation, which the sway is lateral to.
+)
 STANDING = 0.08  # Share of pace noise and sway that is left in someone who stands.
 FULL_SWAY_MPS = 0.6  # Speed from which on the body sways in full.
 TOP_SPEED_MPS = 2.0
-BACKWARD_MPS = 0.1  # Noise may turn a slow walk into a step back, but no further than this.
+BACKWARD_MPS = (
+    0.1  # Noise may turn a slow walk into a step back, but no further than this.
+)
 REACHED_M = 1.2  # Distance at which a waypoint counts as reached.
 LOST_M = 3.0  # Who strays this far off the plaza has left it.
-GRID_DIGITS = 6  # To 1 um a step: two machines' last bits are forgotten, not amplified by chaos.
+GRID_DIGITS = (
+    6  # To 1 um a step: two machines' last bits are forgotten, not amplified by chaos.
+)
 
 _Records: TypeAlias = NDArray[np.void]
 _PERSON = np.dtype(
@@ -42,7 +62,10 @@ _PERSON = np.dtype(
         ("xy", float, 2),  # m, without sway
         ("v", float, 2),  # m/s
         ("heading", float, 2),  # unit vector
-        ("pace", float),  # Ornstein-Uhlenbeck noise of unit variance, as are the next two
+        (
+            "pace",
+            float,
+        ),  # Ornstein-Uhlenbeck noise of unit variance, as are the next two
         ("wander", float),
         ("sway", complex),  # in both parts
         ("here", bool),  # on the plaza now; who is not is not up to date
@@ -63,8 +86,8 @@ _PARTY = np.dtype(
 def simulate(plan: Plan, *, seed: int, session: int) -> tuple[Ints, Ints, Floats]:
     """Walk everybody across the plaza.
 
-    Three arrays are returned: the recorded frame, (M,) in order, the row of the person, (M,), and
-    the recorded position, (M, 2) m: the body's, with its sway.
+    Three arrays are returned: the recorded frame, (M,) in order, the row of the person,
+    (M,), and the recorded position, (M, 2) m: the body's, with its sway.
     """
     settings = plan.settings
     crowd = np.zeros(settings.n_people, dtype=_PERSON)
@@ -77,7 +100,9 @@ def simulate(plan: Plan, *, seed: int, session: int) -> tuple[Ints, Ints, Floats
     arrival_s = np.array([party.arrival_s for party in plan.parties])
     arrival_frame = np.maximum(0, np.ceil(arrival_s / settings.frame_s))
     frames, people, places = [], [], []
-    for frame in range(round(settings.duration_s / settings.frame_s) + 1):  # the first at time 0
+    for frame in range(
+        round(settings.duration_s / settings.frame_s) + 1
+    ):  # the first at time 0
         for arrived in np.flatnonzero(arrival_frame == frame):
             _enter(crowd, plan, int(arrived), noise)
         rows = np.flatnonzero(crowd["here"])
@@ -86,7 +111,9 @@ def simulate(plan: Plan, *, seed: int, session: int) -> tuple[Ints, Ints, Floats
         # People are seen where they walk, and aside of it by their sway.
         heading, v = crowd["heading"][rows], crowd["v"][rows]
         side = np.stack([-heading[:, 1], heading[:, 0]], axis=1)
-        awake = STANDING + (1 - STANDING) * np.minimum(np.hypot(*v.T) / FULL_SWAY_MPS, 1.0)
+        awake = STANDING + (1 - STANDING) * np.minimum(
+            np.hypot(*v.T) / FULL_SWAY_MPS, 1.0
+        )
         offset = plan.traits.sway_m[rows] * awake * crowd["sway"][rows].real
         places.append(crowd["xy"][rows] + offset[:, None] * side)
         if rows.size:
@@ -102,7 +129,9 @@ def _enter(crowd: _Records, plan: Plan, number: int, noise: list[Generator]) -> 
         gone = np.linspace(0.05, 0.85, len(entries))[:, None]
         entries = entries + gone * (first - entries)
     others = crowd["xy"][crowd["here"]]
-    gap = np.hypot(*np.moveaxis(entries[:, None] - others[None], 2, 0)).min(axis=1, initial=2.0)
+    gap = np.hypot(*np.moveaxis(entries[:, None] - others[None], 2, 0)).min(
+        axis=1, initial=2.0
+    )
     entry = entries[int(np.argmax(gap))]
     ahead = (first - entry) / np.hypot(*(first - entry))
     draws = np.array([noise[row].standard_normal(4) for row in rows]).T
@@ -114,19 +143,28 @@ def _enter(crowd: _Records, plan: Plan, number: int, noise: list[Generator]) -> 
 
 
 def _advance(
-    crowd: _Records, progress: _Records, plan: Plan, rows: Ints, noise: list[Generator], frame: int
+    crowd: _Records,
+    progress: _Records,
+    plan: Plan,
+    rows: Ints,
+    noise: list[Generator],
+    frame: int,
 ) -> None:
     """Move the people in `rows` on by one frame, and let those who have arrived leave."""
     settings, traits = plan.settings, plan.traits
     dt = settings.frame_s / settings.substeps
-    draws = np.stack([noise[row].standard_normal((settings.substeps, 4)) for row in rows], axis=1)
+    draws = np.stack(
+        [noise[row].standard_normal((settings.substeps, 4)) for row in rows], axis=1
+    )
     parties, local = np.unique(crowd["party"][rows], return_inverse=True)
     head_count = np.bincount(local)
     slot = crowd["slot"][rows]
     slot = slot - (_sum_by(local, slot) / head_count[:, None])[local]
     speed = plan.speed_mps[rows]
     keep_pace, keep_wander = np.exp(-dt / PACE_S), np.exp(-dt / WANDER_S)
-    keep_sway = np.exp((-1.0 / traits.sway_s[rows] + 2j * np.pi * traits.sway_hz[rows]) * dt)
+    keep_sway = np.exp(
+        (-1.0 / traits.sway_s[rows] + 2j * np.pi * traits.sway_hz[rows]) * dt
+    )
     kick_sway = np.sqrt(1.0 - np.abs(keep_sway) ** 2)
     for step in range(settings.substeps):
         now_s = frame * settings.frame_s + step * dt
@@ -137,7 +175,10 @@ def _advance(
 
         xi = draws[step]
         pace = keep_pace * crowd["pace"][rows] + np.sqrt(1.0 - keep_pace**2) * xi[:, 0]
-        wander = keep_wander * crowd["wander"][rows] + np.sqrt(1.0 - keep_wander**2) * xi[:, 1]
+        wander = (
+            keep_wander * crowd["wander"][rows]
+            + np.sqrt(1.0 - keep_wander**2) * xi[:, 1]
+        )
         sway = keep_sway * crowd["sway"][rows] + kick_sway * (xi[:, 2] + 1j * xi[:, 3])
 
         ahead = _unit(target[local] - centre[local])
@@ -159,18 +200,26 @@ def _advance(
         now |= {"pace": pace, "wander": wander, "sway": sway}
         for name, value in now.items():
             crowd[name][rows] = np.round(value, GRID_DIGITS)
-        progress["walked_m"][parties] += np.bincount(local, np.hypot(*moved.T)) / head_count
-        progress["walked_m"][parties] = np.round(progress["walked_m"][parties], GRID_DIGITS)
+        progress["walked_m"][parties] += (
+            np.bincount(local, np.hypot(*moved.T)) / head_count
+        )
+        progress["walked_m"][parties] = np.round(
+            progress["walked_m"][parties], GRID_DIGITS
+        )
     # Those who have passed their gate's side of the plaza, or got lost, leave.
     x_min, y_min, x_max, y_max = settings.area_m
     px, py = crowd["xy"][rows].T
     beyond = np.stack([x_min - px, y_min - py, px - x_max, py - y_max])
-    sides = np.array([plan.parties[number].exit_side for number in crowd["party"][rows]])
+    sides = np.array(
+        [plan.parties[number].exit_side for number in crowd["party"][rows]]
+    )
     gone = (beyond[sides, np.arange(rows.size)] > 0) | (beyond.max(axis=0) > LOST_M)
     crowd["here"][rows[gone]] = False
 
 
-def _steer(progress: _Records, plan: Plan, parties: Ints, centre: Floats, now_s: float) -> Floats:
+def _steer(
+    progress: _Records, plan: Plan, parties: Ints, centre: Floats, now_s: float
+) -> Floats:
     """Return each party's current waypoint (G, 2); begin and end its stops."""
     target = np.empty((parties.size, 2))
     for place, number in enumerate(parties):
@@ -193,10 +242,11 @@ def _steer(progress: _Records, plan: Plan, parties: Ints, centre: Floats, now_s:
 def _avoidance(x: Floats, v: Floats, *, together: Bools) -> Floats:
     """Return the acceleration (P, 2) away from collisions to come, and from contact.
 
-    For a pair with separation ``x``, relative velocity ``v`` and collision distance ``R``, the
-    time to collision is ``tau = (b - sqrt(d)) / a`` with ``a = v.v``, ``b = -x.v``,
-    ``c = x.x - R^2`` and ``d = b^2 - a c``, and the force is minus the gradient of
-    ``k / tau^2 exp(-tau / tau_0)``. People who walk together do not anticipate each other.
+    For a pair with separation ``x``, relative velocity ``v`` and collision distance
+    ``R``, the time to collision is ``tau = (b - sqrt(d)) / a`` with ``a = v.v``, ``b =
+    -x.v``, ``c = x.x - R^2`` and ``d = b^2 - a c``, and the force is minus the gradient
+    of ``k / tau^2 exp(-tau / tau_0)``. People who walk together do not anticipate each
+    other.
     """
     dx = x[:, None] - x[None]
     dv = v[:, None] - v[None]
@@ -216,7 +266,12 @@ def _avoidance(x: Floats, v: Floats, *, together: Bools) -> Floats:
     a, b, root = a[i, j], b[i, j], np.sqrt(d[i, j])
     tau = np.maximum((b - root) / a, 0.05)
     dx, dv = dx[i, j], dv[i, j]
-    strength = ENERGY_M2 * np.exp(-tau / FORESIGHT_S) / (a * tau**2) * (2 / tau + 1 / FORESIGHT_S)
+    strength = (
+        ENERGY_M2
+        * np.exp(-tau / FORESIGHT_S)
+        / (a * tau**2)
+        * (2 / tau + 1 / FORESIGHT_S)
+    )
     sideways = (a[:, None] * dx + b[:, None] * dv) / root[:, None]
     push = _capped(-strength[:, None] * (dv - sideways), AVOID_MAX_MPS2)
     return np.asarray(total + _sum_by(i, push, n=len(x)))
@@ -234,9 +289,13 @@ def _unit(vector: Floats) -> Floats:
 
 def _capped(vector: Floats, longest: float) -> Floats:
     length = np.hypot(*vector.T)
-    return np.asarray(vector * np.minimum(1.0, longest / np.maximum(length, 1e-12))[:, None])
+    return np.asarray(
+        vector * np.minimum(1.0, longest / np.maximum(length, 1e-12))[:, None]
+    )
 
 
 def _sum_by(label: Ints, vector: Floats, *, n: int = 0) -> Floats:
     """Return the sums (G, 2) of the vectors that share a label."""
-    return np.stack([np.bincount(label, vector[:, k], minlength=n) for k in (0, 1)], axis=1)
+    return np.stack(
+        [np.bincount(label, vector[:, k], minlength=n) for k in (0, 1)], axis=1
+    )

@@ -16,32 +16,65 @@ class CrowdSettings:
 
     duration_s: float = 600.0  # length of the recording
     n_people: int = 1100  # people, each with one walk in every session
-    trait_strength: float = 1.0  # scale of the spread of every trait: 0 makes everybody alike
+    trait_strength: float = (
+        1.0  # scale of the spread of every trait: 0 makes everybody alike
+    )
     frame_s: float = 0.4  # time between recorded positions
     substeps: int = 5  # simulated steps per recorded position
-    lead_s: float = 20.0  # arrivals this long before the start are already under way when it comes
-    tail_s: float = 4.0  # nobody arrives in the last seconds, so that every walk has some length
-    area_m: tuple[float, float, float, float] = (-6.1, -6.1, 7.5, 7.4)  # x_min, y_min, x_max, y_max
+    lead_s: float = (
+        20.0  # arrivals this long before the start are already under way when it comes
+    )
+    tail_s: float = (
+        4.0  # nobody arrives in the last seconds, so that every walk has some length
+    )
+    area_m: tuple[float, float, float, float] = (
+        -6.1,
+        -6.1,
+        7.5,
+        7.4,
+    )  # x_min, y_min, x_max, y_max
 
 
-Traits: TypeAlias = "np.recarray[Any, Any]"  # (N,) what persists about people: the table below.
+Traits: TypeAlias = (
+    "np.recarray[Any, Any]"  # (N,) what persists about people: the table below.
+)
 TRAIT_MEDIAN_AND_SPREAD = {
     "speed_mps": (1.14, 0.24),  # desired speed when alone
     "sway_m": (0.02, 0.35),  # standard deviation of the lateral body sway,
     "sway_hz": (0.7, 0.2),  # ... its frequency
     "sway_s": (2.0, 0.3),  # ... and its coherence time
-    "stops_per_m": (0.065, 0.6),  # short stops per metre walked; scales the chance of a chat too
+    "stops_per_m": (
+        0.065,
+        0.6,
+    ),  # short stops per metre walked; scales the chance of a chat too
     "turn_rad": (0.24, 0.6),  # standard deviation of the heading's wandering
 }
 """Median and standard deviation of the logarithm, in the order of the draws:
 median * exp(strength * spread * N(0, 1))."""
 
-GROUP_SIZE_SHARES = (0.65, 0.28, 0.045, 0.025)  # Of singles, pairs, threes and fours that arrive.
-GROUP_PACE = (1.0, 0.82, 0.76, 0.72)  # Over its members' mean: groups walk slower [Moussaid 2010].
-MOOD_SPREAD = 0.08  # Standard deviation of the logarithm of one's speed between sessions.
+GROUP_SIZE_SHARES = (
+    0.65,
+    0.28,
+    0.045,
+    0.025,
+)  # Of singles, pairs, threes and fours that arrive.
+GROUP_PACE = (
+    1.0,
+    0.82,
+    0.76,
+    0.72,
+)  # Over its members' mean: groups walk slower [Moussaid 2010].
+MOOD_SPREAD = (
+    0.08  # Standard deviation of the logarithm of one's speed between sessions.
+)
 SPACING_M = 0.58  # Shoulder to shoulder in a group that walks abreast.
 VIA_CHANCE = 0.35  # Share of parties that walk by way of a place on the plaza.
-CHAT_CHANCE = (0.03, 0.14, 0.19, 0.19)  # By party size, to stand there at the median habit.
+CHAT_CHANCE = (
+    0.03,
+    0.14,
+    0.19,
+    0.19,
+)  # By party size, to stand there at the median habit.
 CHAT_MEDIAN_S, CHAT_SPREAD, CHAT_MAX_S = 40.0, 0.7, 180.0
 STOP_MEAN_S, STOP_MIN_S = 0.9, 0.4
 SIDE_CENTRES = ((0, 0.65), (1, 0.25), (1, 0.75), (2, 0.45), (3, 0.3), (3, 0.72))
@@ -57,7 +90,9 @@ class Party:
     members: Ints  # (K,) row of each person
     slots_m: Floats  # (K, 2) place in the formation: ahead of and left of its centre
     arrival_s: float
-    entry_m: Floats  # (C, 2) candidate points of entry; the clearest one is taken on arrival
+    entry_m: (
+        Floats  # (C, 2) candidate points of entry; the clearest one is taken on arrival
+    )
     targets_m: Floats  # (T, 2) waypoints; the last lies beyond the gate of exit
     exit_side: int
     chat_s: float  # time to stand at the first waypoint if there are two; 0 passes by
@@ -82,7 +117,9 @@ def person_id(row: int) -> str:
 
 def streams(settings: CrowdSettings, seed: int, *key: str | int) -> list[Generator]:
     """Return a random stream for everybody, the same however many others there are."""
-    return [stream(seed, "crowd", *key, person_id(row)) for row in range(settings.n_people)]
+    return [
+        stream(seed, "crowd", *key, person_id(row)) for row in range(settings.n_people)
+    ]
 
 
 def draw_traits(settings: CrowdSettings, *, seed: int) -> Traits:
@@ -91,14 +128,18 @@ def draw_traits(settings: CrowdSettings, *, seed: int) -> Traits:
     everybody = streams(settings, seed, "traits")
     draws = np.array([rng.standard_normal(len(columns)) for rng in everybody])
     values = columns[:, 0] * np.exp(settings.trait_strength * columns[:, 1] * draws)
-    return np.rec.fromarrays(values.T, dtype=[(name, float) for name in TRAIT_MEDIAN_AND_SPREAD])
+    return np.rec.fromarrays(
+        values.T, dtype=[(name, float) for name in TRAIT_MEDIAN_AND_SPREAD]
+    )
 
 
-def plan_session(settings: CrowdSettings, traits: Traits, *, seed: int, session: int) -> Plan:
+def plan_session(
+    settings: CrowdSettings, traits: Traits, *, seed: int, session: int
+) -> Plan:
     """Draw who walks together, routes, arrivals and stops of one session.
 
-    Company is drawn anew in every session: people who are recognised by the company they keep
-    would be told apart even where their traits are all alike.
+    Company is drawn anew in every session: people who are recognised by the company
+    they keep would be told apart even where their traits are all alike.
     """
     draws = streams(settings, seed, "session", session)
     order = np.argsort([rng.random() for rng in draws], kind="stable")
@@ -119,7 +160,9 @@ def plan_session(settings: CrowdSettings, traits: Traits, *, seed: int, session:
     return Plan(settings, traits, tuple(parties), speed_mps)
 
 
-def _party(settings: CrowdSettings, traits: Traits, members: Ints, rng: Generator) -> Party:
+def _party(
+    settings: CrowdSettings, traits: Traits, members: Ints, rng: Generator
+) -> Party:
     start_s, end_s = -settings.lead_s, settings.duration_s - settings.tail_s
     arrival_s = start_s + (end_s - start_s) * rng.random()
     weights = np.array(GATE_WEIGHTS)
@@ -132,7 +175,9 @@ def _party(settings: CrowdSettings, traits: Traits, members: Ints, rng: Generato
     via = low + (high - low) * (0.2 + 0.6 * rng.random(2))
     habit = float(traits.stops_per_m[members].mean())
     usual = TRAIT_MEDIAN_AND_SPREAD["stops_per_m"][0]
-    chat_s = min(CHAT_MEDIAN_S * float(np.exp(CHAT_SPREAD * rng.standard_normal())), CHAT_MAX_S)
+    chat_s = min(
+        CHAT_MEDIAN_S * float(np.exp(CHAT_SPREAD * rng.standard_normal())), CHAT_MAX_S
+    )
     goes_via, chats = rng.random(2)
     stands = chats < CHAT_CHANCE[members.size - 1] * habit / usual
     if stands or goes_via < VIA_CHANCE:
@@ -144,7 +189,9 @@ def _party(settings: CrowdSettings, traits: Traits, members: Ints, rng: Generato
         members=members,
         slots_m=_formation(members.size),
         arrival_s=float(arrival_s),
-        entry_m=np.array([_gate_point(settings, entry, at, beyond_m=0.0) for at in rng.random(8)]),
+        entry_m=np.array(
+            [_gate_point(settings, entry, at, beyond_m=0.0) for at in rng.random(8)]
+        ),
         targets_m=np.array(targets),
         exit_side=int(sides[leave]),
         chat_s=chat_s if stands else 0.0,  # read only where there is such a place
@@ -153,13 +200,17 @@ def _party(settings: CrowdSettings, traits: Traits, members: Ints, rng: Generato
     )
 
 
-def _gate_point(settings: CrowdSettings, gate: int, share: float, *, beyond_m: float) -> Floats:
+def _gate_point(
+    settings: CrowdSettings, gate: int, share: float, *, beyond_m: float
+) -> Floats:
     """Return a point (2,) of a gate, `beyond_m` outside the plaza."""
     low, high = np.array(settings.area_m[:2]), np.array(settings.area_m[2:])
     side, centre = SIDE_CENTRES[gate]
     point: Floats = low + (centre + GATE_WIDTH * (share - 0.5)) * (high - low)
     across = side % 2
-    point[across] = low[across] - beyond_m if side in {0, 1} else high[across] + beyond_m
+    point[across] = (
+        low[across] - beyond_m if side in {0, 1} else high[across] + beyond_m
+    )
     return point
 
 

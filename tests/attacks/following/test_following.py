@@ -4,7 +4,13 @@ from itertools import product
 
 import numpy as np
 import pytest
-from helpers.patrols import SETTINGS, clean_network, network_of, patrol_past, straight_walks
+from helpers.patrols import (
+    SETTINGS,
+    clean_network,
+    network_of,
+    patrol_past,
+    straight_walks,
+)
 from scipy.stats import multivariate_t
 
 from attacks.following.absence import contradictions
@@ -56,7 +62,8 @@ def crowd(request):
     """A network that senses a small crowd for three robots."""
     settings = SETTINGS.changed({"patrol.segment_s": 20.0})
     return network_of(
-        make_patrol(request.getfixturevalue("tracks"), settings=settings, seed=0), settings=settings
+        make_patrol(request.getfixturevalue("tracks"), settings=settings, seed=0),
+        settings=settings,
     )
 
 
@@ -81,14 +88,19 @@ class TestPieces:
         _, pieces = pieces_past(Flag())
         assert len(pieces) == 0
 
-    def test_states_at_both_ends_have_the_place_and_the_velocity_of_a_straight_walk(self):
+    def test_states_at_both_ends_have_the_place_and_the_velocity_of_a_straight_walk(
+        self,
+    ):
         _, pieces = pieces_past(Near(2.0, window_s=1.3))
         for states in (pieces.start, pieces.end):
-            np.testing.assert_allclose(states.mean[0, :, 0], [-10.05 + states.t[0], 0], atol=0.01)
+            np.testing.assert_allclose(
+                states.mean[0, :, 0], [-10.05 + states.t[0], 0], atol=0.01
+            )
             np.testing.assert_allclose(states.mean[0, :, 1], [1, 0], atol=0.05)
 
     @pytest.mark.parametrize(
-        "policy", [Near(3.0, window_s=1.3), RandomPeople(0.5, window_s=0.8), Window(0.6)]
+        "policy",
+        [Near(3.0, window_s=1.3), RandomPeople(0.5, window_s=0.8), Window(0.6)],
     )
     def test_they_are_what_equal_samples_join(self, crowd, policy):
         disclosure = disclose(crowd, policy)
@@ -99,7 +111,9 @@ class TestPieces:
         ):
             del presence
             samples = range(first, end)
-            answers.append({(crowd.release.t[n], *crowd.release.xy[n]) for n in samples})
+            answers.append(
+                {(crowd.release.t[n], *crowd.release.xy[n]) for n in samples}
+            )
         joined = []
         for answer in answers:  # A plain loop that sees values alone.
             common = [other for other in joined if other & answer]
@@ -129,7 +143,9 @@ class TestLinks:
             noise = Q * np.array([[gap_s**3 / 3, gap_s**2 / 2], [gap_s**2 / 2, gap_s]])
             cov = move @ pieces.end.cov[i] @ move.T + noise + pieces.start.cov[j]
             off = pieces.start.mean[j] - pieces.end.mean[i] @ move.T
-            exact = multivariate_t(shape=np.kron(np.eye(2), cov), df=5).logpdf(off.ravel())
+            exact = multivariate_t(shape=np.kron(np.eye(2), cov), df=5).logpdf(
+                off.ravel()
+            )
             constants.append(exact - links.features[row, 0])
         np.testing.assert_allclose(constants, constants[0], rtol=1e-9)
 
@@ -141,11 +157,16 @@ class TestLinks:
         assert gaps_s.min() > 0
         assert gaps_s.max() <= 30
         for i in range(len(pieces)):
-            n_later = sum(0 < pieces.start.t[j] - pieces.end.t[i] <= 30 for j in range(len(pieces)))
+            n_later = sum(
+                0 < pieces.start.t[j] - pieces.end.t[i] <= 30
+                for j in range(len(pieces))
+            )
             assert (links.before == i).sum() == n_later
 
     def test_of_many_candidates_the_likeliest_stay(self, crowd):
-        pieces = pieces_of_fleet(crowd, disclose(crowd, Window(0.6)), robots=np.arange(3))
+        pieces = pieces_of_fleet(
+            crowd, disclose(crowd, Window(0.6)), robots=np.arange(3)
+        )
         links = candidate_links(pieces)
         n_later = (pieces.start.t > pieces.end.t[:, None] + 1e-6).sum(axis=1)
         kept = np.bincount(links.before, minlength=len(pieces))
@@ -158,9 +179,13 @@ class TestLinks:
         # One candidate a piece: the learnt odds are those of the data.
         n_pieces, n_next = 400, 300
         before = np.arange(n_pieces)
-        features = np.column_stack([np.zeros(n_pieces), np.ones(n_pieces), np.zeros(n_pieces)])
+        features = np.column_stack(
+            [np.zeros(n_pieces), np.ones(n_pieces), np.zeros(n_pieces)]
+        )
         links = Links(before, before, features, n_pieces)
-        weights = learn_weights(links, before < n_next, learn_from=np.ones(n_pieces, dtype=bool))
+        weights = learn_weights(
+            links, before < n_next, learn_from=np.ones(n_pieces, dtype=bool)
+        )
         probability = probabilities(links, weights)
         # The ridge of 1e-3 pulls the log odds, 1.1, by about one percent.
         np.testing.assert_allclose(probability, n_next / n_pieces, atol=0.005)
@@ -169,7 +194,11 @@ class TestLinks:
         rng, n_pieces, each = np.random.default_rng(0), 3000, 4
         before = np.repeat(np.arange(n_pieces), each)
         features = np.column_stack(
-            [rng.normal(-3, 2, before.size), np.ones(before.size), rng.uniform(0, 2, before.size)]
+            [
+                rng.normal(-3, 2, before.size),
+                np.ones(before.size),
+                rng.uniform(0, 2, before.size),
+            ]
         )
         planted = np.array([0.8, 2.0, -1.0])
         links = Links(before, np.arange(before.size), features, n_pieces)
@@ -177,13 +206,17 @@ class TestLinks:
         chances = np.column_stack([share, 1 - share.sum(axis=1)])
         drawn = (rng.random((n_pieces, 1)) > np.cumsum(chances, axis=1)).sum(axis=1)
         is_next = (np.arange(each) == drawn[:, None]).ravel()
-        weights = learn_weights(links, is_next, learn_from=np.ones(n_pieces, dtype=bool))
+        weights = learn_weights(
+            links, is_next, learn_from=np.ones(n_pieces, dtype=bool)
+        )
         np.testing.assert_allclose(weights, planted, atol=0.2)
 
     def test_without_a_training_link_nobody_is_joined(self):
         features = np.array([[50.0, 1.0, 0.0]])
         links = Links(np.array([0]), np.array([1]), features, 2)
-        weights = learn_weights(links, np.array([False]), learn_from=np.ones(2, dtype=bool))
+        weights = learn_weights(
+            links, np.array([False]), learn_from=np.ones(2, dtype=bool)
+        )
         assert probabilities(links, weights).tolist() == [0.0]
 
     def test_entropy_counts_candidates_and_no_return(self):
@@ -207,15 +240,22 @@ class TestChains:
 
         def value(chosen):
             """The log probability of a set of links; None if a piece is used twice."""
-            if len(set(before[chosen])) < len(chosen) or len(set(after[chosen])) < len(chosen):
+            if len(set(before[chosen])) < len(chosen) or len(set(after[chosen])) < len(
+                chosen
+            ):
                 return None
             idle = [i for i in range(n_pieces) if i not in set(before[chosen])]
             with np.errstate(divide="ignore"):
                 ends = np.log(none[idle] / total[idle]).sum()
                 return float(np.log(probability[chosen]).sum() + ends)
 
-        sets = [np.flatnonzero(flags) for flags in product([False, True], repeat=before.size)]
-        best = max(sets, key=lambda chosen: -np.inf if value(chosen) is None else value(chosen))
+        sets = [
+            np.flatnonzero(flags)
+            for flags in product([False, True], repeat=before.size)
+        ]
+        best = max(
+            sets, key=lambda chosen: -np.inf if value(chosen) is None else value(chosen)
+        )
         label = np.arange(n_pieces)
         for link in best:
             label[label == label[after[link]]] = label[before[link]]
@@ -235,7 +275,9 @@ class TestFollowed:
         assert following.followed_s.tolist() == [[0.0]]
         assert following.ending.tolist() == [[Ending.UNSEEN]]
 
-    def test_without_other_people_to_learn_from_a_gap_ends_it_with_certainty_of_leaving(self):
+    def test_without_other_people_to_learn_from_a_gap_ends_it_with_certainty_of_leaving(
+        self,
+    ):
         following = follow_past(Near(2.0, window_s=0.5), CROSSING)
         assert following.followed_s.tolist() == [[pytest.approx(0.5)]]
         assert following.ceiling_s.tolist() == [[pytest.approx(3.5)]]
@@ -250,7 +292,12 @@ class TestFollowed:
     def test_the_control_joins_less_than_the_attack(self, crowd):
         disclosure = disclose(crowd, Window(0.6))
         guesses = guesses_from_map(crowd.patrol, epsilon_m=0.3)
-        options = {"estimator": "smooth", "guesses": guesses, "epsilon_m": 0.3, "seed": 0}
+        options = {
+            "estimator": "smooth",
+            "guesses": guesses,
+            "epsilon_m": 0.3,
+            "seed": 0,
+        }
         attack = follow_fleets(crowd, disclosure, **options)
         control = follow_fleets(crowd, disclosure, shuffled=True, **options)
         assert attack.followed_s.mean() > 2 * control.followed_s.mean()
@@ -281,8 +328,13 @@ class TestMetrics:
     def test_the_mean_time_is_the_area_under_a_slow_survival_curve(self):
         rng = np.random.default_rng(1)
         times = rng.integers(1, 50, 200).astype(float)
-        is_event, weights = rng.random(200) < 0.6, rng.integers(0, 3, (3, 200)).astype(float)
-        for weight, area in zip(weights, restricted_mean_s(times, is_event, weights), strict=True):
+        is_event, weights = (
+            rng.random(200) < 0.6,
+            rng.integers(0, 3, (3, 200)).astype(float),
+        )
+        for weight, area in zip(
+            weights, restricted_mean_s(times, is_event, weights), strict=True
+        ):
             survival, at, expected = 1.0, 0.0, 0.0
             for t in np.unique(times):
                 expected += survival * (min(t, LONGEST_S) - at)
@@ -296,19 +348,34 @@ class TestMetrics:
 
 class TestAbsence:
     def test_queries_that_should_have_told_of_her_are_counted(self):
-        # She passes the robot unseen in the log of the adversary: only her ends are kept.
+        # She passes the robot unseen in the log of the adversary: only her ends are
+        # kept.
         network, pieces = pieces_past(Window(0.5))
-        ends = Links(np.array([0]), np.array([len(pieces) - 1]), np.zeros((1, 3)), len(pieces))
+        ends = Links(
+            np.array([0]), np.array([len(pieces) - 1]), np.zeros((1, 3)), len(pieces)
+        )
         count = contradictions(
-            pieces, ends, patrol=network.patrol, policy=Near(2.0), robots=np.array([0]), seed=0
+            pieces,
+            ends,
+            patrol=network.patrol,
+            policy=Near(2.0),
+            robots=np.array([0]),
+            seed=0,
         )
         assert count.tolist() == [4]  # Within 2 m of the robot at four queries.
 
     def test_a_way_that_the_policy_would_not_tell_of_has_none(self):
         network, pieces = pieces_past(Window(0.5), (0, 50))
-        ends = Links(np.array([0]), np.array([len(pieces) - 1]), np.zeros((1, 3)), len(pieces))
+        ends = Links(
+            np.array([0]), np.array([len(pieces) - 1]), np.zeros((1, 3)), len(pieces)
+        )
         count = contradictions(
-            pieces, ends, patrol=network.patrol, policy=Near(2.0), robots=np.array([0]), seed=0
+            pieces,
+            ends,
+            patrol=network.patrol,
+            policy=Near(2.0),
+            robots=np.array([0]),
+            seed=0,
         )
         assert count.tolist() == [0]
 
@@ -316,7 +383,12 @@ class TestAbsence:
         policy = Near(3.0, window_s=0.8)
         disclosure = disclose(crowd, policy)
         guesses = guesses_from_map(crowd.patrol, epsilon_m=0.3)
-        options = {"estimator": "smooth", "guesses": guesses, "epsilon_m": 0.3, "seed": 0}
+        options = {
+            "estimator": "smooth",
+            "guesses": guesses,
+            "epsilon_m": 0.3,
+            "seed": 0,
+        }
         following = follow_fleets(crowd, disclosure, knows_policy=policy, **options)
         assert (following.followed_s <= following.ceiling_s + 1e-9).all()
         assert following.followed_s.max() > 0

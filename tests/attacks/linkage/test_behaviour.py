@@ -27,7 +27,13 @@ def line(speed_m_s, *, length_s=12.0, sway_m=0.0, sway_hz=0.85, noise_m=0.0, see
 
 def test_features_of_a_straight_walk():
     release = release_of([line(1.3), line(0.0)])
-    for name in ("mean speed", "slowest tenth", "median speed", "fastest tenth", "progress"):
+    for name in (
+        "mean speed",
+        "slowest tenth",
+        "median speed",
+        "fastest tenth",
+        "progress",
+    ):
         assert np.allclose(feature(release, name), [1.3, 0.0], atol=0.03), name
     assert np.allclose(feature(release, "stops"), [0.0, 1.0])
     assert np.allclose(feature(release, "turning"), np.log(0.03), atol=0.1)
@@ -44,7 +50,10 @@ def test_features_of_a_curve():
 
 def test_sway_shows_in_its_band():
     release = release_of(
-        [line(1.2, sway_m=0.05, sway_hz=hz, seed=k) for k, hz in enumerate((0.55, 0.85, 1.2))]
+        [
+            line(1.2, sway_m=0.05, sway_hz=hz, seed=k)
+            for k, hz in enumerate((0.55, 0.85, 1.2))
+        ]
     )
     sway = features(release)[:, -4:]
     assert sway.argmax(axis=1).tolist() == [0, 1, 2]
@@ -54,7 +63,9 @@ def test_sway_shows_in_its_band():
 
 def test_noise_hides_the_sway():
     for sway_m, first in ((0.05, 0), (0.0, 50)):
-        walks = [line(1.2, sway_m=sway_m, noise_m=1.0, seed=first + k) for k in range(20)]
+        walks = [
+            line(1.2, sway_m=sway_m, noise_m=1.0, seed=first + k) for k in range(20)
+        ]
         assert np.abs(features(release_of(walks))[:, -4:]).max() < 0.2
 
 
@@ -106,4 +117,6 @@ def test_shrunk_to_the_diagonal_it_is_the_formula():
 def test_unshrunk_it_sees_how_features_go_together():
     metric, _, _ = metric_of(60, seed=4, shrinkage=0.0)
     pair = NAMES.index("mean speed"), NAMES.index("median speed")
-    assert abs(metric[pair]) > 0.1 * np.sqrt(metric[pair[0], pair[0]] * metric[pair[1], pair[1]])
+    assert abs(metric[pair]) > 0.1 * np.sqrt(
+        metric[pair[0], pair[0]] * metric[pair[1], pair[1]]
+    )

@@ -16,7 +16,10 @@ from isac_track.rng import stream
 def test_it_is_dtaidistance(band, penalty):
     rng = stream(0, "test", "dtw")
     probe, gallery = rng.normal(size=(7, 24, 2)), rng.normal(size=(5, 24, 2))
-    sizes_p, sizes_g = np.array([24, 24, 10, 9, 20, 1, 2]), np.array([24, 11, 3, 21, 24])
+    sizes_p, sizes_g = (
+        np.array([24, 24, 10, 9, 20, 1, 2]),
+        np.array([24, 11, 3, 21, 24]),
+    )
     # Of (N, K, 2) profiles every second cell is compared.
     signals = (
         Signals(np.repeat(each.transpose(2, 0, 1), 2, axis=2), 2 * sizes)
@@ -28,7 +31,9 @@ def test_it_is_dtaidistance(band, penalty):
         shorter, longer = sorted((len(a), len(b)))
         reach = round(band * longer)
         psi = min(reach, (shorter - 1) // 2)
-        distance = dtw_ndim.distance(a, b, window=reach + 1, psi=psi, penalty=penalty, use_c=True)
+        distance = dtw_ndim.distance(
+            a, b, window=reach + 1, psi=psi, penalty=penalty, use_c=True
+        )
         known = (distance**2 / shorter + 0.01) * (24 / shorter) ** 3
         assert cost == pytest.approx(known, rel=1e-9), (len(a), len(b))
 
@@ -39,7 +44,8 @@ def test_it_learns_to_smooth():
     train = LinkageTrainingSet(*two_releases(48, seed=7, **habits))
     probe, gallery, mate = two_releases(48, seed=8, **habits)
     narrow, wide = (
-        hits(DTW(factor=f, penalty=0.1).fit(context())(probe, gallery), mate) for f in (0.5, 2.0)
+        hits(DTW(factor=f, penalty=0.1).fit(context())(probe, gallery), mate)
+        for f in (0.5, 2.0)
     )
     learnt = hits(DTW().fit(context(train))(probe, gallery), mate)
     assert wide > narrow

@@ -24,7 +24,9 @@ def test_it_is_the_likelihood_ratio():
         for j in range(4):
             both = (a[i] + b[j]) / (a[i].sum() + b[j].sum())
             one = multinomial(a[i], both) + multinomial(b[j], both)
-            two = multinomial(a[i], a[i] / a[i].sum()) + multinomial(b[j], b[j] / b[j].sum())
+            two = multinomial(a[i], a[i] / a[i].sum()) + multinomial(
+                b[j], b[j] / b[j].sum()
+            )
             assert ratio[i, j] == pytest.approx(one - two, abs=1e-9)
     assert (ratio <= 1e-9).all()
 

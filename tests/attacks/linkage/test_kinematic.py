@@ -31,7 +31,9 @@ def gap(n=10, *, seed=0, gap_s=2.0, noise_m=0.1, same_start=True, **habits):
     probe = [person.seen(rng, start_s=1.0, **window) for person in people]
     again_s = 5.0 + gap_s
     gallery = [
-        people[k].seen(rng, start_s=again_s + (0.0 if same_start else rng.uniform(0, 2)), **window)
+        people[k].seen(
+            rng, start_s=again_s + (0.0 if same_start else rng.uniform(0, 2)), **window
+        )
         for k in order
     ]
     return release_of(probe), release_of(gallery), np.argsort(order)
@@ -48,7 +50,9 @@ def variance_of(release):
 
 def filtered(t, xy, variance_m2):
     """filterpy's state (x, vx, y, vy) after the last sample, and its covariance."""
-    batch = Batch(t, xy, np.full(len(t), variance_m2), np.array([0, len(t)]), (100.0, 1.4))
+    batch = Batch(
+        t, xy, np.full(len(t), variance_m2), np.array([0, len(t)]), (100.0, 1.4)
+    )
     mean, cov = last_states(batch, q=Q, gate=np.inf)
     return mean.ravel(), np.kron(np.eye(2), cov[0])
 
@@ -58,7 +62,9 @@ def test_it_is_filterpy_across_the_gap():
     scores = continuations(probe, gallery, q=Q, floor_m2=FLOOR_M2)
     past, future = (
         [
-            filtered(sign * one.t[::sign], one.xy[::sign], np.maximum(variance, FLOOR_M2))
+            filtered(
+                sign * one.t[::sign], one.xy[::sign], np.maximum(variance, FLOOR_M2)
+            )
             for one, variance in zip(side, variance_of(side), strict=True)
         ]
         for side, sign in ((probe, 1), (gallery, -1))
@@ -91,7 +97,9 @@ def test_a_common_motion_changes_nothing():
 
 def test_rivals_are_those_of_one_rotation():
     probe, gallery, mate = gap(6)
-    late = replace(gallery, t=gallery.t + np.repeat([0.0, 20.0] * 3, np.diff(gallery.offsets)))
+    late = replace(
+        gallery, t=gallery.t + np.repeat([0.0, 20.0] * 3, np.diff(gallery.offsets))
+    )
     on_time = np.arange(6) % 2 == 0
     known = np.where(on_time[mate], mate, -1)
     assert known.max() >= 0

@@ -27,19 +27,25 @@ def learnt(options, n_ahead, *, train=TRAIN):
 
     def scores(known):
         assert known is train
-        return lambda *choice: asked.append(choice) or ranked(n_ahead(*choice), known.mate)
+        return lambda *choice: (
+            asked.append(choice) or ranked(n_ahead(*choice), known.mate)
+        )
 
     return learn(context(train), options, scores=scores), asked
 
 
 def test_log_rank_by_hand():
-    scores = np.array([[3.0, 1.0, 2.0], [0.0, 5.0, 5.0], [1.0, 2.0, 0.0], [9.0, 9.0, 9.0]])
+    scores = np.array(
+        [[3.0, 1.0, 2.0], [0.0, 5.0, 5.0], [1.0, 2.0, 0.0], [9.0, 9.0, 9.0]]
+    )
     mate = np.array([0, 1, 2, -1])
     assert log_rank(scores, mate=mate) == pytest.approx(np.log([1.0, 1.5, 3.0]).mean())
 
 
 def test_learning_takes_one_parameter_after_the_other():
-    best, asked = learnt(((1, 4, 9), (7,), (3, 8)), lambda a, b, c: abs(a - 5) + abs(c - 7) + b - 7)
+    best, asked = learnt(
+        ((1, 4, 9), (7,), (3, 8)), lambda a, b, c: abs(a - 5) + abs(c - 7) + b - 7
+    )
     assert best == (4, 7, 8)
     # What was found for the first is not asked for again.
     assert asked == [(1, 7, 3), (4, 7, 3), (9, 7, 3), (4, 7, 8)]
@@ -56,8 +62,14 @@ def test_only_a_gain_of_the_margin_moves_from_the_default(share, found):
 
 
 def test_without_a_choice_or_a_teacher_nothing_is_asked():
-    few = LinkageTrainingSet(TRAIN.probe, TRAIN.gallery, np.where(np.arange(N) < 7, TRAIN.mate, -1))
-    for options, train in ((((1,), (3,)), TRAIN), (((1, 2), (3, 4)), None), (((1, 2), (3,)), few)):
+    few = LinkageTrainingSet(
+        TRAIN.probe, TRAIN.gallery, np.where(np.arange(N) < 7, TRAIN.mate, -1)
+    )
+    for options, train in (
+        (((1,), (3,)), TRAIN),
+        (((1, 2), (3, 4)), None),
+        (((1, 2), (3,)), few),
+    ):
         assert learnt(options, None, train=train) == ((1, 3), [])
 
 

@@ -36,7 +36,10 @@ def log_density(t, xy, owner, *, error):
     basis = legendre(t)
     alike = np.equal.outer(owner, owner)
     spread = basis @ prior @ basis.T + UNKNOWN_M**2 * alike + error
-    return sum(multivariate_normal(np.zeros(t.size), spread).logpdf(xy[:, axis]) for axis in (0, 1))
+    return sum(
+        multivariate_normal(np.zeros(t.size), spread).logpdf(xy[:, axis])
+        for axis in (0, 1)
+    )
 
 
 @pytest.mark.parametrize("tau_s", [0.0, 5.0])
@@ -46,7 +49,9 @@ def test_the_ratio_is_that_of_dense_gaussians_averaged_over_rotations(curved, ta
     probe, gallery = release_of([first]), release_of([second])
     t = np.concatenate([first[0], second[0]])
     owner = np.repeat([0, 1], [first[0].size, second[0].size])
-    error = np.diag(1.0 / np.concatenate([information(one, 5) for one in (probe, gallery)]))
+    error = np.diag(
+        1.0 / np.concatenate([information(one, 5) for one in (probe, gallery)])
+    )
     floor_m2, std_m = 1e-3, 0.3
     # The floor and a slow error act on the coefficients, for each walk by itself.
     more = floor_m2 * np.eye(RANK)
@@ -57,18 +62,26 @@ def test_the_ratio_is_that_of_dense_gaussians_averaged_over_rotations(curved, ta
         error = error + basis @ more @ basis.T
 
     def joint(angle):
-        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        return log_density(t, np.concatenate([first[1], second[1] @ turn]), owner, error=error)
+        turn = np.array(
+            [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        )
+        return log_density(
+            t, np.concatenate([first[1], second[1] @ turn]), owner, error=error
+        )
 
     angles = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
     values = np.array([joint(angle) for angle in angles])
     together = values.max() + np.log(np.exp(values - values.max()).mean())
     alone = sum(
-        log_density(one[0], one[1], np.zeros(one[0].size), error=error[np.ix_(mine, mine)])
+        log_density(
+            one[0], one[1], np.zeros(one[0].size), error=error[np.ix_(mine, mine)]
+        )
         for one, mine in ((first, owner == 0), (second, owner == 1))
     )
     attack = LikelihoodRatio(rank=RANK, reach_s=0.1, floor_m2=floor_m2, lag_s=1.0)
-    known = context(granted={Knowledge.MECHANISM}, mechanism=Ou(std_m, tau_s=tau_s or 1e-9))
+    known = context(
+        granted={Knowledge.MECHANISM}, mechanism=Ou(std_m, tau_s=tau_s or 1e-9)
+    )
     score = attack.fit(known if tau_s else context())(probe, gallery)
     assert score[0, 0] == pytest.approx(together - alone, abs=2e-3)
 
@@ -94,12 +107,16 @@ def test_the_bessel_function_is_that_of_scipy():
 def test_a_lag_is_found_and_no_further_than_the_reach():
     probe, gallery, mate = two_releases(12, shift_s=4.0, length_s=12.0)
     assert hits(LikelihoodRatio().fit(context())(probe, gallery), mate) >= 0.9
-    assert hits(LikelihoodRatio(reach_s=0.5).fit(context())(probe, gallery), mate) <= 0.7
+    assert (
+        hits(LikelihoodRatio(reach_s=0.5).fit(context())(probe, gallery), mate) <= 0.7
+    )
 
 
 def test_who_knows_that_everybody_has_a_mate_scores_matchings():
     probe, gallery, _ = two_releases(12, shift_s=4.0, length_s=12.0)
-    each, matched = (LikelihoodRatio(one_to_one=one).fit(context()) for one in (False, True))
+    each, matched = (
+        LikelihoodRatio(one_to_one=one).fit(context()) for one in (False, True)
+    )
     assert np.array_equal(matched(probe, gallery), soft_matches(each(probe, gallery)))
     fewer = probe.tracks(np.arange(5))
     assert np.array_equal(matched(fewer, gallery), each(fewer, gallery))
@@ -107,7 +124,11 @@ def test_who_knows_that_everybody_has_a_mate_scores_matchings():
 
 @pytest.mark.parametrize(
     ("field", "value", "says"),
-    [("rank", 0, "1 to 12"), ("reach_s", 11.0, "leave 2 s"), ("q", 0.0, "q must be positive")],
+    [
+        ("rank", 0, "1 to 12"),
+        ("reach_s", 11.0, "leave 2 s"),
+        ("q", 0.0, "q must be positive"),
+    ],
 )
 def test_what_cannot_be_is_refused(field, value, says):
     with pytest.raises(ValueError, match=says):

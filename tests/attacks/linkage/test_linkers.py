@@ -33,14 +33,18 @@ def easy():
     return two_releases(12)
 
 
-@pytest.mark.parametrize("attack", BY_MOTION, ids=name)  # of Kinematic, see its own tests
+@pytest.mark.parametrize(
+    "attack", BY_MOTION, ids=name
+)  # of Kinematic, see its own tests
 def test_a_walk_is_its_own_best_match(attack, easy):
     probe, _, _ = easy
     scores = fitted(attack)(probe, moved(probe, seed=5))
     assert hits(scores, np.arange(len(probe))) == 1.0
 
 
-@pytest.mark.parametrize("attack", [Profile(), Shape(), DTW(), LikelihoodRatio()], ids=name)
+@pytest.mark.parametrize(
+    "attack", [Profile(), Shape(), DTW(), LikelihoodRatio()], ids=name
+)
 def test_a_mirror_image_is_somebody_else(attack, easy):
     probe, _, _ = easy
     score = fitted(attack)
@@ -52,13 +56,20 @@ def test_a_mirror_image_is_somebody_else(attack, easy):
 @pytest.mark.parametrize("attack", [*ALL, Fusion()], ids=name)
 def test_a_pair_of_odd_tracks_is_scored_for_itself_also_by_who_learnt_from_such(attack):
     probe, gallery = odd_release(0), odd_release(1, n=9)
-    train = LinkageTrainingSet(odd_release(2, n=24), odd_release(3, n=24), np.arange(24))
+    train = LinkageTrainingSet(
+        odd_release(2, n=24), odd_release(3, n=24), np.arange(24)
+    )
     score = fitted(attack, train)
     scores = score(probe, gallery)
     assert np.isfinite(scores).all()
     for row, column in ((0, 0), (1, 2), (5, 8), (13, 8)):
-        alone = score(probe.tracks([row]), gallery), score(probe, gallery.tracks([column]))
-        for found, whole in zip(alone, (scores[[row]], scores[:, [column]]), strict=True):
+        alone = (
+            score(probe.tracks([row]), gallery),
+            score(probe, gallery.tracks([column])),
+        )
+        for found, whole in zip(
+            alone, (scores[[row]], scores[:, [column]]), strict=True
+        ):
             np.testing.assert_allclose(found, whole, rtol=1e-6, atol=1e-6)
 
 
@@ -86,7 +97,9 @@ def test_too_few_mates_teach_nothing(attack, easy):
     few = np.where(np.arange(12) < LEAST_MATES - 1, mate, -1)
     blind = fitted(attack)(probe, gallery)
     for known in (few, np.full(12, -1)):
-        taught = fitted(attack, LinkageTrainingSet(probe, gallery, known))(probe, gallery)
+        taught = fitted(attack, LinkageTrainingSet(probe, gallery, known))(
+            probe, gallery
+        )
         assert np.array_equal(taught, blind)
 
 
@@ -94,7 +107,9 @@ def test_a_given_floor_is_not_learnt():
     probe, gallery, _ = two_releases(12)
     train = LinkageTrainingSet(*two_releases(40, seed=7))
     given = Shape(floor_m2=0.5)
-    blind, informed = (given.fit(context(known))(probe, gallery) for known in (None, train))
+    blind, informed = (
+        given.fit(context(known))(probe, gallery) for known in (None, train)
+    )
     assert np.array_equal(blind, informed)
     assert not np.array_equal(blind, Shape().fit(context(train))(probe, gallery))
 
@@ -110,7 +125,8 @@ RANGES = {
 
 
 @pytest.mark.parametrize(
-    ("attack", "field"), [(attack, field) for attack, fields in RANGES.items() for field in fields]
+    ("attack", "field"),
+    [(attack, field) for attack, fields in RANGES.items() for field in fields],
 )
 def test_a_parameter_out_of_range_is_named(attack, field):
     integer = field in {"rank", "speeds"}

@@ -14,7 +14,11 @@ def release(*walks):
     offsets = np.cumsum([0, *(len(one) for one, _ in walks)])
     names = tuple(f"p{n}" for n in range(len(walks)))
     return Release(
-        t=t.astype(float), xy=xy.astype(float), sigma=None, offsets=offsets, pseudonym=names
+        t=t.astype(float),
+        xy=xy.astype(float),
+        sigma=None,
+        offsets=offsets,
+        pseudonym=names,
     )
 
 
@@ -26,11 +30,15 @@ def line(start_s, end_s, *, shift_m):
 
 def test_it_is_the_mean_distance_where_both_were_there():
     granted = frozenset({Knowledge.SCENE})
-    context = AttackContext(rng=np.random.default_rng(0), epsilon_m=0.3, granted=granted)
+    context = AttackContext(
+        rng=np.random.default_rng(0), epsilon_m=0.3, granted=granted
+    )
     score = MeanDistance().fit(context)
     probe = release(line(0.0, 10.0, shift_m=0.0), (np.array([3.1]), np.zeros((1, 2))))
     gallery = release(
-        line(5.0, 15.0, shift_m=2.0), line(9.0, 20.0, shift_m=0.0), line(30.0, 40.0, shift_m=0.0)
+        line(5.0, 15.0, shift_m=2.0),
+        line(9.0, 20.0, shift_m=0.0),
+        line(30.0, 40.0, shift_m=0.0),
     )
     found = score(probe, gallery)
     assert found[0, 0] == pytest.approx(-2.0)

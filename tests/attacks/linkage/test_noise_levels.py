@@ -10,7 +10,13 @@ from scipy.stats import norm
 
 from attacks.linkage.kinematic import Kinematic, continuations
 from attacks.linkage.learning import log_rank
-from attacks.linkage.noise_levels import ASSUMED, NoiseModel, end_levels, fitted_model, log_ratios
+from attacks.linkage.noise_levels import (
+    ASSUMED,
+    NoiseModel,
+    end_levels,
+    fitted_model,
+    log_ratios,
+)
 from attacks.reconstruction.kalman_rts import RadialRTS
 from attacks.remembered import part, reconstructed_from
 from isac_track.protocols import LinkageTrainingSet
@@ -26,13 +32,16 @@ LEVEL_M = (0.05, 1.5)  # Least and largest standard deviation in the planted wor
 def standing(rng, noise_m, *, from_s, n_samples=50):
     """People who all stand in one place, at 10 Hz: positions tell nobody apart."""
     t = from_s + np.arange(n_samples) / 10.0
-    return release_of([(t, each * rng.standard_normal((n_samples, 2))) for each in noise_m])
+    return release_of(
+        [(t, each * rng.standard_normal((n_samples, 2))) for each in noise_m]
+    )
 
 
 def planted(seed, *, persists=True, n=N):
     """Probe and gallery of people who stand in one place, and the mates.
 
-    Each has a noise level, which is drawn anew after the silence where it does not persist.
+    Each has a noise level, which is drawn anew after the silence where it does not
+    persist.
     """
     rng = stream(seed, "test", "noise levels")
     before_m, after_m = np.exp(rng.uniform(*np.log(LEVEL_M), (2, n)))
@@ -56,7 +65,10 @@ def level_by_hand(t, xy, silence_s):
         squares_m2.append(0.5 * (off_m @ off_m) / (1.0 + (1.0 + ratio) ** 2 + ratio**2))
         weights.append(np.exp(-min(abs(t[k - 1] - silence_s), 60.0) / RECENT_S))
     mean_m2 = np.average(squares_m2, weights=weights)
-    return np.log(max(mean_m2, 1e-4)), 3.0 * np.sum(np.square(weights)) / np.sum(weights) ** 2
+    return (
+        np.log(max(mean_m2, 1e-4)),
+        3.0 * np.sum(np.square(weights)) / np.sum(weights) ** 2,
+    )
 
 
 @pytest.mark.parametrize("at", [1, -1])
@@ -100,9 +112,13 @@ def test_ratios_are_those_of_two_normal_densities():
 
 def test_a_model_without_correlation_and_a_track_without_a_level_tell_nothing():
     probe, gallery, _ = planted(0)
-    assert log_ratios(probe, gallery, NoiseModel(0.0, 1.0)) == pytest.approx(0.0, abs=1e-12)
+    assert log_ratios(probe, gallery, NoiseModel(0.0, 1.0)) == pytest.approx(
+        0.0, abs=1e-12
+    )
     short = release_of([(np.arange(2.0), np.ones((2, 2)))])
-    assert log_ratios(short, gallery, NoiseModel(0.9, 1.0)) == pytest.approx(0.0, abs=1e-4)
+    assert log_ratios(short, gallery, NoiseModel(0.9, 1.0)) == pytest.approx(
+        0.0, abs=1e-4
+    )
 
 
 @pytest.mark.parametrize(("law", "expected"), [("radial", 3.0), ("gaussian", 1.9)])
@@ -113,7 +129,8 @@ def test_the_variance_of_an_estimate_is_that_of_the_error_law(law, expected):
     if law == "radial":
         length_m = np.hypot(*np.moveaxis(errors_m, -1, 0))
         errors_m *= (rng.standard_normal((n_tracks, n_samples)) / length_m)[..., None]
-    # All long before a silence that is far away: of equal weights, but for half a percent.
+    # All long before a silence that is far away: of equal weights, but for half a
+    # percent.
     t = np.arange(n_samples) * 1e-3
     levels = end_levels(release_of([(t, each) for each in errors_m]), 1)
     assert levels.log_m2.var() * (n_samples - 2) == pytest.approx(expected, rel=0.1)
@@ -126,7 +143,8 @@ def test_a_model_is_fitted_to_how_levels_vary_and_persist():
     levels_m = np.exp(0.5 * rng.multivariate_normal([0.0, 0.0], covariance, n).T)
     sides = (standing(rng, each, from_s=0.0, n_samples=40) for each in levels_m)
     model = fitted_model(LinkageTrainingSet(*sides, np.arange(n)))
-    # Errors are Gaussian, whose levels are known better than those of the law that is assumed.
+    # Errors are Gaussian, whose levels are known better than those of the law that is
+    # assumed.
     assert model.variance == pytest.approx(spread**2, rel=0.15)
     assert model.correlation == pytest.approx(correlation, abs=0.1)
 
@@ -149,7 +167,9 @@ class TestWorldsWherePositionsTellNothing:
 
     def test_levels_that_do_not_persist_are_learnt_to_tell_nothing(self):
         correlations = [
-            fitted_model(LinkageTrainingSet(*planted(seed, persists=False, n=200))).correlation
+            fitted_model(
+                LinkageTrainingSet(*planted(seed, persists=False, n=200))
+            ).correlation
             for seed in range(5)
         ]
         assert np.mean(correlations) < 0.1
@@ -197,10 +217,14 @@ def test_behind_a_reconstruction_levels_are_those_of_what_was_shared():
     ratios = log_ratios(probe, gallery, ASSUMED)
     assert np.array_equal(log_ratios(*noted, ASSUMED), ratios)
     rows = np.array([7, 2])
-    assert np.array_equal(log_ratios(part(noted[0], rows), noted[1], ASSUMED), ratios[rows])
+    assert np.array_equal(
+        log_ratios(part(noted[0], rows), noted[1], ASSUMED), ratios[rows]
+    )
     # What is left after smoothing links fewer.
     forgotten = [smoothed(each)[0] for each in (probe, gallery)]
-    assert log_rank(ratios, mate=mate) < log_rank(log_ratios(*forgotten, ASSUMED), mate=mate)
+    assert log_rank(ratios, mate=mate) < log_rank(
+        log_ratios(*forgotten, ASSUMED), mate=mate
+    )
 
 
 @pytest.mark.parametrize("correlation", [-0.1, 1.0, np.nan])

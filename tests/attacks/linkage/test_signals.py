@@ -44,7 +44,10 @@ def test_a_cell_is_the_mean_of_the_line_through_the_samples():
             continue
         start_s = max((min(t[-1], LONGEST_S) - cells * STEP_S) / 2, 0)
         for cell in range(cells):
-            low, high = start_s + cell * STEP_S, min(start_s + (cell + 1) * STEP_S, t[-1])
+            low, high = (
+                start_s + cell * STEP_S,
+                min(start_s + (cell + 1) * STEP_S, t[-1]),
+            )
             corners = np.concatenate([[low], t[(t > low) & (t < high)], [high]])
             values = np.interp(corners, t, xy[:, 0])
             mean = np.trapezoid(values, corners) / (high - low)
@@ -53,7 +56,9 @@ def test_a_cell_is_the_mean_of_the_line_through_the_samples():
 
 def test_the_longest_walk_is_cut():
     t = np.arange(0.0, 200.0, 0.5)
-    assert on_grid(release_of([(t, np.zeros((t.size, 2)))])).sizes[0] == LONGEST_S / STEP_S
+    assert (
+        on_grid(release_of([(t, np.zeros((t.size, 2)))])).sizes[0] == LONGEST_S / STEP_S
+    )
 
 
 @pytest.mark.parametrize(("radius_m", "rad_s"), [(3.0, 0.4), (3.0, -0.4), (8.0, 0.15)])
@@ -93,7 +98,11 @@ def slow_cost(a, b, *, floor, rank, reach, rotated):
         for start_b in range(b.size) if start_a == 0 else (0,):
             m = min(a.size - start_a, b.size - start_b)
             lag = start_a - start_b
-            allowed = -reach - max(b.size - a.size, 0) <= lag <= reach + max(a.size - b.size, 0)
+            allowed = (
+                -reach - max(b.size - a.size, 0)
+                <= lag
+                <= reach + max(a.size - b.size, 0)
+            )
             if m < least or not allowed:
                 continue
             x, y = a[start_a : start_a + m], b[start_b : start_b + m]
@@ -124,9 +133,12 @@ def test_the_best_lag_by_brute_force(rotated):
     z_p, z_g = (np.cumsum(step, axis=1) for step in steps)
     settings = {"rank": 4, "rotated": rotated}
     probe, gallery = (
-        Signals(np.stack([z.real, z.imag]), sizes) for z, sizes in ((z_p, sizes_p), (z_g, sizes_g))
+        Signals(np.stack([z.real, z.imag]), sizes)
+        for z, sizes in ((z_p, sizes_p), (z_g, sizes_g))
     )
-    costs = aligned_costs(probe, gallery, floors=(0.01, 1.0), reach_s=7 * STEP_S, **settings)
+    costs = aligned_costs(
+        probe, gallery, floors=(0.01, 1.0), reach_s=7 * STEP_S, **settings
+    )
     assert costs.shape == (2, 5, 3)
     for (e, i, j), cost in np.ndenumerate(costs):
         a, b = z_p[i, : sizes_p[i]], z_g[j, : sizes_g[j]]

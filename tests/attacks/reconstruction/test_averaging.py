@@ -36,7 +36,11 @@ def test_without_sigma_it_is_the_plain_mean():
     ("first", "again", "expected"),
     [
         # 1 and 1/2 m: weights 1 and 4, fifths. 2 and 1 m: the same the other way round.
-        (([[0, 10], [5, 0]], [1.0, 1.0]), ([[5, 0], [0, 5]], [0.5, 2.0]), [[4.0, 2.0], [4.0, 1.0]]),
+        (
+            ([[0, 10], [5, 0]], [1.0, 1.0]),
+            ([[5, 0], [0, 5]], [0.5, 2.0]),
+            [[4.0, 2.0], [4.0, 1.0]],
+        ),
         (([[1, 1]], [0.0]), ([[9, 9]], [0.5]), [[1.0, 1.0]]),
     ],
     ids=["weighed by its own variance", "declared exact"],

@@ -1,13 +1,14 @@
 """No attack beats the posterior covariance where the linear-Gaussian model holds exactly.
 
-Walks are drawn from the benchmark's own model: constant velocity, white-noise acceleration of
-Q = 0.04 m^2/s^3, 8 to 16 Hz, isotropic Gaussian errors of 0.1 to 1.5 m that differ between tracks
-and within. The smoother that knows all of this then has the least mean square error of all
-estimators, 2 P, with P its posterior variance per axis.
+Walks are drawn from the benchmark's own model: constant velocity, white-noise
+acceleration of Q = 0.04 m^2/s^3, 8 to 16 Hz, isotropic Gaussian errors of 0.1 to 1.5 m
+that differ between tracks and within. The smoother that knows all of this then has the
+least mean square error of all estimators, 2 P, with P its posterior variance per axis.
 
-RMSE over the benchmark's, as measured (99 % interval: 2.5 % to either side), oracle and blind:
-kalman_rts 1.00 and 1.07, imm_rts 1.01 and 1.08, gaussian_process 1.02 and 1.09, radial_rts 1.08
-and 1.12; savgol 1.17, moving_average 1.39, averaging 4.8 and identity 5.4.
+RMSE over the benchmark's, as measured (99 % interval: 2.5 % to either side), oracle and
+blind: kalman_rts 1.00 and 1.07, imm_rts 1.01 and 1.08, gaussian_process 1.02 and 1.09,
+radial_rts 1.08 and 1.12; savgol 1.17, moving_average 1.39, averaging 4.8 and identity
+5.4.
 """
 
 from dataclasses import replace
@@ -37,14 +38,20 @@ PRIOR_STD = (100.0, 10.0)
 def walks(n_tracks=N_TRACKS, seed=0):
     """Truth, clock and offsets of tracks of 100 to 200 samples, and the std of every sample."""
     rng = stream(seed, "test", "benchmark", n_tracks)
-    t, truth, offsets = cv_walks(*rng.integers(100, 201, n_tracks).tolist(), q=Q, seed=seed)
-    std = np.repeat(np.exp(rng.uniform(np.log(0.15), np.log(1.0), n_tracks)), np.diff(offsets))
+    t, truth, offsets = cv_walks(
+        *rng.integers(100, 201, n_tracks).tolist(), q=Q, seed=seed
+    )
+    std = np.repeat(
+        np.exp(rng.uniform(np.log(0.15), np.log(1.0), n_tracks)), np.diff(offsets)
+    )
     return truth, t, offsets, std * rng.uniform(2 / 3, 3 / 2, t.size)
 
 
 def release_of(n_tracks=N_TRACKS, seed=0, again=0):
     truth, t, offsets, std = walks(n_tracks, seed)
-    noise = stream(seed, "test", "benchmark", "noise", seed, again).standard_normal(truth.shape)
+    noise = stream(seed, "test", "benchmark", "noise", seed, again).standard_normal(
+        truth.shape
+    )
     return flat_release(t, truth + std[:, None] * noise, offsets, sigma=std)
 
 
@@ -79,7 +86,9 @@ def gaps(attack, granted, n_releases):
     sizes = np.diff(offsets)
     square = ((found.xy - truth) ** 2).sum(axis=1)
     expected = 2.0 * posterior(n_releases)
-    return tuple(np.add.reduceat(one, offsets[:-1]) / sizes for one in (square, expected))
+    return tuple(
+        np.add.reduceat(one, offsets[:-1]) / sizes for one in (square, expected)
+    )
 
 
 def over_benchmark(square, expected):
@@ -104,8 +113,9 @@ ROWS = [
 @pytest.mark.parametrize(("attack", "adversary", "granted"), ROWS)
 def test_no_attack_beats_the_benchmark(attack, adversary, granted):
     del adversary  # names the row
-    # Further releases add information: the benchmark of the mean of all of them, which has a
-    # part of the variance, is the one that holds. That of a single release does not.
+    # Further releases add information: the benchmark of the mean of all of them, which
+    # has a part of the variance, is the one that holds. That of a single release does
+    # not.
     n_releases = 1 + N_REPEATS if Knowledge.REPEATS in granted else 1
     ratio, low, high = over_benchmark(*gaps(attack, granted, n_releases))
     assert high > 1.0
@@ -115,7 +125,9 @@ def test_no_attack_beats_the_benchmark(attack, adversary, granted):
 def test_an_attack_that_knew_the_truth_a_little_would_be_seen():
     square, expected = gaps(KalmanRTS(q=Q), {Knowledge.SIGMA, Knowledge.TRAIN}, 1)
     assert over_benchmark(square, expected)[2] > 1.0
-    assert over_benchmark(0.95**2 * square, expected)[2] < 1.0  # each error a twentieth smaller
+    assert (
+        over_benchmark(0.95**2 * square, expected)[2] < 1.0
+    )  # each error a twentieth smaller
 
 
 @pytest.mark.parametrize("granted", [(), (Knowledge.TRAIN,)], ids=["told", "learnt"])

@@ -24,7 +24,10 @@ def late_walks(seed, *sizes):
     row = np.repeat(np.arange(len(sizes)), sizes)
     step = np.concatenate([np.gradient(z[row == one]) for one in range(len(sizes))])
     turn = np.exp(2j * np.pi * stream(seed, "test", "headings").random(len(sizes)))[row]
-    seen, walked = (turn * (release.xy @ [1.0, 1j] - BEHIND_M * step / abs(step)), turn * z)
+    seen, walked = (
+        turn * (release.xy @ [1.0, 1j] - BEHIND_M * step / abs(step)),
+        turn * z,
+    )
     return replace(release, xy=plane(seen)), plane(walked)
 
 
@@ -33,10 +36,14 @@ def plane(z):
 
 
 def loss(found, truth, release):
-    return exposure_loss(xy=found.xy, truth=truth, offsets=release.offsets, epsilon_m=0.3)
+    return exposure_loss(
+        xy=found.xy, truth=truth, offsets=release.offsets, epsilon_m=0.3
+    )
 
 
-@pytest.mark.parametrize("granted", [(), (Knowledge.SIGMA,)], ids=["informed", "oracle"])
+@pytest.mark.parametrize(
+    "granted", [(), (Knowledge.SIGMA,)], ids=["informed", "oracle"]
+)
 def test_who_lags_behind_is_moved_ahead_whichever_way_they_go(granted):
     taught, release = late_walks(1, *SIZES), late_walks(2, *SIZES)
     if granted:
@@ -90,14 +97,19 @@ def test_what_it_looks_at_is_what_the_words_say():
     z, left = found.xy @ [1.0, 1j], (release.xy - found.xy) @ [1.0, 1j]
     edges_s = np.concatenate([-_EDGES_S[::-1], _EDGES_S])
     for k in range(release.t.size):
-        (row,) = (i for i in range(4) if release.offsets[i] <= k < release.offsets[i + 1])
+        (row,) = (
+            i for i in range(4) if release.offsets[i] <= k < release.offsets[i + 1]
+        )
         own = np.arange(release.offsets[row], release.offsets[row + 1])
         after_s = release.t[own] - release.t[k]
         for i in range(edges_s.size - 1):
             there = own[(after_s >= edges_s[i]) & (after_s < edges_s[i + 1])]
             expected = np.full(5, np.nan)
             if there.size:
-                mean = (weight * left)[there].sum() / weight[there].sum(), z[there].mean() - z[k]
+                mean = (
+                    (weight * left)[there].sum() / weight[there].sum(),
+                    z[there].mean() - z[k],
+                )
                 pulled, walked = (one * np.conj(ahead[k]) for one in mean)
                 expected[:4] = pulled.real, pulled.imag, walked.real, walked.imag
                 expected[4] = np.log(weight[there].sum())

@@ -13,7 +13,8 @@ from isac_track.rng import stream
 def dense(release, variance, *, kernel):
     """Rasmussen, Williams, eq. 2.23-2.24, with K (K + R)^-1 written as 1 - R (K + R)^-1.
 
-    As it stands in the book the posterior variance is the difference of two numbers of 1e4.
+    As it stands in the book the posterior variance is the difference of two numbers of
+    1e4.
     """
     length, scale = kernel
     xy, std = np.empty_like(release.xy), np.empty(release.t.size)
@@ -22,7 +23,9 @@ def dense(release, variance, *, kernel):
         gap = np.abs(t[:, None] - t)
         z = np.sqrt(3) * gap / length
         shape = (1 + z) * np.exp(-z)
-        prior = TREND_STD[0] ** 2 + TREND_STD[1] ** 2 * np.outer(t, t) + scale**2 * shape
+        prior = (
+            TREND_STD[0] ** 2 + TREND_STD[1] ** 2 * np.outer(t, t) + scale**2 * shape
+        )
         noise = np.diag(variance[lo:hi])
         kept = noise @ np.linalg.inv(prior + noise)
         xy[lo:hi] = release.xy[lo:hi] - kept @ (release.xy[lo:hi] - release.xy[lo])
@@ -31,7 +34,10 @@ def dense(release, variance, *, kernel):
 
 
 def with_a_gap_and_tiny_steps():
-    clocks = (np.r_[np.arange(20) * 0.1, 32 + np.arange(20) * 0.1], np.arange(100) * 1e-3)
+    clocks = (
+        np.r_[np.arange(20) * 0.1, 32 + np.arange(20) * 0.1],
+        np.arange(100) * 1e-3,
+    )
     rng = stream(0, "test", "gap")
     return release_of([(t, rng.standard_normal((t.size, 2))) for t in clocks])
 

@@ -29,7 +29,10 @@ def walks(law):
     sigma = np.repeat(rng.uniform(0.2, 1.5, N_TRACKS), N_SAMPLES)
     unit = unit_errors(n_samples=sigma.size, law=law, rng=rng)
     per_axis = 1.0 if law == "radial" else np.sqrt(0.5)
-    return flat_release(t, truth + per_axis * sigma[:, None] * unit, offsets, sigma=sigma), truth
+    return (
+        flat_release(t, truth + per_axis * sigma[:, None] * unit, offsets, sigma=sigma),
+        truth,
+    )
 
 
 def track_rmse(attack, release, truth, *granted):
@@ -50,23 +53,33 @@ def compared(law, *granted):
     return ratio.mean(), 1.96 * ratio.std(ddof=1) / np.sqrt(N_TRACKS)
 
 
-@pytest.mark.parametrize(("law", "low", "high"), [("radial", 0.0, 0.85), ("isotropic", 1.0, 1.25)])
-@pytest.mark.parametrize("granted", [(), (Knowledge.SIGMA,)], ids=["blind", "with sigma"])
-def test_it_beats_the_linear_smoother_under_the_radial_law_and_only_there(granted, law, low, high):
-    # Measured: 0.77 of its RMSE, +- 2 %, whether the level of noise is told or estimated; under
-    # the isotropic law 1.09: the linear smoother is the best there is.
+@pytest.mark.parametrize(
+    ("law", "low", "high"), [("radial", 0.0, 0.85), ("isotropic", 1.0, 1.25)]
+)
+@pytest.mark.parametrize(
+    "granted", [(), (Knowledge.SIGMA,)], ids=["blind", "with sigma"]
+)
+def test_it_beats_the_linear_smoother_under_the_radial_law_and_only_there(
+    granted, law, low, high
+):
+    # Measured: 0.77 of its RMSE, +- 2 %, whether the level of noise is told or
+    # estimated; under the isotropic law 1.09: the linear smoother is the best there is.
     mean, half_width = compared(law, *granted)
     assert low < np.exp(mean - half_width)
     assert np.exp(mean + half_width) < high
     assert half_width < 0.04
 
 
-@pytest.mark.parametrize("granted", [(), (Knowledge.SIGMA,)], ids=["blind", "with sigma"])
+@pytest.mark.parametrize(
+    "granted", [(), (Knowledge.SIGMA,)], ids=["blind", "with sigma"]
+)
 @pytest.mark.parametrize("law", LAWS)
 def test_without_being_told_it_is_the_smoother_of_the_law(granted, law):
     release, _ = walks(law)
     right = RadialRTS(q=Q, passes=5) if law == "radial" else KalmanRTS(q=Q)
-    ours, theirs = (one.fit(context(granted=granted))(release) for one in (RadialRTS(q=Q), right))
+    ours, theirs = (
+        one.fit(context(granted=granted))(release) for one in (RadialRTS(q=Q), right)
+    )
     np.testing.assert_array_equal(ours.xy, theirs.xy)
     np.testing.assert_array_equal(ours.std, theirs.std)
 
@@ -87,7 +100,9 @@ def test_the_law_shows_whatever_scales_the_errors(law, spread):
 def test_the_passes_are_learnt_from_others(law, passes):
     release, truth = walks(law)
     known = context(TrainingSet(release, truth))
-    ours, theirs = (one.fit(known)(release) for one in (RadialRTS(q=Q), RadialRTS(Q, passes)))
+    ours, theirs = (
+        one.fit(known)(release) for one in (RadialRTS(q=Q), RadialRTS(Q, passes))
+    )
     np.testing.assert_array_equal(ours.xy, theirs.xy)
 
 

@@ -21,7 +21,9 @@ def chosen(candidates, reconstruct):
     """What is chosen by two people; what was shared lies 1 m to the right of the truth."""
     truth = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [9.0, 9.0]])
     release = flat_release(
-        np.array([0.0, 1.0, 2.0, 0.0]), truth + np.array([1.0, 0.0]), np.array([0, 3, 4])
+        np.array([0.0, 1.0, 2.0, 0.0]),
+        truth + np.array([1.0, 0.0]),
+        np.array([0, 3, 4]),
     )
     tried = []
 
@@ -40,7 +42,11 @@ def shifted(left_m, release):
 
 
 def compromised(candidate, release):
-    off = np.ones_like(release.xy) if candidate == "compromise" else np.zeros_like(release.xy)
+    off = (
+        np.ones_like(release.xy)
+        if candidate == "compromise"
+        else np.zeros_like(release.xy)
+    )
     off[3] += 100.0 * (candidate != "compromise")
     return shifted(1.0, release) + off
 
@@ -64,11 +70,14 @@ def test_the_loss_by_hand():
     gap = np.array([[0.0, 0.0], [0.3, 0.4], [0.0, -1.0], [2.0, 0.0]])
     truth = stream(0, "test", "loss").normal(0, 1, (4, 2))
     offsets = np.array([0, 3, 4])
-    loss = exposure_loss(xy=truth + gap, truth=truth, offsets=offsets, epsilon_m=EPSILON_M)
+    loss = exposure_loss(
+        xy=truth + gap, truth=truth, offsets=offsets, epsilon_m=EPSILON_M
+    )
     assert loss == pytest.approx(((0 + 1 / 2 + 4 / 5) / 3 + 16 / 17) / 2)
 
 
-LEARNERS = {  # what is learnt, as a keyword for each candidate, and whether more smooths more
+# what is learnt, as a keyword for each candidate, and whether more smooths more
+LEARNERS = {
     MovingAverage: ([{"width_s": one} for one in around(2.8, factor=2.0)], True),
     Savgol: ([{"width_s": one} for one in around(6.5, factor=2.0)], True),
     KalmanRTS: ([{"q": one} for one in around(0.04, factor=4.0)], False),
@@ -76,8 +85,14 @@ LEARNERS = {  # what is learnt, as a keyword for each candidate, and whether mor
         [{"q": one} for one in around(0.04, factor=4.0)],
         False,
     ),
-    ImmRTS: ([{"q": 0.03 * by, "q_turn": 0.12 * by} for by in (1 / 4, 1.0, 4.0)], False),
-    GaussianProcess: ([{"length_s": 12.0, "scale_m": m} for m in around(2.5, factor=2.0)], False),
+    ImmRTS: (
+        [{"q": 0.03 * by, "q_turn": 0.12 * by} for by in (1 / 4, 1.0, 4.0)],
+        False,
+    ),
+    GaussianProcess: (
+        [{"length_s": 12.0, "scale_m": m} for m in around(2.5, factor=2.0)],
+        False,
+    ),
 }
 
 
@@ -103,19 +118,34 @@ def test_training_chooses_for_the_walk_and_the_blind_take_the_default(attack):
         train = context(TrainingSet(release, truth))
         learnt = attack().fit(train)
         chosen[turn] = place(learnt)
-        assert np.mean((learnt(release).xy - truth) ** 2) < 0.4 * np.mean((release.xy - truth) ** 2)
-        assert [place(one.fit(train)) for one in by_choice] == [0, 1, 2]  # given, nothing is learnt
+        assert np.mean((learnt(release).xy - truth) ** 2) < 0.4 * np.mean(
+            (release.xy - truth) ** 2
+        )
+        assert [place(one.fit(train)) for one in by_choice] == [
+            0,
+            1,
+            2,
+        ]  # given, nothing is learnt
     assert (chosen[0.05] > chosen[2.5]) if smooths else (chosen[0.05] < chosen[2.5])
     assert place(attack().fit(context())) == 1
 
 
 REFUSED = [
-    *((MovingAverage, {"width_s": one}, "width_s must be positive") for one in (0.0, np.nan)),
+    *(
+        (MovingAverage, {"width_s": one}, "width_s must be positive")
+        for one in (0.0, np.nan)
+    ),
     *((Savgol, {"width_s": one}, "width_s must be positive") for one in (-1.0, np.inf)),
     *((one, {"q": 0.0}, "q must be positive") for one in (KalmanRTS, RadialRTS)),
-    *((ImmRTS, {name: 0.0}, f"{name} must be positive") for name in ("walk_s", "turn_s")),
+    *(
+        (ImmRTS, {name: 0.0}, f"{name} must be positive")
+        for name in ("walk_s", "turn_s")
+    ),
     (RadialRTS, {"passes": 0}, "passes must be at least 1"),
-    *((RadialRTS, {"anneal": one}, r"anneal must lie in \[0, 1\)") for one in (1, -0.1, np.nan)),
+    *(
+        (RadialRTS, {"anneal": one}, r"anneal must lie in \[0, 1\)")
+        for one in (1, -0.1, np.nan)
+    ),
     (ImmRTS, {"q": 0.1}, "both q and q_turn"),
     (ImmRTS, {"q": 0.0, "q_turn": 0.1}, "q must be positive"),
     (ImmRTS, {"q": 0.1, "q_turn": np.nan}, "q_turn must be positive"),

@@ -34,12 +34,16 @@ def test_it_is_the_loop(far_m):
     release = replace(release, xy=release.xy + far_m)
     half = np.array([0, 4, 1, 6, 100, 20, 3])
     ours = filtered(release, half, loop="centred_means")
-    assert np.allclose(ours, by_loop(release.xy, release.offsets, half), atol=1e-9, rtol=1e-14)
+    assert np.allclose(
+        ours, by_loop(release.xy, release.offsets, half), atol=1e-9, rtol=1e-14
+    )
 
 
 def test_the_whole_attack_is_the_loop():
     release, _ = smooth_walks(60, 3, 2, 1, 150)
-    half = half_windows(release, learn_variance(context())(release), width_s=1.5, bias_order=2)
+    half = half_windows(
+        release, learn_variance(context())(release), width_s=1.5, bias_order=2
+    )
     ours = MovingAverage(width_s=1.5).fit(context())(release)
     assert np.allclose(ours.xy, by_loop(release.xy, release.offsets, half), atol=1e-9)
 
@@ -52,14 +56,17 @@ def test_the_window_follows_its_law(bias_order, exponent):
     first, last = release.offsets[:-1], release.offsets[1:] - 1
     interval_s = (release.t[last] - release.t[first]) / (last - first)
     wanted_s = 2.0 * (np.sqrt(variance[first]) / REFERENCE_STD_M) ** exponent
-    assert (np.abs((2 * half + 1) * interval_s - wanted_s) <= interval_s * (1 + 1e-9)).all()
+    assert (
+        np.abs((2 * half + 1) * interval_s - wanted_s) <= interval_s * (1 + 1e-9)
+    ).all()
 
 
 def by_scipy(release, half):
     """Interpolate, filter and interpolate back, one track after the other."""
     out = np.empty_like(release.xy)
     for row, (lo, hi) in enumerate(pairwise(release.offsets)):
-        # From the first position: scipy's fit of the ends loses digits with the size of numbers.
+        # From the first position: scipy's fit of the ends loses digits with the size of
+        # numbers.
         t, xy = release.t[lo:hi] - release.t[lo], release.xy[lo:hi] - release.xy[lo]
         window = 2 * int(half[row]) + 1
         if window == 1:
@@ -99,7 +106,9 @@ def test_windows_of_any_length_are_scipys(half):
 def test_running_sums_lose_nothing_on_a_long_track():
     t = np.arange(100_000) * 0.1
     rng = stream(0, "test", "long")
-    xy = np.stack([50 * np.sin(t / 300), 0.01 * t], axis=1) + rng.standard_normal((t.size, 2))
+    xy = np.stack([50 * np.sin(t / 300), 0.01 * t], axis=1) + rng.standard_normal(
+        (t.size, 2)
+    )
     release = release_of([(t, xy)])
     half = np.array([40])
     ours = filtered(release, half, loop="fit_parabolas")

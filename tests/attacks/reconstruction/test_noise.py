@@ -5,7 +5,11 @@ import pytest
 from helpers.walks import context, release_of
 
 from attacks.reconstruction.learning import learn_variance
-from isac_track.noise import MIN_VARIANCE_M2, UNKNOWN_VARIANCE_M2, innovation_variance_m2
+from isac_track.noise import (
+    MIN_VARIANCE_M2,
+    UNKNOWN_VARIANCE_M2,
+    innovation_variance_m2,
+)
 from isac_track.protocols import TrainingSet
 from isac_track.rng import stream
 from isac_track.sensing import fisher_information_density, unit_errors
@@ -40,7 +44,9 @@ def shared(mechanism, *, raw_m=(RAW_M,), n_samples=300, seed=0):
     spells = rng.integers(0, 2, (n, -(-n_samples // 10)))
     is_short = np.repeat(spells, 10, axis=1)[:, :n_samples] == 1
     second = min(1, n_samples - 1)
-    is_short[:, 0] = is_short[:, second]  # the rule takes the next interval for the first sample
+    is_short[:, 0] = is_short[
+        :, second
+    ]  # the rule takes the next interval for the first sample
     t = np.cumsum(np.where(is_short, SHORT_S, LONG_S), axis=1)
     truth = rng.normal(0, 1, (n, 1, 2)) * t[..., None] + rng.normal(0, 5, (n, 1, 2))
     t, truth = t.reshape(-1), truth.reshape(-1, 2)
@@ -80,11 +86,18 @@ def test_each_track_has_the_level_of_its_innovations():
 @pytest.mark.parametrize(
     ("mechanism", "granted"),
     [
-        *((Fid(ETA), (one,)) for one in (TRAIN, MECHANISM)),  # half of what the rule takes
-        *((one, (MECHANISM, TRAIN)) for one in (Raw(), Fixed(0.5, adding="independent"))),
+        *(
+            (Fid(ETA), (one,)) for one in (TRAIN, MECHANISM)
+        ),  # half of what the rule takes
+        *(
+            (one, (MECHANISM, TRAIN))
+            for one in (Raw(), Fixed(0.5, adding="independent"))
+        ),
     ],
 )
-def test_without_a_rule_and_who_teaches_it_there_are_the_positions_alone(mechanism, granted):
+def test_without_a_rule_and_who_teaches_it_there_are_the_positions_alone(
+    mechanism, granted
+):
     victim = released(mechanism, seed=1)
     training, _ = shared(mechanism, raw_m=TRAINING_M)
     known = context(training, granted=granted, mechanism=mechanism)
@@ -99,7 +112,8 @@ def test_of_what_is_declared_the_radial_law_is_supposed():
 
 @pytest.mark.parametrize("length_m", [1.0, np.sqrt(2.0)])
 def test_the_law_is_learnt_from_other_people_by_hand(length_m):
-    # Squared errors 1 + 4 over declared 4 + 1, on two axes: one half of each; or twice as much.
+    # Squared errors 1 + 4 over declared 4 + 1, on two axes: one half of each; or twice
+    # as much.
     walk = np.array([0.0, 1.0]), length_m * np.array([[1.0, 0.0], [0.0, 2.0]])
     release = release_of([walk], sigma=np.array([2.0, 1.0]))
     train = TrainingSet(release, np.zeros((2, 2)))
@@ -125,7 +139,9 @@ def per_track(values, chosen):
 
 
 @RULES
-def test_by_the_rule_it_is_inferred_which_samples_were_perturbed_and_by_how_much(adding):
+def test_by_the_rule_it_is_inferred_which_samples_were_perturbed_and_by_how_much(
+    adding,
+):
     rule = Fid(ETA, adding=adding)
     victims, is_short = shared(rule, raw_m=(RAW_M,) * 60, seed=1)
     release = victims.release.without_sigma()

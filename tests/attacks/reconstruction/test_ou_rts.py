@@ -35,7 +35,9 @@ def walks(std_m, tau_s, *, n=40, size=150, white_m=NOISE_M):
     rng = stream(0, "test", "ou_rts", str((std_m, tau_s, white_m)))
     xy = path + white_m * rng.standard_normal(path.shape)
     if std_m:
-        slow = correlated_errors(t=t, offsets=offsets, law="isotropic", tau_s=tau_s, rng=rng)
+        slow = correlated_errors(
+            t=t, offsets=offsets, law="isotropic", tau_s=tau_s, rng=rng
+        )
         xy = xy + std_m * slow
     return flat_release(t, xy, offsets), path
 
@@ -82,13 +84,17 @@ def test_what_it_is_told_and_taught_serves_it():
     release, truth = walks(0.8, 5.0)
     other, known = walks(0.8, 5.0, n=20, size=120)
     taught = TrainingSet(other, known)
-    law = replace(Correlated(1.0, 5.0), adding="independent")  # says d_sigma: per axis 0.71 m
+    law = replace(
+        Correlated(1.0, 5.0), adding="independent"
+    )  # says d_sigma: per axis 0.71 m
     told, misled, by_law = (
         error_m2(OuRTS(), release, truth, informed(taught, mechanism))
         for mechanism in (Slow(0.8, 5.0), Slow(0.1, 90.0), law)
     )
     assert told < 1.1 * error_m2(OuRTS(), release, truth)
-    assert misled < 1.1 * told  # the training people show what the mechanism does not say
+    assert (
+        misled < 1.1 * told
+    )  # the training people show what the mechanism does not say
     assert by_law < 1.1 * told
 
 
@@ -108,7 +114,11 @@ def test_parameters_that_cannot_be_are_refused():
 
 def beyond(release, **granted):
     """The smoother of who is told the error and was granted more."""
-    knows = {"repeats": (REPEATS, SCENE), "anchor": (ANCHOR,), "companions": (COMPANIONS,)}
+    knows = {
+        "repeats": (REPEATS, SCENE),
+        "anchor": (ANCHOR,),
+        "companions": (COMPANIONS,),
+    }
     known = (MECHANISM, *(one for name in granted for one in knows[name]))
     told = context(granted=known, mechanism=Slow(0.8, 5.0), **granted)
     return OuRTS(q=Q).fit(told)(release)
@@ -125,7 +135,9 @@ def test_repeats_are_averaged_and_a_known_place_and_who_walks_along_help():
 
     def release(row, shift_m=0.0):
         rng = stream(0, "test", "beyond", row)
-        slow = correlated_errors(t=t, offsets=offsets, law="isotropic", tau_s=5.0, rng=rng)
+        slow = correlated_errors(
+            t=t, offsets=offsets, law="isotropic", tau_s=5.0, rng=rng
+        )
         white = NOISE_M * rng.standard_normal(path.shape)
         return flat_release(t, path + shift_m + 0.8 * slow + white, offsets)
 
@@ -149,5 +161,7 @@ def test_an_anchor_outside_its_track_is_named():
     release, path = walks(0.8, 5.0, n=3)
     anchor = known_at(release, path, release.offsets[:-1])
     late = replace(anchor, t=anchor.t + 1e3 * (np.arange(3) == 1))
-    with pytest.raises(ValueError, match=r"the anchor of track 1 is at .* s, outside its"):
+    with pytest.raises(
+        ValueError, match=r"the anchor of track 1 is at .* s, outside its"
+    ):
         beyond(release, anchor=late)

@@ -43,7 +43,9 @@ def crowd(*kinds, noise_m=NOISE_M, slow_m=0.0, seed=0):
     offsets = np.arange(N + 1) * SIZE
     xy = truth + noise_m * rng.standard_normal(truth.shape)
     if slow_m:
-        error = correlated_errors(t=t, offsets=offsets, law="isotropic", tau_s=5.0, rng=rng)
+        error = correlated_errors(
+            t=t, offsets=offsets, law="isotropic", tau_s=5.0, rng=rng
+        )
         xy = xy + slow_m * error
     return flat_release(t, xy, offsets), truth
 
@@ -67,25 +69,34 @@ def test_who_stands_and_who_walks_are_told_apart():
     found = probabilities(case, SlowError(0.0, 0.0))
     np.testing.assert_allclose(found.sum(axis=1), 1.0)
     assert (found[::2].argmax(axis=1) <= STANDS).mean() > 0.9
-    # Between walkers of neighbouring motions no track decides: their q is within a factor of six.
+    # Between walkers of neighbouring motions no track decides: their q is within a
+    # factor of six.
     q = found[1::2] @ np.log(MOTIONS.q)
     assert abs(q.mean() - np.log(MOTIONS.q[WALKS])) < np.log(2.0)
     assert (found[1::2, :4].sum(axis=1) < 0.5).all()
 
 
 def test_a_lone_sample_tells_nothing():
-    case = Batch(np.zeros(1), np.ones((1, 2)), np.ones(1), np.array([0, 1]), (100.0, 10.0))
-    np.testing.assert_allclose(probabilities(case, SlowError(0.0, 0.0)), [SHARES], rtol=1e-9)
+    case = Batch(
+        np.zeros(1), np.ones((1, 2)), np.ones(1), np.array([0, 1]), (100.0, 10.0)
+    )
+    np.testing.assert_allclose(
+        probabilities(case, SlowError(0.0, 0.0)), [SHARES], rtol=1e-9
+    )
     assert sum(SHARES) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("slow_m", [0.0, 0.5])
 def test_a_crowd_of_two_motions_is_known_better(slow_m):
-    release, truth = crowd(STANDS, WALKS, slow_m=slow_m, noise_m=0.1 if slow_m else NOISE_M)
+    release, truth = crowd(
+        STANDS, WALKS, slow_m=slow_m, noise_m=0.1 if slow_m else NOISE_M
+    )
     attack = OuRTS(std_m=slow_m, tau_s=5.0) if slow_m else RadialRTS()
     mean, error = gain(attack, release, truth)
     assert mean > 0.02 + 2 * error
-    if not slow_m:  # as they walk, with one motion for all and none fitted, that is `KalmanRTS`
+    if (
+        not slow_m
+    ):  # as they walk, with one motion for all and none fitted, that is `KalmanRTS`
         common = plr(replace(attack, own_motion=False), release, truth)
         np.testing.assert_array_equal(common, plr(KalmanRTS(), release, truth))
 
@@ -125,7 +136,8 @@ def test_a_given_q_is_that_of_all_tracks():
 def test_a_track_depends_on_no_other_and_on_no_frame():
     release, _ = crowd(STANDS, WALKS, slow_m=0.5)
     smooth = OuRTS(std_m=0.5, tau_s=5.0).fit(context())
-    # Half of the people: with very few the release does not show whether errors are radial.
+    # Half of the people: with very few the release does not show whether errors are
+    # radial.
     rows = np.arange(N)[::-2]
     whole, some = smooth(release), smooth(release.tracks(rows))
     by_track = whole.xy.reshape(N, SIZE, 2)
@@ -137,10 +149,14 @@ def test_a_track_depends_on_no_other_and_on_no_frame():
 
 def test_who_is_taught_learns_the_passes_and_keeps_each_tracks_own_motion():
     release, truth = crowd(STANDS, WALKS)
-    known = context(TrainingSet(*crowd(STANDS, WALKS, seed=1)), granted={Knowledge.TRAIN})
+    known = context(
+        TrainingSet(*crowd(STANDS, WALKS, seed=1)), granted={Knowledge.TRAIN}
+    )
     taught, alone = (RadialRTS().fit(one)(release).xy for one in (known, context()))
     np.testing.assert_allclose(taught, alone, atol=1e-9)
-    loss = exposure_loss(xy=taught, truth=truth, offsets=release.offsets, epsilon_m=EPSILON_M)
+    loss = exposure_loss(
+        xy=taught, truth=truth, offsets=release.offsets, epsilon_m=EPSILON_M
+    )
     common = RadialRTS(own_motion=False).fit(known)(release).xy
     assert loss < exposure_loss(
         xy=common, truth=truth, offsets=release.offsets, epsilon_m=EPSILON_M

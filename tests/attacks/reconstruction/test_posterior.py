@@ -45,19 +45,25 @@ def dense(parts, n):
     """Posterior mean and variance, all scales of all samples and parts on a grid."""
     prior, xy = covariance(T), XY - XY[0]
     grids = [scales_on_a_grid(*part, n)[:, k] for part in parts for k in range(T.size)]
-    every = np.stack([axis.ravel() for axis in np.meshgrid(*grids, indexing="ij")], axis=1)
+    every = np.stack(
+        [axis.ravel() for axis in np.meshgrid(*grids, indexing="ij")], axis=1
+    )
     noise = every.reshape(len(every), len(parts), T.size).sum(axis=1)
     total, mean, square = 0.0, 0.0, 0.0
     for some in np.array_split(noise, max(len(noise) // 20_000, 1)):
         whole = prior + some[:, :, None] * np.eye(T.size)
         gain = prior @ np.linalg.inv(whole)
         found = gain @ xy
-        fit = (xy * np.linalg.solve(whole, np.broadcast_to(xy, (len(some), *xy.shape)))).sum((1, 2))
+        fit = (
+            xy * np.linalg.solve(whole, np.broadcast_to(xy, (len(some), *xy.shape)))
+        ).sum((1, 2))
         weight = np.exp(-fit / 2) / np.linalg.det(whole)  # of two axes
         spread = np.diagonal(prior - gain @ prior, axis1=1, axis2=2)
         total += weight.sum()
         mean = mean + (weight[:, None, None] * found).sum(axis=0)
-        square = square + (weight[:, None] * (spread + (found**2).mean(axis=2))).sum(axis=0)
+        square = square + (weight[:, None] * (spread + (found**2).mean(axis=2))).sum(
+            axis=0
+        )
     mean = mean / total
     return XY[0] + mean, square / total - (mean**2).mean(axis=1)
 
@@ -68,7 +74,9 @@ def dense(parts, n):
         ([(STD_M, "radial")], 120),
         ([(STD_M, "laplace")], 80),
         ([(STD_M, "isotropic"), (0.7 * STD_M, "laplace")], 80),
-        pytest.param([(STD_M, "radial"), (0.7 * STD_M, "radial")], 12, marks=pytest.mark.slow),
+        pytest.param(
+            [(STD_M, "radial"), (0.7 * STD_M, "radial")], 12, marks=pytest.mark.slow
+        ),
     ],
     ids=["radial", "laplace", "Gaussian and Laplace", "two radial"],
 )
@@ -78,11 +86,15 @@ def test_a_short_track_against_all_scales_on_a_grid(parts, n):
     many = flat_release(times, places, 3 * np.arange(N_CHAINS + 1))
     repeated = [(np.tile(std_m, N_CHAINS), law) for std_m, law in parts]
     attack, rng = Posterior(q=Q, draws=150, burn_in=50), stream(0, "test", "posterior")
-    draws = attack._draw(many, many.xy + 0.3, repeated, rng).reshape(150, N_CHAINS, 3, 2)
+    draws = attack._draw(many, many.xy + 0.3, repeated, rng).reshape(
+        150, N_CHAINS, 3, 2
+    )
     chains = draws.mean(axis=0)
     error = 5.0 * chains.std(axis=0, ddof=1) / np.sqrt(N_CHAINS)
     np.testing.assert_array_less(np.abs(chains.mean(axis=0) - mean), error + 0.003)
-    np.testing.assert_allclose(((draws - mean) ** 2).mean(axis=(0, 1, 3)), variance, rtol=0.02)
+    np.testing.assert_allclose(
+        ((draws - mean) ** 2).mean(axis=(0, 1, 3)), variance, rtol=0.02
+    )
 
 
 @pytest.mark.parametrize("length", [0.05, 0.4, 1.0, 2.5])
@@ -101,7 +113,10 @@ def test_the_mechanism_says_what_the_errors_are_made_of():
     total = np.array([1.0, 0.1])
 
     def parts(mechanism):
-        return [(law, (std_m**2).round(6).tolist()) for std_m, law in _parts(total, mechanism)]
+        return [
+            (law, (std_m**2).round(6).tolist())
+            for std_m, law in _parts(total, mechanism)
+        ]
 
     # Per axis a radial error has half of its square.
     assert parts(None) == parts(Raw()) == parts(Fixed(1.0)) == [("radial", [2.0, 0.2])]
@@ -118,7 +133,9 @@ def test_the_point_is_where_most_draws_are():
     jitter = stream(0, "test", "draws").uniform(-0.05, 0.05, (100, 1, 2))
     draws = jitter + np.where(np.arange(100) % 10 < 3, 0.0, 0.5)[:, None, None]
     found = _where_most_are(draws, 0.3)
-    places = np.stack(np.meshgrid(*[np.linspace(-0.3, 0.8, 56)] * 2), axis=-1).reshape(-1, 1, 2)
+    places = np.stack(np.meshgrid(*[np.linspace(-0.3, 0.8, 56)] * 2), axis=-1).reshape(
+        -1, 1, 2
+    )
     near = [(np.hypot(*(draws - at)[:, 0].T) < 0.3).sum() for at in (found.xy, *places)]
     assert near[0] == max(near) == 70
     square = ((draws - draws.mean(axis=0)) ** 2).mean()

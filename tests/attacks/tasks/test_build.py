@@ -34,7 +34,9 @@ def crowd(*, n=60, groups=(3, 2, 2), session=0):
         rng = stream(0, "test", "crowd", session, row)
         start, length = rng.uniform(0, 80), rng.uniform(5, 40)
         t = np.round(np.arange(start, start + length, 0.4), 2)
-        velocity = rng.normal(0, 0.6, 2) + 0.1 * rng.standard_normal((t.size, 2)).cumsum(axis=0)
+        velocity = rng.normal(0, 0.6, 2) + 0.1 * rng.standard_normal(
+            (t.size, 2)
+        ).cumsum(axis=0)
         walks.append((t, rng.uniform(-3, 3, 2) + 0.4 * velocity.cumsum(axis=0)))
     group = [f"g{number}" for number, size in enumerate(groups) for _ in range(size)]
     group += [f"alone{session}-{row}" for row in range(len(group), n)]
@@ -43,14 +45,18 @@ def crowd(*, n=60, groups=(3, 2, 2), session=0):
 
 def tracks_of(walks, *, source, group):
     flat = release_of(walks)
-    return Tracks(flat.t, flat.xy, flat.offsets, source=tuple(source), group=tuple(group))
+    return Tracks(
+        flat.t, flat.xy, flat.offsets, source=tuple(source), group=tuple(group)
+    )
 
 
 @cache
 def sessions(name, *, tracks=None, stages=STAGES, seed=0):
     tracks = tracks if tracks is not None else crowd()
     later = crowd(session=1, groups=(2, 2)) if TASKS[name].simulated else None
-    return sessions_of(TASKS[name], tracks=tracks, stages=stages, seed=seed, later=later)
+    return sessions_of(
+        TASKS[name], tracks=tracks, stages=stages, seed=seed, later=later
+    )
 
 
 def spans(windows):
@@ -69,7 +75,9 @@ def each(side):
 
 def without(tracks, source):
     stay = [one for one in tracks if one.source[0] != source]
-    names = {name: [getattr(one, name)[0] for one in stay] for name in ("source", "group")}
+    names = {
+        name: [getattr(one, name)[0] for one in stay] for name in ("source", "group")
+    }
     return tracks_of([(one.t, one.xy) for one in stay], **names)
 
 
@@ -127,7 +135,9 @@ def test_the_halves_of_a_split_are_of_one_length_and_do_not_touch():
 
 
 @pytest.mark.parametrize("name", HANDOVERS)
-def test_in_a_handover_everyone_who_is_there_is_a_candidate_before_or_after_a_silent_gap(name):
+def test_in_a_handover_everyone_who_is_there_is_a_candidate_before_or_after_a_silent_gap(
+    name,
+):
     tracks = crowd()
     found = sessions(name, tracks=tracks)
     gap_s, least_s = TASKS[name].gap_s, STAGES.linkage.handover_least_s
@@ -151,11 +161,15 @@ def test_in_a_handover_everyone_who_is_there_is_a_candidate_before_or_after_a_si
 
 
 @pytest.mark.parametrize("name", [*CLOSED, *HANDOVERS])
-def test_nobody_is_attacked_or_calibrated_by_who_learnt_from_them_or_their_company(name):
+def test_nobody_is_attacked_or_calibrated_by_who_learnt_from_them_or_their_company(
+    name,
+):
     found = sessions(name)
     group = np.array(found.group)
     for fold, *teachers in zip((0, 1), found.learns, found.calibrates, strict=True):
-        sides = [side.person[found.fold[side.search] == fold] for side in both_sides(found)]
+        sides = [
+            side.person[found.fold[side.search] == fold] for side in both_sides(found)
+        ]
         apart = [set(group[who]) for who in (np.concatenate(sides), *teachers)]
         assert all(apart)
         assert sum(map(len, apart)) == len(set.union(*apart))
@@ -183,7 +197,9 @@ def test_leaving_one_person_out_changes_no_other_window(name):
     lost = next(
         one.source[0]
         for one in tracks
-        if one.source[0] in whole.source and one.group[0][:5] == "alone" and 20 < one.t[0] < 60
+        if one.source[0] in whole.source
+        and one.group[0][:5] == "alone"
+        and 20 < one.t[0] < 60
     )
     part = sessions(name, tracks=without(tracks, lost))
     for before, after in zip(by_person(whole), by_person(part), strict=True):
@@ -191,7 +207,8 @@ def test_leaving_one_person_out_changes_no_other_window(name):
         assert len(rest) < len(before)
         if name in CLOSED:
             assert after == rest
-        else:  # which epochs there are may change, the windows of those that stay do not
+        else:
+            # which epochs there are may change, the windows of those that stay do not
             stay = rest.keys() & after.keys()
             assert all(np.allclose(after[key][0], before[key][0]) for key in stay)
 
@@ -224,16 +241,30 @@ def test_every_setting_and_the_seed_change_what_is_linked(setting, value, name):
 
 
 def test_of_too_many_people_a_handover_draws_instants_and_takes_everybody_at_these():
-    stages = STAGES.changed({"linkage.most_people": 150, "linkage.handover_period_s": 5.0})
+    stages = STAGES.changed(
+        {"linkage.most_people": 150, "linkage.handover_period_s": 5.0}
+    )
     every = STAGES.changed({"linkage.handover_period_s": 5.0})
     for name in HANDOVERS:
-        part, whole = (sessions(name, tracks=crowd(n=200), stages=one) for one in (stages, every))
-        assert len(part.source) <= 150 < len(whole.source) == len(part.source) + part.not_drawn
+        part, whole = (
+            sessions(name, tracks=crowd(n=200), stages=one) for one in (stages, every)
+        )
+        assert (
+            len(part.source)
+            <= 150
+            < len(whole.source)
+            == len(part.source) + part.not_drawn
+        )
         assert 2 <= len(part.searches) < len(whole.searches)
         assert set(part.searches) <= set(whole.searches)
         for few, all_of in zip(by_person(part), by_person(whole), strict=True):
-            assert few == {key: one for key, one in all_of.items() if key[1] in part.searches}
-    assert part.searches == sessions("handover-1s", tracks=crowd(n=200), stages=stages).searches
+            assert few == {
+                key: one for key, one in all_of.items() if key[1] in part.searches
+            }
+    assert (
+        part.searches
+        == sessions("handover-1s", tracks=crowd(n=200), stages=stages).searches
+    )
 
 
 def test_where_a_window_is_sensed_says_nothing_of_where_its_mate_was():
@@ -271,12 +302,15 @@ def test_who_comes_back_is_searched_for_among_all_by_who_learnt_on_the_others():
     assert (found.probe.search == 0).all()
     assert (spans(found.probe)[1] < 500).all()
     assert (spans(found.gallery)[0] >= 500).all()
-    # By hand: everybody turns left about the middle, 20 are there, and walks last alike.
+    # By hand: everybody turns left about the middle, 20 are there, and walks last
+    # alike.
     for side in both_sides(found):
         np.testing.assert_allclose(side.about[:, 2], 1.0, atol=0.02)
         np.testing.assert_allclose(side.about[:, 3], 20)
         start_s = spans(side)[0] % 500
-        assert ((side.about[:, 4] >= start_s) & (side.about[:, 4] <= start_s + 12)).all()
+        assert (
+            (side.about[:, 4] >= start_s) & (side.about[:, 4] <= start_s + 12)
+        ).all()
         np.testing.assert_allclose(side.about[:, 5], 39.6)
         np.testing.assert_allclose(np.hypot(*side.about[:, :2].T), 1.0)
     with pytest.raises(AssertionError, match="among the training people"):
@@ -285,7 +319,9 @@ def test_who_comes_back_is_searched_for_among_all_by_who_learnt_on_the_others():
 
 def test_fewer_than_eight_who_come_back_are_refused():
     assert len(sessions("cross_session", tracks=runs(n=8)).source) == 8
-    with pytest.raises(DataError, match="7 people walk for 12 s in two sessions, but it takes 8"):
+    with pytest.raises(
+        DataError, match="7 people walk for 12 s in two sessions, but it takes 8"
+    ):
         sessions("cross_session", tracks=runs(n=7))
     for unknown in ({"person": None}, {"session": None}):
         with pytest.raises(DataError, match="no person is known to be in two sessions"):
@@ -319,13 +355,21 @@ def test_what_cannot_be_linked_is_refused_with_the_way_out(name, given, message)
 
 @pytest.mark.parametrize(
     ("name", "hint"),
-    [("handover-3s", "did you mean 'handover-"), ("resplit", "'split'"), ("?", "known: rerelease")],
+    [
+        ("handover-3s", "did you mean 'handover-"),
+        ("resplit", "'split'"),
+        ("?", "known: rerelease"),
+    ],
 )
 def test_an_unknown_task_is_refused_with_what_may_be_meant(name, hint):
-    with pytest.raises(SettingsError, match=f"unknown task {re.escape(repr(name))}; .*{hint}"):
+    with pytest.raises(
+        SettingsError, match=f"unknown task {re.escape(repr(name))}; .*{hint}"
+    ):
         task_named(name)
     with pytest.raises(SettingsError, match="unknown task"):
-        sessions_of(replace(TASKS["split"], name=name), tracks=crowd(), stages=STAGES, seed=0)
+        sessions_of(
+            replace(TASKS["split"], name=name), tracks=crowd(), stages=STAGES, seed=0
+        )
 
 
 GROUP = st.sampled_from("abcdef")
@@ -339,7 +383,10 @@ def reached(people, one):
         more = {
             other
             for other, (first, second) in enumerate(people)
-            if any(first == people[known][0] or second == people[known][1] for known in found)
+            if any(
+                first == people[known][0] or second == people[known][1]
+                for known in found
+            )
         }
         if more == found:
             return found
@@ -407,7 +454,9 @@ class TestPlacesByTime:
 
     def test_one_sample_a_track(self):
         t = np.zeros(3)
-        tracks = Tracks(t, np.zeros((3, 2)), np.arange(4), ("a", "b", "c"), ("a", "b", "c"))
+        tracks = Tracks(
+            t, np.zeros((3, 2)), np.arange(4), ("a", "b", "c"), ("a", "b", "c")
+        )
         assert sample_at(np.array([0.0, 0.5, 0.99]), tracks).tolist() == [0, 1, 2]
 
     def test_a_track_of_one_sample_does_not_change_what_is_drawn(self):

@@ -26,9 +26,13 @@ DRAWN = {
 
 def release(rng, **given):
     """N tracks in which nothing tells who is who but what is given, one value a track."""
-    made = {name: rng.uniform(*how) for name, how in DRAWN.items() if name not in given} | given
+    made = {
+        name: rng.uniform(*how) for name, how in DRAWN.items() if name not in given
+    } | given
     walks, sigma = [], []
-    for duration_s, rate_hz, level, place, start_s in zip(*map(made.get, DRAWN), strict=True):
+    for duration_s, rate_hz, level, place, start_s in zip(
+        *map(made.get, DRAWN), strict=True
+    ):
         size = int(duration_s * rate_hz)
         steps = rng.uniform(0.8, 1.2, size) / rate_hz
         t = start_s + np.cumsum(steps) - steps[0]
@@ -39,7 +43,10 @@ def release(rng, **given):
 
 LEAKS = {
     "duration": lambda rng: {"duration_s": rng.uniform(5, 20, N)},
-    "sample_count": lambda rng: {"duration_s": rng.uniform(5, 20, N), "rate_hz": np.full(N, 12.0)},
+    "sample_count": lambda rng: {
+        "duration_s": rng.uniform(5, 20, N),
+        "rate_hz": np.full(N, 12.0),
+    },
     "sampling_times": lambda rng: {"rate_hz": rng.uniform(4, 20, N)},
     "noise_level": lambda rng: {"level": rng.uniform(0.1, 2, N)},
     "frame": lambda rng: {"place": rng.uniform(-50, 50, (N, 2))},
@@ -53,18 +60,24 @@ def p_value(name, *, probe, gallery, rng, task="rerelease"):
     assert scores.shape == (N, N)
     assert np.isfinite(scores).all()
     people = np.arange(N)
-    search = Search(scores=scores, mate=people, probe_cluster=people, gallery_cluster=people)
+    search = Search(
+        scores=scores, mate=people, probe_cluster=people, gallery_cluster=people
+    )
     return permutation_p(searches=[search], rng=rng, n_shuffles=9999)
 
 
 def leaking(name, leak=None):
     rng = np.random.default_rng(5)
     shared = {} if leak is None else LEAKS[leak](np.random.default_rng(1))
-    return p_value(name, probe=release(rng, **shared), gallery=release(rng, **shared), rng=rng)
+    return p_value(
+        name, probe=release(rng, **shared), gallery=release(rng, **shared), rng=rng
+    )
 
 
 def test_every_audit_has_a_leak_to_find():
-    audits = {name for name, one in CONTROLS.items() if one.is_audit and not one.circumstance}
+    audits = {
+        name for name, one in CONTROLS.items() if one.is_audit and not one.circumstance
+    }
     assert LEAKS.keys() == audits
 
 
@@ -79,7 +92,8 @@ def test_a_control_stays_at_chance_where_nothing_leaks(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "leak"), [("noise_level", "clock"), ("frame", "noise_level"), ("clock", "frame")]
+    ("name", "leak"),
+    [("noise_level", "clock"), ("frame", "noise_level"), ("clock", "frame")],
 )
 def test_an_audit_sees_nothing_but_its_own(name, leak):
     assert leaking(name, leak) > ALPHA
@@ -88,9 +102,12 @@ def test_an_audit_sees_nothing_but_its_own(name, leak):
 def test_the_frame_is_place_and_heading_by_hand():
     # All begin at 0 and end 1 m off, in three directions.
     ways = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0]])
-    one = release_of([(np.arange(4.0), np.repeat([[0.0, 0.0], way], 2, axis=0)) for way in ways])
+    one = release_of(
+        [(np.arange(4.0), np.repeat([[0.0, 0.0], way], 2, axis=0)) for way in ways]
+    )
     scores = CONTROLS["frame"].score(one, one, None)
-    # First and second: 1 m and 2, over standard deviations of 1/2 and 1 times the root of 2/3.
+    # First and second: 1 m and 2, over standard deviations of 1/2 and 1 times the root
+    # of 2/3.
     assert scores[0, :2].tolist() == pytest.approx([0.0, -2.0 * np.sqrt(3.0)])
 
 
@@ -122,7 +139,11 @@ def test_in_the_true_frame_noise_counts_beyond_what_the_place_explains():
 def test_noise_that_is_alike_shows_nothing_not_even_through_rounding():
     rng = np.random.default_rng(3)
     alike = release(rng, level=np.full(N, 0.0))
-    assert not CONTROLS["noise_level"].scorer(TASKS["handover-1s"])(alike, alike, rng).any()
+    assert (
+        not CONTROLS["noise_level"]
+        .scorer(TASKS["handover-1s"])(alike, alike, rng)
+        .any()
+    )
 
 
 def test_frame_and_clock_are_no_shortcuts_where_the_scene_shows():
@@ -145,7 +166,10 @@ def test_the_noise_level_is_a_shortcut_only_where_the_channel_is_another_one():
 
 def test_closeness_is_the_distance_of_features_in_units_of_their_spread():
     rng = stream(0, "test", "closeness")
-    first, second = rng.normal([0, 5, 0], [1, 100, 0], (7, 3)), rng.normal(0, [1, 9, 0], (4, 3))
+    first, second = (
+        rng.normal([0, 5, 0], [1, 100, 0], (7, 3)),
+        rng.normal(0, [1, 9, 0], (4, 3)),
+    )
     both = np.concatenate([first, second])
     expected = -cdist(first, second, "seuclidean", V=[*both[:, :2].var(axis=0), 1.0])
     assert closeness(first, second) == pytest.approx(expected, rel=1e-12)

@@ -109,7 +109,8 @@ def test_every_replicate_and_every_deletion_chooses_anew(n_people, future):
     if estimate.effective < FEW_CLUSTERS:
         deleted = [by_hand(row) for row in 1.0 - np.eye(n_people)]
         ends = jackknife_interval(
-            np.array([value, *(rate for rate, _ in deleted)]), effective=estimate.effective
+            np.array([value, *(rate for rate, _ in deleted)]),
+            effective=estimate.effective,
         )
         assert len({chosen for _, chosen in deleted}) > 1
     else:
@@ -152,14 +153,20 @@ def test_the_robot_that_is_clearly_better_is_chosen_by_both_halves():
     # A half has a threshold of its own: the same but for what is left of that.
     assert estimate.value == pytest.approx(whole, abs=0.01)
     assert estimate.ci_low < whole < estimate.ci_high
-    good = next(one for one in scored if one[0]["consumer"] == "good" and one[0]["level"] == 0.4)
-    false = (good[2]["predicted"] & ~good[2]["conflict"]).sum() / (~good[2]["conflict"]).sum()
+    good = next(
+        one for one in scored if one[0]["consumer"] == "good" and one[0]["level"] == 0.4
+    )
+    false = (good[2]["predicted"] & ~good[2]["conflict"]).sum() / (
+        ~good[2]["conflict"]
+    ).sum()
     assert at(best, ALL, FALSE_ALARMS).value == pytest.approx(false)
 
 
 def test_a_robot_that_misses_levels_is_no_rival_and_others_choose_on_levels_of_the_site():
     scored = planted({"a": 0.4}, n_people=40, rng=stream(0, "test", "rivals"))
-    scored += planted({"b": 0.1}, n_people=40, rng=stream(0, "test", "rivals"), levels=LEVELS[:1])
+    scored += planted(
+        {"b": 0.1}, n_people=40, rng=stream(0, "test", "rivals"), levels=LEVELS[:1]
+    )
     found = {Key("ou", 0.4, "a", EQUAL_ALARMS): Estimate(0.25, 0.2, 0.3, 9)}
     found[Key("ou", 0.4, "b", EQUAL_ALARMS)] = Estimate(0.1, 0.05, 0.15, 9)
     alone = best_robots(scored, manifest_of(40), found, among={"raw", "ou"})
@@ -175,7 +182,9 @@ def test_a_robot_that_misses_levels_is_no_rival_and_others_choose_on_levels_of_t
 
 def test_a_half_weighs_the_same_whoever_is_chosen():
     """A costly robot is judged in fewer scenes; where it is chosen its half counts in full."""
-    scored = planted(dict.fromkeys("ab", 0.4), n_people=60, rng=stream(0, "test", "fewer scenes"))
+    scored = planted(
+        dict.fromkeys("ab", 0.4), n_people=60, rng=stream(0, "test", "fewer scenes")
+    )
     few = [
         (about, cluster[::3], {name: values[::3] for name, values in columns.items()})
         for about, cluster, columns in scored[2:]

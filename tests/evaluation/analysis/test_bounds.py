@@ -21,7 +21,12 @@ ONE = Estimate(1.0, 1.0, 1.0)
 def test_in_worlds_of_the_fitted_motion_attacks_stand_beside_the_optimum(
     csv_recording, tmp_path, monkeypatch
 ):
-    axes = {"mechanisms": ("raw", "fixed:0.5"), "tasks": (), "scenes": 4, "other_law": ()}
+    axes = {
+        "mechanisms": ("raw", "fixed:0.5"),
+        "tasks": (),
+        "scenes": 4,
+        "other_law": (),
+    }
     axes |= {"attacks": ("identity", "kalman_rts", "averaging")}
     axes |= {"predictors": (), "protections": ()}
     model = replace(PRESETS["paper"], utility_scenes=4, model=("fixed:0.5",), **axes)
@@ -30,7 +35,9 @@ def test_in_worlds_of_the_fitted_motion_attacks_stand_beside_the_optimum(
     found = run(usual, pictures=False)
     plain = replace(usual, mechanisms=("raw", "fixed:0.5"), out=tmp_path / "a")
     alone = run(plain, pictures=False)
-    own = found.summary[found.summary["dataset"] == found.dataset].reset_index(drop=True)
+    own = found.summary[found.summary["dataset"] == found.dataset].reset_index(
+        drop=True
+    )
     pd.testing.assert_frame_equal(own, alone.summary, check_exact=True)
     keys = ["dataset", "consumer", "knowledge", "metric"]
     rows = found.summary.fillna({"knowledge": ""}).set_index(keys)["value"].to_dict()
@@ -38,9 +45,14 @@ def test_in_worlds_of_the_fitted_motion_attacks_stand_beside_the_optimum(
     assert {world for world, *_ in rows} == {found.dataset, radial, isotropic}
     # Only of Gaussian errors the genie's is the exact posterior.
     assert (radial, "bound", "", "plr_optimum") not in rows
-    ceiling = {world: rows[world, "bound", "", "plr_ceiling"] for world in (radial, isotropic)}
+    ceiling = {
+        world: rows[world, "bound", "", "plr_ceiling"] for world in (radial, isotropic)
+    }
     assert rows[isotropic, "bound", "", "plr_optimum"] == ceiling[isotropic]
-    gap = {world: rows[world, "kalman_rts", "blind", "plr_gap"] for world in (radial, isotropic)}
+    gap = {
+        world: rows[world, "kalman_rts", "blind", "plr_gap"]
+        for world in (radial, isotropic)
+    }
     for world in (radial, isotropic):
         reached = rows[world, "kalman_rts", "blind", "plr"]
         assert gap[world] == pytest.approx(ceiling[world] - reached)
@@ -56,16 +68,28 @@ def test_in_worlds_of_the_fitted_motion_attacks_stand_beside_the_optimum(
     )
 
 
-def test_linkers_stand_beside_the_optimal_ratio_where_errors_are_gaussian(tmp_path, monkeypatch):
-    axes = {"mechanisms": ("raw", "fixed:0.5"), "tasks": ("rerelease",), "predictors": ()}
+def test_linkers_stand_beside_the_optimal_ratio_where_errors_are_gaussian(
+    tmp_path, monkeypatch
+):
+    axes = {
+        "mechanisms": ("raw", "fixed:0.5"),
+        "tasks": ("rerelease",),
+        "predictors": (),
+    }
     axes |= {"attacks": ("shape",), "protections": (), "other_law": ()}
     both = {"model": ("fixed:0.5",), "model_linked": ("fixed:0.5",), "model_people": 40}
-    monkeypatch.setitem(PRESETS, DEFAULT, replace(PRESETS["paper"], scenes=4, **axes, **both))
+    monkeypatch.setitem(
+        PRESETS, DEFAULT, replace(PRESETS["paper"], scenes=4, **axes, **both)
+    )
     stages = StageSettings().changed({"linkage.most_people": 60})
-    found = run(Settings(dataset="plaza", jobs=1, out=tmp_path / "model", stages=stages))
+    found = run(
+        Settings(dataset="plaza", jobs=1, out=tmp_path / "model", stages=stages)
+    )
     rows = found.summary.fillna({"knowledge": ""})
     of = rows[rows["dataset"] == "plaza:model,law=isotropic"]
-    of = of.set_index(["consumer", "knowledge", "metric"])[["value", "ci_low", "ci_high"]]
+    of = of.set_index(["consumer", "knowledge", "metric"])[
+        ["value", "ci_low", "ci_high"]
+    ]
     best, gap = (
         of.loc[at]
         for at in (
@@ -77,15 +101,19 @@ def test_linkers_stand_beside_the_optimal_ratio_where_errors_are_gaussian(tmp_pa
     assert gap["value"] == pytest.approx(best["value"] - reached)
     assert gap["ci_low"] < gap["value"] < gap["ci_high"]
     assert gap["ci_high"] > 0.0  # nobody surely beats the optimum
-    assert not (rows["dataset"] == "plaza:model").any()  # nobody rebuilds, and these are radial
+    assert not (
+        rows["dataset"] == "plaza:model"
+    ).any()  # nobody rebuilds, and these are radial
     said = gap_text(gaps(found.summary), ("fixed", 0.5), "rerelease")
     # Of the adversaries that of whom the optimum is closest.
     closest = min(
-        of.loc["rerelease/shape", who, "rank1_gap"]["value"] for who in ("blind", "informed")
+        of.loc["rerelease/shape", who, "rank1_gap"]["value"]
+        for who in ("blind", "informed")
     )
-    assert said == (
-        f"In the model world the closest attack lacks {max(100 * closest, 0):.1f} of 100 people "
-        "of the optimum."
+    assert (
+        said
+        == f"In the model world the closest attack lacks {max(100 * closest, 0):.1f} of"
+        " 100 people of the optimum."
     )
     table = linked_bound_table(found)
     assert len(table.rows) == 1
@@ -98,12 +126,25 @@ def test_linkers_stand_beside_the_optimal_ratio_where_errors_are_gaussian(tmp_pa
 
 def test_who_is_far_from_the_optimum_even_where_he_is_closest_is_flagged():
     near, far = (
-        Gap(MODEL, ("fid", 1.0), Source(name, "blind"), Estimate(0.6, 0.5, 0.7), gap, ONE, True)
-        for name, gap in (("a", Estimate(0.06, 0.04, 0.08)), ("b", Estimate(0.2, 0.1, 0.3)))
+        Gap(
+            MODEL,
+            ("fid", 1.0),
+            Source(name, "blind"),
+            Estimate(0.6, 0.5, 0.7),
+            gap,
+            ONE,
+            True,
+        )
+        for name, gap in (
+            ("a", Estimate(0.06, 0.04, 0.08)),
+            ("b", Estimate(0.2, 0.1, 0.3)),
+        )
     )
     ceiling = far._replace(is_exact=False)  # of a genie: nobody need reach it
     rows = far_from_optimum([near, far, ceiling])
     assert rows["attack"].tolist() == ["b"]
     assert rows["compared"].tolist() == [2]
     (line,) = lines(rows)
-    assert "b (blind) is closest to the optimum at 1 of 2 levels of model worlds" in line
+    assert (
+        "b (blind) is closest to the optimum at 1 of 2 levels of model worlds" in line
+    )

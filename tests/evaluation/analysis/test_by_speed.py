@@ -52,7 +52,9 @@ def test_net_speed_is_that_of_the_true_history(finished):
     noisy = rows_of(finished.out, "fixed:1", "shared")
     assert np.allclose(shared["speed_mps"], noisy["speed_mps"], rtol=1e-5)
     speeds = shared.groupby("source")["speed_mps"]
-    assert np.allclose(speeds.min(), speeds.max(), rtol=1e-4)  # wherever a scene places it
+    assert np.allclose(
+        speeds.min(), speeds.max(), rtol=1e-4
+    )  # wherever a scene places it
     assert shared["speed_mps"].between(0.0, 1.4).all()  # the walks' own steps
 
 

@@ -11,7 +11,10 @@ from isac_track.intervals import cluster_weights, jackknife_interval, ratio_esti
 def planted(rates, *, n, n_levels, rng):
     """Return hits and trials, (K, L, 2, C), of rivals that succeed at these rates, (K,)."""
     trials = np.full(n, 3.0)
-    hits = rng.binomial(3, np.asarray(rates)[:, None, None], (len(rates), n_levels, n)) * 1.0
+    hits = (
+        rng.binomial(3, np.asarray(rates)[:, None, None], (len(rates), n_levels, n))
+        * 1.0
+    )
     return np.stack([hits, np.broadcast_to(trials, hits.shape)], axis=2)
 
 
@@ -60,7 +63,10 @@ def test_who_is_clearly_better_is_chosen_by_both_halves_and_keeps_the_number():
     found, choices = fitted(sums, weights)
     assert choices == (1, 1)
     alone = ratio_estimates(
-        numerator=sums[1, :, 0], denominator=sums[1, :, 1], weights=weights, is_share=[True, True]
+        numerator=sums[1, :, 0],
+        denominator=sums[1, :, 1],
+        weights=weights,
+        is_share=[True, True],
     )
     for estimate, expected in zip(found, alone, strict=True):
         assert estimate.value == pytest.approx(expected.value)

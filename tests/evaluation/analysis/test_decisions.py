@@ -43,7 +43,9 @@ def test_many_scores_are_binned_without_moving_the_area():
     score, conflict, cluster = cases(6000, decimals=9)
     found = curve(score=score, conflict=conflict, cluster=cluster, weights=WEIGHTS)
     assert found.missed.shape[1] <= N_BINS + 1
-    assert found.areas()[0] == pytest.approx(1 - roc_auc_score(conflict, score), abs=5e-4)
+    assert found.areas()[0] == pytest.approx(
+        1 - roc_auc_score(conflict, score), abs=5e-4
+    )
 
 
 def test_missed_at_by_hand():
@@ -68,7 +70,9 @@ def test_one_label_alone_has_no_curve_and_nan_is_refused():
         curve(**(same | {"score": np.full(10, np.nan)}), conflict=conflict)
 
 
-def test_a_run_leaves_curves_and_compares_with_the_first_predictor(csv_recording, tmp_path):
+def test_a_run_leaves_curves_and_compares_with_the_first_predictor(
+    csv_recording, tmp_path
+):
     two = ("least_squares", "least_squares:4")
     settings = smoke(
         csv_recording,
@@ -83,9 +87,14 @@ def test_a_run_leaves_curves_and_compares_with_the_first_predictor(csv_recording
     assert set(results.decisions["reference"]) == {"least_squares"}
     assert (rows.xs("least_squares", level="consumer")["difference"] == 0).all()
     short = rows.loc["fixed", "least_squares:window=4"]
-    assert short["area"] > rows.loc["fixed", "least_squares"]["area"]  # less data, worse
+    assert (
+        short["area"] > rows.loc["fixed", "least_squares"]["area"]
+    )  # less data, worse
     assert 0 <= short["area_low"] <= short["area"] <= short["area_high"] <= 1
-    assert short["false_alarm_rate"] == rows.loc["fixed", "least_squares"]["false_alarm_rate"]
+    assert (
+        short["false_alarm_rate"]
+        == rows.loc["fixed", "least_squares"]["false_alarm_rate"]
+    )
     assert len(results.curves) == 2 * 4 * 51  # at two horizons
     later = results.decisions[results.decisions["dataset"] != results.dataset]
     assert set(later["dataset"]) == {f"{results.dataset}:horizon=3s"}

@@ -40,7 +40,9 @@ class TestDifference:
         ) == pytest.approx(found.t)
         back = difference(b, a, paired=False, metric="ael")
         assert back.t == pytest.approx(-found.t)
-        assert [back.ci_low, back.ci_high] == pytest.approx([-found.ci_high, -found.ci_low])
+        assert [back.ci_low, back.ci_high] == pytest.approx(
+            [-found.ci_high, -found.ci_low]
+        )
 
     def test_a_share_of_zero_is_not_taken_for_certain(self):
         never = estimate(np.zeros(40), is_share=True)
@@ -48,7 +50,9 @@ class TestDifference:
         found = difference(never, seldom, paired=True, metric="missed_conflict_rate")
         assert found.difference == pytest.approx(1 / 40)
         up = wilson(hits=0, n=40)[1]
-        assert found.ci_low == pytest.approx(1 / 40 - np.hypot(1 / 40 - seldom.ci_low, up))
+        assert found.ci_low == pytest.approx(
+            1 / 40 - np.hypot(1 / 40 - seldom.ci_low, up)
+        )
         assert found.p_value > 0.3
 
     def test_score_metrics_have_fewer_replicates(self):

@@ -22,7 +22,8 @@ SHARE = st.integers(0, 6).map(float) | st.just(np.nan)
 @given(st.lists(st.tuples(SHARE, SHARE), max_size=12))
 def test_the_front_is_what_no_other_point_beats(points):
     beaten = [
-        any(x <= a and y <= b and (x < a or y < b) for x, y in points) or np.isnan(a + b)
+        any(x <= a and y <= b and (x < a or y < b) for x, y in points)
+        or np.isnan(a + b)
         for a, b in points
     ]
     x, y = np.array(points, dtype=float).reshape(-1, 2).T
@@ -30,7 +31,9 @@ def test_the_front_is_what_no_other_point_beats(points):
 
 
 def table(found, **sums):
-    return frontier(sweeps_of(found), predictors=PREDICTORS, dataset="students03", **sums)
+    return frontier(
+        sweeps_of(found), predictors=PREDICTORS, dataset="students03", **sums
+    )
 
 
 def rows(frame, **where):
@@ -57,7 +60,10 @@ def test_straight_lines_are_read_where_the_rate_has_risen(robot, criterion, slop
             one = rows(of, mechanism=mechanism, metric=metric)
             assert one["target"].tolist() == list(TARGETS)
             assert one["value"].to_numpy() == pytest.approx(expected, rel=2e-3)
-        sigma, eta = (rows(of, mechanism=name, metric=metric)["level"] for name in ("fixed", "fid"))
+        sigma, eta = (
+            rows(of, mechanism=name, metric=metric)["level"]
+            for name in ("fixed", "fid")
+        )
         assert sigma.to_numpy() == pytest.approx(noise, rel=1e-6)
         # Noise falls from 0.8 at eta = 1 by 0.05 a decade.
         assert np.log10(eta.to_numpy()) == pytest.approx((0.8 - noise) / 0.05, abs=1e-6)
@@ -71,15 +77,23 @@ def test_intervals_white_noise_and_who_is_beaten():
         if key.mechanism == f"fixed{RULE}"
     }
     frame = rows(
-        table(found), robot=PREDICTORS[0], criterion="missed", consumer="kalman_rts", metric="plr"
+        table(found),
+        robot=PREDICTORS[0],
+        criterion="missed",
+        consumer="kalman_rts",
+        metric="plr",
     )
     assert list(frame.columns) == COLUMNS
-    fid, white, fixed = (rows(frame, mechanism=name) for name in ("fid", WHITE, "fixed"))
+    fid, white, fixed = (
+        rows(frame, mechanism=name) for name in ("fid", WHITE, "fixed")
+    )
     assert (fid["ci_low"] < fid["value"]).all()
     assert (fid["value"] < fid["ci_high"]).all()
     assert (fid["level_low"] < fid["level_high"]).all()
     assert np.allclose(white["vs_white"], 0.0)
-    assert np.allclose(fid["vs_white"], fid["value"].to_numpy() - white["value"].to_numpy())
+    assert np.allclose(
+        fid["vs_white"], fid["value"].to_numpy() - white["value"].to_numpy()
+    )
     assert (fid["vs_white_high"] < 0).all()
     assert fixed["dominated"].all()
     assert not fid["dominated"].any()
@@ -91,10 +105,15 @@ def test_raw_is_one_for_all_and_between_few_levels_there_is_no_interval():
         for key, one in run(advantage=0.1).items()
         if key.mechanism != f"fixed{RULE}" or key.level > 0.2
     }
-    # A level that misses less than raw is noise, of raw as of the level: raw moves for all.
-    low = next(key for key in sparse if key.metric == MISSED_RATE and key.mechanism == "fixed")
+    # A level that misses less than raw is noise, of raw as of the level: raw moves for
+    # all.
+    low = next(
+        key for key in sparse if key.metric == MISSED_RATE and key.mechanism == "fixed"
+    )
     sparse[low] = replace(sparse[low], value=0.04)
-    frame = rows(table(sparse), robot=PREDICTORS[0], criterion="missed", consumer="kalman_rts")
+    frame = rows(
+        table(sparse), robot=PREDICTORS[0], criterion="missed", consumer="kalman_rts"
+    )
     frame = rows(frame, metric="plr")
     of_few, of_many = (rows(frame, mechanism=name) for name in (f"fixed{RULE}", "fid"))
     ends = ["ci_low", "ci_high", "level_low", "level_high"]
@@ -105,7 +124,9 @@ def test_raw_is_one_for_all_and_between_few_levels_there_is_no_interval():
     assert of_many[ends[:2]].notna().all(axis=None)
     # (0.1 + 0.04) / 2 instead of 0.1: the same rise is reached with less noise.
     eta = np.log10(of_many["level"].to_numpy()[1:])
-    assert eta == pytest.approx((0.8 - (np.array(TARGETS[1:]) - 0.03) / 0.2) / 0.05, abs=0.05)
+    assert eta == pytest.approx(
+        (0.8 - (np.array(TARGETS[1:]) - 0.03) / 0.2) / 0.05, abs=0.05
+    )
 
 
 def test_the_strongest_is_that_of_each_mechanism_chosen_on_one_half_and_scored_on_the_other():
@@ -115,7 +136,8 @@ def test_the_strongest_is_that_of_each_mechanism_chosen_on_one_half_and_scored_o
     rng, found, sums = np.random.default_rng(0), run(), {}
     people = rng.random((2, n))
     for key in [key for key in found if key.consumer == "kalman_rts"]:
-        # The second is the better one against FID, and about as good, by chance, against fixed.
+        # The second is the better one against FID, and about as good, by chance,
+        # against fixed.
         gain, left = 0.2 * (key.mechanism == "fid"), found[key].value
         for source, own in ((first, people[0]), (second, people[1] + gain)):
             at = source.measure(key.metric).at(*key.where)
@@ -128,10 +150,14 @@ def test_the_strongest_is_that_of_each_mechanism_chosen_on_one_half_and_scored_o
     assert at.loc["fid"]["consumer"].tolist() == ["shared", "ou_rts"]
     is_first = first_half(tuple(map(str, range(n))))
     of = [people[0], people[1]]
-    choice = [int(of[1][half].mean() > of[0][half].mean()) for half in (is_first, ~is_first)]
+    choice = [
+        int(of[1][half].mean() > of[0][half].mean()) for half in (is_first, ~is_first)
+    ]
     scored = np.where(is_first, of[choice[1]], of[choice[0]]).mean()
     shared = at.loc["fixed"]["value"].iloc[0]
-    assert at.loc["fixed"]["value"].iloc[1] == pytest.approx(2 * shared * (0.5 + scored))
+    assert at.loc["fixed"]["value"].iloc[1] == pytest.approx(
+        2 * shared * (0.5 + scored)
+    )
 
 
 def test_a_target_out_of_reach_keeps_its_row_and_gallery_100_comes_first_where_it_is_known():
@@ -153,4 +179,6 @@ def test_a_target_out_of_reach_keeps_its_row_and_gallery_100_comes_first_where_i
         assert one["level"].notna().tolist() == [True, True, False, False]
         assert one["dominated"].isna().tolist() == [False, False, True, True]
         assert one["vs_white"].isna().all()
-    assert table({key: one for key, one in found.items() if key.mechanism == "raw"}).empty
+    assert table(
+        {key: one for key, one in found.items() if key.mechanism == "raw"}
+    ).empty

@@ -43,7 +43,10 @@ def test_measured_is_what_drawn_galleries_give():
     assert {*found["gallery"]} == {10, 30, 60, 100}  # as far as the step could be tried
     assert found[found["predicted"]]["gallery"].unique().tolist() == [100]
     rank1 = found[found["metric"] == "rank1"].set_index("gallery")["value"]
-    ahead = [rng.permuted(np.tile(np.arange(59) < m, (4000, 1)), axis=1)[:, :9] for m in above]
+    ahead = [
+        rng.permuted(np.tile(np.arange(59) < m, (4000, 1)), axis=1)[:, :9]
+        for m in above
+    ]
     brute = np.mean([~one.any(axis=1) for one in ahead])
     assert rank1[10] == pytest.approx(brute, abs=0.01)
     assert rank1[60] == pytest.approx((above == 0).mean())
@@ -61,7 +64,9 @@ def test_the_interval_of_what_is_predicted_holds_the_truth_as_often_as_it_says()
         for _ in range(25):
             above, truth = world(rng, n=1000, centre=centre, spread=spread)
             found = table_of(above, 1000)
-            rank1 = found[(found["metric"] == "rank1") & found["predicted"]].set_index("gallery")
+            rank1 = found[(found["metric"] == "rank1") & found["predicted"]].set_index(
+                "gallery"
+            )
             assert rank1.index.tolist() == [3000, 7545]
             row = rank1.loc[7545]
             held.append(row["ci_low"] <= truth(7545) <= row["ci_high"])

@@ -13,7 +13,12 @@ from evaluation.analysis.keys import Key
 from evaluation.analysis.levels import COLUMNS, levels, linked_share
 from evaluation.analysis.metrics import EQUAL_ALARMS, FUTURE_EQUAL_ALARMS
 from evaluation.analysis.strongest_table import ONE_RELEASE, strongest_on_each
-from isac_track.intervals import LEAST_CLUSTERS, Estimate, cluster_weights, percentile_interval
+from isac_track.intervals import (
+    LEAST_CLUSTERS,
+    Estimate,
+    cluster_weights,
+    percentile_interval,
+)
 from isac_track.rng import stream
 
 LINKER = "handover-1s/kinematic"
@@ -26,7 +31,8 @@ def drawn(values, *, n=55, effective=np.nan):
 def test_the_share_is_paired_with_raw_and_above_chance():
     rng = np.random.default_rng(2)
     raw = np.append(0.8, rng.normal(0.8, 0.1, 400))
-    # Of what raw has above its chance of 0.04 half is left, in each replicate, above 0.02.
+    # Of what raw has above its chance of 0.04 half is left, in each replicate, above
+    # 0.02.
     half = 0.02 + 0.5 * (raw - 0.04)
     share = linked_share(drawn(half), 0.02, drawn(raw), 0.04)
     assert (share.value, share.ci_low, share.ci_high) == pytest.approx((0.5, 0.5, 0.5))
@@ -34,7 +40,8 @@ def test_the_share_is_paired_with_raw_and_above_chance():
     share = linked_share(drawn(noisy), 0.02, drawn(raw), 0.04)
     by_hand = (noisy[1:] - 0.02) / (raw[1:] - 0.04)
     assert (share.ci_low, share.ci_high) == pytest.approx(percentile_interval(by_hand))
-    # The upper end is at most a limit where the difference from so much of raw's is surely below 0.
+    # The upper end is at most a limit where the difference from so much of raw's is
+    # surely below 0.
     limit = share.ci_high
     difference = (noisy[1:] - 0.02) - limit * (raw[1:] - 0.04)
     assert np.mean(difference <= 0.0) == pytest.approx(0.975, abs=0.005)
@@ -42,10 +49,16 @@ def test_the_share_is_paired_with_raw_and_above_chance():
 
 @pytest.mark.parametrize(
     ("raw", "effective"),
-    [([0.03, 0.03, 0.03], np.nan), ([0.8, 0.8, 0.02], np.nan), ([0.8] * 3, LEAST_CLUSTERS - 1)],
+    [
+        ([0.03, 0.03, 0.03], np.nan),
+        ([0.8, 0.8, 0.02], np.nan),
+        ([0.8] * 3, LEAST_CLUSTERS - 1),
+    ],
 )
 def test_where_raw_does_not_link_or_people_are_few_there_is_no_interval(raw, effective):
-    share = linked_share(drawn([0.4, 0.4, 0.4]), 0.03, drawn(raw, effective=effective), 0.03)
+    share = linked_share(
+        drawn([0.4, 0.4, 0.4]), 0.03, drawn(raw, effective=effective), 0.03
+    )
     assert np.isnan(share.ci_high)
 
 
@@ -60,13 +73,22 @@ def test_the_share_s_interval_covers_where_linkers_are_chosen(n_people):
     covered, above = [], []
     for number in range(120):
         rng = stream(number, "share", n_people)
-        person, is_first = 0.8 * rng.standard_normal(n_people), rng.random(n_people) < 0.5
+        person, is_first = (
+            0.8 * rng.standard_normal(n_people),
+            rng.random(n_people) < 0.5,
+        )
         estimates = []
         for shift in (1.2, -1.0):
             hits = [rng.binomial(2, expit(shift + skill + person)) for skill in skills]
-            sums = np.array([[[hit, np.full(n_people, 2)]] for hit in hits], dtype=float)
+            sums = np.array(
+                [[[hit, np.full(n_people, 2)]] for hit in hits], dtype=float
+            )
             (estimate,), _ = cross_fit(
-                choosing=sums, scored=sums, is_first=is_first, weights=weights, is_share=[True]
+                choosing=sums,
+                scored=sums,
+                is_first=is_first,
+                weights=weights,
+                is_share=[True],
             )
             estimates.append(estimate)
         raw, linked = estimates
@@ -81,12 +103,20 @@ def test_the_share_s_interval_covers_where_linkers_are_chosen(n_people):
 def run():
     """Estimates of three mechanisms, and what is linked."""
     found, horizon = {}, {}
-    for name, level, plr in (("raw", None, 0.9), ("ou", 0.4, 0.3), ("offset", 0.3, 0.4)):
+    for name, level, plr in (
+        ("raw", None, 0.9),
+        ("ou", 0.4, 0.3),
+        ("offset", 0.3, 0.4),
+    ):
         for consumer, knowledge, factor in (
             ("shared", "", 0.5), ("radial_rts", "blind", 0.8), ("ou_rts", "informed", 1.0),
             ("ou_rts", "oracle", 1.05), ("ou_rts", "anchor", 1.1),
         ):  # fmt: skip
-            for metric, value in (("plr", plr), ("plr_wide", 1.01 * plr), ("median_error", 0.2)):
+            for metric, value in (
+                ("plr", plr),
+                ("plr_wide", 1.01 * plr),
+                ("median_error", 0.2),
+            ):
                 # Beyond epsilon another attack is the stronger.
                 lift = 1.5 if (metric, consumer) == ("plr_wide", "radial_rts") else 1.0
                 key = Key(name, level, consumer, metric, knowledge)
@@ -94,13 +124,23 @@ def run():
         for metric, value in (("rank1", plr), ("chance", 0.02)):
             found[Key(name, level, LINKER, metric, "informed")] = drawn([value] * 5)
         found[Key(name, level, "kalman_cv", EQUAL_ALARMS)] = Estimate(0.1, 0.0, 0.2, 55)
-        horizon[Key(name, level, "kalman_cv", FUTURE_EQUAL_ALARMS)] = Estimate(0.2, 0.1, 0.3, 55)
-    known = families_of(found) | {"offset": Family("offset", "offset", "", protects=False)}
+        horizon[Key(name, level, "kalman_cv", FUTURE_EQUAL_ALARMS)] = Estimate(
+            0.2, 0.1, 0.3, 55
+        )
+    known = families_of(found) | {
+        "offset": Family("offset", "offset", "", protects=False)
+    }
     at = [("clean", np.nan), ("raw", np.nan), ("ou", 0.4), ("offset", 0.3)]
-    linked = make_linkability(at, tasks={"handover-1s": {"kinematic": 0.4}}, dataset="walks")
+    linked = make_linkability(
+        at, tasks={"handover-1s": {"kinematic": 0.4}}, dataset="walks"
+    )
     linked.loc[linked["mechanism"] == "ou", "invalid"] = "noise_level"
     best = BestRobots(
-        {Key("ou", 0.4, BEST[FUTURE_EQUAL_ALARMS], FUTURE_EQUAL_ALARMS): Estimate(0.21, 0.1, 0.3)},
+        {
+            Key("ou", 0.4, BEST[FUTURE_EQUAL_ALARMS], FUTURE_EQUAL_ALARMS): Estimate(
+                0.21, 0.1, 0.3
+            )
+        },
         {BEST[FUTURE_EQUAL_ALARMS]: ("kalman_cv", "least_squares")},
     )
     attacks = strongest_on_each(found, {}, known)
@@ -117,7 +157,10 @@ def run():
 def test_raw_and_what_claims_to_protect_are_there():
     table = run()
     assert list(table.columns) == COLUMNS
-    assert dict(zip(table["mechanism"], table["protects"], strict=True)).keys() == {"raw", "ou"}
+    assert dict(zip(table["mechanism"], table["protects"], strict=True)).keys() == {
+        "raw",
+        "ou",
+    }
     assert not table.duplicated(
         ["dataset", "mechanism", "level", "adversary", *COLUMNS[7:10]]
     ).any()
@@ -126,8 +169,15 @@ def test_raw_and_what_claims_to_protect_are_there():
 def test_each_group_of_adversaries_has_its_strongest_by_what_is_told():
     table = run().query("mechanism == 'ou'").set_index(["adversary", "metric"])
     plr, wide = (table.loc[(ONE_RELEASE, metric)] for metric in ("plr", "plr_wide"))
-    assert (plr["consumer"], plr["knowledge"], plr["value"]) == ("ou_rts", "informed", 0.3)
-    assert (wide["consumer"], wide["value"]) == ("radial_rts", pytest.approx(0.3 * 1.01 * 1.2))
+    assert (plr["consumer"], plr["knowledge"], plr["value"]) == (
+        "ou_rts",
+        "informed",
+        0.3,
+    )
+    assert (wide["consumer"], wide["value"]) == (
+        "radial_rts",
+        pytest.approx(0.3 * 1.01 * 1.2),
+    )
     assert table.loc[("anchor", "plr")]["value"] == pytest.approx(0.33)
     assert "oracle" not in set(table["knowledge"])
 
@@ -139,7 +189,10 @@ def test_linkage_is_told_with_what_may_spoil_it_and_horizons_by_their_name():
     assert (share["consumer"], share["invalid"]) == (LINKER, "noise_level")
     own, best = table.loc[FUTURE_EQUAL_ALARMS].to_dict("records")
     assert (own["dataset"], own["consumer"]) == ("walks:horizon=3s", "kalman_cv")
-    assert (best["dataset"], best["consumer"]) == ("walks:horizon=3s", "best(missed_future)")
+    assert (best["dataset"], best["consumer"]) == (
+        "walks:horizon=3s",
+        "best(missed_future)",
+    )
     assert (best["value"], best["first_choice"]) == (0.21, "kalman_cv")
     assert (best["second_choice"], own["first_choice"]) == ("least_squares", "")
     assert table.loc[EQUAL_ALARMS]["dataset"] == "walks"

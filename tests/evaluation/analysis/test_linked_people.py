@@ -14,8 +14,15 @@ from evaluation.analysis.strongest import first_half
 from evaluation.runs.manifest import read_manifest
 from isac_track.intervals import Estimate
 
-TASKS = {"rerelease": Source("rerelease/shape", "blind"), "split": Source("split/shape", "blind")}
-SPECS = {("raw", None): "raw", ("fixed", 0.7): "fixed:0.7", ("offset", 0.3): "offset:0.3"}
+TASKS = {
+    "rerelease": Source("rerelease/shape", "blind"),
+    "split": Source("split/shape", "blind"),
+}
+SPECS = {
+    ("raw", None): "raw",
+    ("fixed", 0.7): "fixed:0.7",
+    ("offset", 0.3): "offset:0.3",
+}
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +48,11 @@ def run(tmp_path_factory):
     }
     manifest = read_manifest(settings.out)
     sweeps = Sweeps(found, families_in(manifest["cells"]))
-    return found, settings.out, read_probes(settings.out, manifest, sweeps, strongest=TASKS)
+    return (
+        found,
+        settings.out,
+        read_probes(settings.out, manifest, sweeps, strongest=TASKS),
+    )
 
 
 def test_sums_over_clusters_are_the_summary_and_the_windows_of_who_is_linked(run):
@@ -52,7 +63,13 @@ def test_sums_over_clusters_are_the_summary_and_the_windows_of_who_is_linked(run
         for one in task.levels:
             for name, sums in (("rank1", one.success), ("chance", one.chance)):
                 expected = found[
-                    Key(one.mechanism, one.level, one.linker.consumer, name, one.linker.knowledge)
+                    Key(
+                        one.mechanism,
+                        one.level,
+                        one.linker.consumer,
+                        name,
+                        one.linker.knowledge,
+                    )
                 ]
                 assert sums.sum() / one.probes.sum() == pytest.approx(expected.value)
             spec = SPECS[one.mechanism, one.level]
@@ -73,22 +90,39 @@ def test_other_mechanisms_are_linked_by_whoever_is_strongest_there(run):
     for task, linker in TASKS.items():
         who = {one.mechanism: one.linker for one in probes[task]}
         rivals = {}
-        for rule in ("rank1", "rank1_assigned"):  # a linker counts by the better of both
+        for rule in (
+            "rank1",
+            "rank1_assigned",
+        ):  # a linker counts by the better of both
             for key, one in found.items():
                 is_linker = key.knowledge and key.measure.source.task == task
                 if key.mechanism == "offset" and key.metric == rule and is_linker:
                     source = key.measure.source
                     rivals[source] = max(one.value, rivals.get(source, 0.0))
         assert len(rivals) > 1
-        assert who == {"raw": linker, "fixed": linker, "offset": max(rivals, key=rivals.get)}
+        assert who == {
+            "raw": linker,
+            "fixed": linker,
+            "offset": max(rivals, key=rivals.get),
+        }
 
 
-@pytest.mark.parametrize(("among", "gallery"), [([0.5, 1.0, 0.0], 100), ([0.5, np.nan, 0.0], None)])
+@pytest.mark.parametrize(
+    ("among", "gallery"), [([0.5, 1.0, 0.0], 100), ([0.5, np.nan, 0.0], None)]
+)
 def test_of_a_hundred_candidates_where_all_have_as_many(among, gallery):
     hit, chance = np.array([1.0, 1.0, 0.0]), np.full(3, 1 / 120)
     shown = np.array([[0.1, np.nan], [0.2, 0.4], [np.nan, np.nan]])
     one = LinkedProbes(
-        *("raw", None, TASKS["split"], hit, np.array(among), chance, np.array([0, 0, 1])),
+        *(
+            "raw",
+            None,
+            TASKS["split"],
+            hit,
+            np.array(among),
+            chance,
+            np.array([0, 0, 1]),
+        ),
         *(("a", "b"), {"plr": shown}, np.zeros((3, 1)), np.ones((3, 3), dtype=int)),
     )
     (task,) = by_cluster({"split": [one]})
@@ -118,4 +152,7 @@ def test_each_half_of_the_people_is_linked_by_whom_the_other_half_chose(run):
         joint = (second["assigned"] == "mate").to_numpy() * 1.0
         mated = (first["above"] >= 0).to_numpy()
         assert 0 < is_first.sum() < is_first.size
-        assert level.hit.tolist() == np.where(is_first, joint[mated], by_rank[mated]).tolist()
+        assert (
+            level.hit.tolist()
+            == np.where(is_first, joint[mated], by_rank[mated]).tolist()
+        )

@@ -31,7 +31,11 @@ from evaluation.experiment.presets import SHARED
 
 @settings(max_examples=200, deadline=None)
 @given(
-    arrays(np.float64, st.tuples(st.integers(1, 4), st.integers(1, 9)), elements=st.floats(-9, 9))
+    arrays(
+        np.float64,
+        st.tuples(st.integers(1, 4), st.integers(1, 9)),
+        elements=st.floats(-9, 9),
+    )
 )
 def test_rising_is_isotonic_regression_of_scipy(values):
     expected = [isotonic_regression(row).x for row in values]
@@ -40,7 +44,9 @@ def test_rising_is_isotonic_regression_of_scipy(values):
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.booleans())
-def test_two_curves_that_end_in_one_raw_are_the_nearest_that_are_monotone(seed, increasing):
+def test_two_curves_that_end_in_one_raw_are_the_nearest_that_are_monotone(
+    seed, increasing
+):
     """Against a solver of least squares over steps that are not negative."""
     rng = np.random.default_rng(seed)
     a, b = (np.round(rng.normal(size=(1, n)), 1) for n in rng.integers(2, 6, 2))
@@ -56,7 +62,9 @@ def test_two_curves_that_end_in_one_raw_are_the_nearest_that_are_monotone(seed, 
             steps[start + row, start - 1 : start + row] = sign
     design = np.column_stack([np.ones(n), steps])
     target = np.concatenate([a[0, -1:], a[0, -2::-1], b[0, -2::-1]])
-    found = lsq_linear(design, target, bounds=([-np.inf] + [0.0] * (n - 1), np.inf), method="bvls")
+    found = lsq_linear(
+        design, target, bounds=([-np.inf] + [0.0] * (n - 1), np.inf), method="bvls"
+    )
     expected = design @ found.x
     ours = np.concatenate([first[0, ::-1], second[0, -2::-1]])
     assert ours == pytest.approx(expected, abs=1e-12)
@@ -81,7 +89,9 @@ def test_interpolated_equals_numpy_within_reach_and_is_unknown_beyond(seed, log)
     for row in range(3):
         y = np.log(values[row]) if log else values[row]
         expected = np.interp(at - 1e-9, change[row, ::-1], y[::-1], right=np.nan)
-        assert np.allclose(found[row], np.exp(expected) if log else expected, equal_nan=True)
+        assert np.allclose(
+            found[row], np.exp(expected) if log else expected, equal_nan=True
+        )
 
 
 def test_rows_may_be_read_at_places_of_their_own():
@@ -164,7 +174,9 @@ def test_what_is_compared_for_whom(table):
     simulated = table["consumer"].str.startswith("new_traversal/")
     assert set(table[simulated]["dataset"]) == {"plaza-two-sessions"}
     assert set(table[~simulated]["dataset"]) == {"students03"}
-    sizes = table.groupby(["criterion", "adding", "predictor", "consumer", "metric"]).size()
+    sizes = table.groupby(
+        ["criterion", "adding", "predictor", "consumer", "metric"]
+    ).size()
     shared = sizes.index.get_level_values("consumer") == SHARED
     assert set(sizes[shared]) == {N_POINTS}
     assert set(sizes[~shared]) == {N_ATTACK_POINTS}
@@ -172,9 +184,13 @@ def test_what_is_compared_for_whom(table):
 
 def test_nothing_is_extrapolated(table):
     """FID reaches a noise of 0.8, fixed of 1: rises end at 0.8 times 0.2."""
-    rates = table[(table["criterion"] == MISSED) & (table["predictor"] == PREDICTORS[0])]
+    rates = table[
+        (table["criterion"] == MISSED) & (table["predictor"] == PREDICTORS[0])
+    ]
     assert rates["at"].max() == pytest.approx(0.16)
-    alarms = table[(table["criterion"] == AT_EQUAL_ALARMS) & (table["consumer"] == SHARED)]
+    alarms = table[
+        (table["criterion"] == AT_EQUAL_ALARMS) & (table["consumer"] == SHARED)
+    ]
     assert alarms["at"].max() == pytest.approx(0.24)
     plr = table[table["criterion"] == PLR]
     assert plr["at"].min() == pytest.approx(np.exp(-1.3), rel=1e-6)
@@ -202,7 +218,8 @@ def test_unequal_numbers_of_replicates_are_paired_with_the_first():
     by, rank1 = Measure(PREDICTORS[0], "missed_conflict_rate"), LINKED
     curves = sweeps_of(run(advantage=0.1)).curves("fid", "fixed", [by, rank1])
     ((_, ours, theirs),) = at_changes(curves, by, [rank1], at=np.array([0.05]))
-    # Replicates of rank 1 are 100 of 200: paired with the others there would be a spread.
+    # Replicates of rank 1 are 100 of 200: paired with the others there would be a
+    # spread.
     assert ours.shape == theirs.shape == (101, 1)
     assert (ours - theirs)[1:].std() < 1e-3
 
@@ -212,9 +229,11 @@ def test_each_replicate_is_read_at_its_own_raw_rate():
     found = run(advantage=0.1)
     shift = np.linspace(-0.03, 0.03, 200)
     moved = {
-        key: replace(one, replicates=one.value + shift)
-        if key.metric == "missed_conflict_rate"
-        else replace(one, replicates=np.full(200, one.value))
+        key: (
+            replace(one, replicates=one.value + shift)
+            if key.metric == "missed_conflict_rate"
+            else replace(one, replicates=np.full(200, one.value))
+        )
         for key, one in found.items()
     }
     table, still = (
@@ -229,21 +248,31 @@ def test_each_replicate_is_read_at_its_own_raw_rate():
 def test_without_fid_raw_or_the_predictor_nothing_is_matched():
     found = run()
     for left_out in ("raw", "fid"):
-        some = {key: one for key, one in found.items() if not key.mechanism.startswith(left_out)}
+        some = {
+            key: one
+            for key, one in found.items()
+            if not key.mechanism.startswith(left_out)
+        }
         assert frame(some).empty
     assert matched(sweeps_of({}), predictors=["another"], dataset="students03").empty
 
 
-def test_a_mechanism_of_somebody_elses_is_matched_with_fixed_noise_under_both_rules(better):
+def test_a_mechanism_of_somebody_elses_is_matched_with_fixed_noise_under_both_rules(
+    better,
+):
     """It shows exp(-0.2) times what fixed noise of the same missed rate shows."""
     table = frame(run(advantage=0.1, stranger=0.2))
-    assert set(zip(table["mechanism"], table["family"], table["adding"], strict=True)) == {
+    assert set(
+        zip(table["mechanism"], table["family"], table["adding"], strict=True)
+    ) == {
         ("fid", "fid", "linear"),
         ("fid:adding=independent", "fid", "independent"),
         ("mine:Ou", "mine:Ou", "linear"),
         ("mine:Ou", "mine:Ou", "independent"),
     }
     mine = table[(table["family"] == "mine:Ou") & (table["consumer"] == SHARED)]
-    inner = mine[(mine["criterion"] == MISSED) & (mine["at"] > 0.03) & (mine["defined"] >= 0.975)]
+    inner = mine[
+        (mine["criterion"] == MISSED) & (mine["at"] > 0.03) & (mine["defined"] >= 0.975)
+    ]
     assert np.allclose(np.log(inner["fid"] / inner["fixed"]), -0.2, atol=0.002)
     assert table[table["family"] == "fid"].reset_index(drop=True).equals(better)

@@ -14,8 +14,14 @@ N_PEOPLE = 60
 WEIGHTS = cluster_weights(n_clusters=N_PEOPLE, n_replicates=200, seed=1)
 LEVELS = [("raw", None), ("fixed", 0.7), ("fixed", 1.0)]
 KNOWN = {name: Family(name, name, "linear" * (name == "fixed")) for name, _ in LEVELS}
-PLR = {"mine": (0.6, 0.5, 0.4), "savgol": (0.7, 0.6, 0.5), "radial_rts": (0.9, 0.8, 0.7)}
-EASY = np.linspace(-0.1, 0.1, N_PEOPLE)  # How much better than others a person is rebuilt.
+PLR = {
+    "mine": (0.6, 0.5, 0.4),
+    "savgol": (0.7, 0.6, 0.5),
+    "radial_rts": (0.9, 0.8, 0.7),
+}
+EASY = np.linspace(
+    -0.1, 0.1, N_PEOPLE
+)  # How much better than others a person is rebuilt.
 
 
 def summed(rate):
@@ -38,7 +44,9 @@ def run_of(rates, *, knowledge="blind", task="", metric="plr", more=(), later=()
         for where, rate in zip(LEVELS, by_level, strict=True):
             sums[Source(consumer, knowledge).measure(metric).at(*where)] = summed(rate)
     own = {key: estimated(one) for key, one in sums.items()} | dict(more)
-    return Estimates(own, dict(later), sums, KNOWN, strongest_on_each(own, sums, KNOWN), task)
+    return Estimates(
+        own, dict(later), sums, KNOWN, strongest_on_each(own, sums, KNOWN), task
+    )
 
 
 def missed(rates, *, metric="missed_future_rate"):
@@ -51,7 +59,11 @@ def missed(rates, *, metric="missed_future_rate"):
 
 def test_an_attack_is_compared_with_the_strongest_built_in_over_all_levels():
     (record,) = plugin_records({"attacks": ["mine"]}, run_of(PLR))
-    assert (record["kind"], record["plugin"], record["rival"]) == ("attack", "mine", "radial_rts")
+    assert (record["kind"], record["plugin"], record["rival"]) == (
+        "attack",
+        "mine",
+        "radial_rts",
+    )
     assert (record["levels"], record["n"]) == (3, N_PEOPLE)
     assert record["own"]["value"] == pytest.approx(0.5)
     assert record["other"]["value"] == pytest.approx(0.8)
@@ -59,7 +71,8 @@ def test_an_attack_is_compared_with_the_strongest_built_in_over_all_levels():
 
 
 def test_the_difference_is_paired_by_person():
-    # Who is easily rebuilt by either attack tells them not apart: the interval has no width.
+    # Who is easily rebuilt by either attack tells them not apart: the interval has no
+    # width.
     (record,) = plugin_records({"attacks": ["mine"]}, run_of(PLR))
     own, gap = record["own"], record["difference"]
     assert own["ci_high"] - own["ci_low"] > 0.01
@@ -77,7 +90,11 @@ def test_what_takes_positions_as_they_are_is_no_rival():
     run = run_of({"mine": PLR["mine"], "identity": (0.9, 0.9, 0.9)})
     (record,) = plugin_records({"attacks": ["mine"]}, run)
     assert record["rival"] == ""
-    assert record["other"] == record["difference"] == dict.fromkeys(("value", "ci_low", "ci_high"))
+    assert (
+        record["other"]
+        == record["difference"]
+        == dict.fromkeys(("value", "ci_low", "ci_high"))
+    )
     assert record["own"]["value"] == pytest.approx(0.5)
 
 
@@ -94,7 +111,12 @@ def test_an_attack_that_only_the_oracle_can_run_is_still_compared():
         run_of({"mine": PLR["mine"]}, knowledge="oracle"),
     )
     run = Estimates(
-        {**usual.own, **oracle.own}, {}, {**usual.sums, **oracle.sums}, KNOWN, usual.attacks, ""
+        {**usual.own, **oracle.own},
+        {},
+        {**usual.sums, **oracle.sums},
+        KNOWN,
+        usual.attacks,
+        "",
     )
     (record,) = plugin_records({"attacks": ["mine"]}, run)
     assert (record["knowledge"], record["rival"]) == ("oracle", "radial_rts")
@@ -102,11 +124,20 @@ def test_an_attack_that_only_the_oracle_can_run_is_still_compared():
 
 
 def test_a_predictor_is_compared_at_the_further_horizon_with_who_misses_least():
-    rates = {"mine": (0.3, 0.4, 0.5), "kalman_cv": (0.2, 0.3, 0.4), "line": (0.5, 0.5, 0.5)}
+    rates = {
+        "mine": (0.3, 0.4, 0.5),
+        "kalman_cv": (0.2, 0.3, 0.4),
+        "line": (0.5, 0.5, 0.5),
+    }
     alarms = missed(dict.fromkeys(rates, (0.1, 0.1, 0.1)), metric="false_alarm_rate")
-    later = {3.0: missed(rates) | alarms, 5.0: missed(dict.fromkeys(rates, (0.9, 0.9, 0.9)))}
+    later = {
+        3.0: missed(rates) | alarms,
+        5.0: missed(dict.fromkeys(rates, (0.9, 0.9, 0.9))),
+    }
     own = missed(dict.fromkeys(rates, (0.8, 0.8, 0.8)))
-    (record,) = plugin_records({"predictors": ["mine"]}, run_of({}, more=own, later=later))
+    (record,) = plugin_records(
+        {"predictors": ["mine"]}, run_of({}, more=own, later=later)
+    )
     assert (record["horizon_s"], record["rival"]) == (3.0, "kalman_cv")
     assert record["difference"]["value"] == pytest.approx(0.1)
     assert record["alarms"]["value"] == pytest.approx(0.1)
@@ -152,4 +183,6 @@ def test_fewer_than_fifteen_people_have_no_interval():
 
 
 def test_what_the_run_has_no_number_of_is_left_out():
-    assert plugin_records({"attacks": ["gone"], "predictors": ["gone"]}, run_of(PLR)) == []
+    assert (
+        plugin_records({"attacks": ["gone"], "predictors": ["gone"]}, run_of(PLR)) == []
+    )

@@ -21,7 +21,9 @@ ERRORS = (0.1, 0.2, 0.5, 1.0)
 def matched(found, *, dataset, predictors):
     """Return the matched points at equal missed rate, descriptors as shared."""
     table = matching.matched(sweeps_of(found), predictors=predictors, dataset=dataset)
-    return table[(table["criterion"] == matching.MISSED) & (table["consumer"] == "shared")]
+    return table[
+        (table["criterion"] == matching.MISSED) & (table["consumer"] == "shared")
+    ]
 
 
 def claims(found, *, dataset="students03", points=366.0, interval_s=0.0834):
@@ -32,7 +34,9 @@ def claims(found, *, dataset="students03", points=366.0, interval_s=0.0834):
 
 def estimate(value, spread=0.0, n=50):
     noise = np.linspace(-1.96, 1.96, N) * spread
-    return Estimate(value, value - 1.96 * spread, value + 1.96 * spread, n, value + noise)
+    return Estimate(
+        value, value - 1.96 * spread, value + 1.96 * spread, n, value + noise
+    )
 
 
 def results(*, advantage=0.0, spread=0.001, suffix="", rate_of_error=None):
@@ -40,7 +44,9 @@ def results(*, advantage=0.0, spread=0.001, suffix="", rate_of_error=None):
     found = {}
 
     def add(mechanism, level, rate, lower):
-        found[Key(mechanism, level, PREDICTOR, "missed_conflict_rate")] = estimate(rate, spread)
+        found[Key(mechanism, level, PREDICTOR, "missed_conflict_rate")] = estimate(
+            rate, spread
+        )
         for metric, scale in (("plr", 1.0), ("ael", 2.0), ("mel", 3.0)):
             value = scale * np.exp(-4.0 * rate - lower)
             found[Key(mechanism, level, SHARED, metric)] = estimate(value, spread)
@@ -48,7 +54,9 @@ def results(*, advantage=0.0, spread=0.001, suffix="", rate_of_error=None):
     add("raw", None, 0.10, 0.0)
     for level, rate in zip(ETAS, (0.34, 0.30, 0.25, 0.15), strict=True):
         add(f"fid{suffix}", level, rate, advantage)
-    for level, rate in zip(ERRORS, rate_of_error or (0.11, 0.12, 0.20, 0.40), strict=True):
+    for level, rate in zip(
+        ERRORS, rate_of_error or (0.11, 0.12, 0.20, 0.40), strict=True
+    ):
         add(f"fixed{suffix}", level, rate, 0.0)
     return found
 
@@ -69,7 +77,8 @@ def test_with_few_people_nothing_is_decided_and_elsewhere_nothing_of_the_history
 
 
 @pytest.mark.parametrize(
-    ("advantage", "answer"), [(0.05, "holds"), (-0.05, "does not hold"), (0.0, "between")]
+    ("advantage", "answer"),
+    [(0.05, "holds"), (-0.05, "does not hold"), (0.0, "between")],
 )
 def test_better_at_every_rate_under_either_rule(advantage, answer):
     found = results() | results(suffix=":adding=independent", advantage=advantage)
@@ -87,7 +96,9 @@ def test_monotone_holds_fails_and_stays_between():
     found = results()
     assert claim(found, "rate falls")["answer"] == "holds"
     assert claim(found, "MEL rises")["answer"] == "holds"
-    bump = {Key("fid", 100.0, SHARED, "plr"): estimate(0.1, 0.001)}  # below its neighbours
+    bump = {
+        Key("fid", 100.0, SHARED, "plr"): estimate(0.1, 0.001)
+    }  # below its neighbours
     row = claim(found | bump, "PLR rises")
     assert row["answer"] == "does not hold"
     assert "1 beyond their interval" in row["evidence"]
@@ -99,7 +110,8 @@ def test_monotone_holds_fails_and_stays_between():
 
 
 @pytest.mark.parametrize(
-    ("history", "holds"), [({}, True), ({"points": 361.0}, False), ({"interval_s": 0.0866}, False)]
+    ("history", "holds"),
+    [({}, True), ({"points": 361.0}, False), ({"interval_s": 0.0866}, False)],
 )
 def test_the_history_claim(history, holds):
     answer = claim(results(), "history", adding="", **history)["answer"]
@@ -111,7 +123,9 @@ def test_the_paper_table_says_within_only_for_the_papers_recording(spread):
     found = results()
     found[Key("raw", None, PREDICTOR, "missed_conflict_rate")] = estimate(0.10, spread)
     ours = paper.paper_table(sweeps_of(found), dataset="students03")
-    raw = ours[(ours["mechanism"] == "raw") & (ours["metric"] == "missed_conflict_rate")].iloc[0]
+    raw = ours[
+        (ours["mechanism"] == "raw") & (ours["metric"] == "missed_conflict_rate")
+    ].iloc[0]
     assert (raw["paper"], raw["ours"]) == (0.105, 0.10)
     assert raw["within"] == (spread == 0.01)
     assert paper.paper_table(sweeps_of(found), dataset="plaza")["within"].isna().all()
@@ -127,7 +141,9 @@ def test_published_numbers_are_those_of_the_reference():
         for metric, value in row.items()
         if metric not in ("mechanism", "level")
     }
-    assert {tuple(where): value for *where, value in paper.PUBLISHED} == pytest.approx(expected)
+    assert {tuple(where): value for *where, value in paper.PUBLISHED} == pytest.approx(
+        expected
+    )
 
 
 @pytest.mark.parametrize(
@@ -171,11 +187,14 @@ def test_the_papers_own_error_is_that_of_250_conflicts():
 )
 def test_a_difference_is_judged_by_the_errors_of_both(metric, ours, is_far):
     ends = {"ci_low": ours - 0.0196, "ci_high": ours + 0.0196}
-    assert paper.differs({"metric": metric, "paper": 0.305, "ours": ours} | ends) == is_far
+    assert (
+        paper.differs({"metric": metric, "paper": 0.305, "ours": ours} | ends) == is_far
+    )
 
 
 @pytest.mark.parametrize(
-    ("shift", "answer"), [(0.0, "holds"), (0.15, "does not hold"), (-0.12, "does not hold")]
+    ("shift", "answer"),
+    [(0.0, "holds"), (0.15, "does not hold"), (-0.12, "does not hold")],
 )
 def test_some_eta_gives_the_rate_that_is_said_without_one(shift, answer):
     found = results()
@@ -186,4 +205,7 @@ def test_some_eta_gives_the_rate_that_is_said_without_one(shift, answer):
     assert row["answer"] == answer
     if not shift:
         assert row["effect"] == pytest.approx(-0.02)  # 25 %, at eta = 100
-        assert "nearest at eta = 100; 34.0 % at eta = 1, 15.0 % at eta = 1000" in row["evidence"]
+        assert (
+            "nearest at eta = 100; 34.0 % at eta = 1, 15.0 % at eta = 1000"
+            in row["evidence"]
+        )

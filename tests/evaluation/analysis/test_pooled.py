@@ -21,7 +21,12 @@ VALUES, ERRORS = [0.10, 0.30, 0.35, 0.65, 0.45], [0.05, 0.06, 0.04, 0.07, 0.05]
 
 def row(recording, value, *, seed="0", half=0.02):
     ends = {"value": value, "ci_low": value - half, "ci_high": value + half}
-    about = {"question": "robot_loses", "adding": "linear", "law": "radial", "tau2": np.nan}
+    about = {
+        "question": "robot_loses",
+        "adding": "linear",
+        "law": "radial",
+        "tau2": np.nan,
+    }
     about |= {"settings": "", "distance_m": 29.8}
     return {**about, "recording": recording, "seed": seed, **ends, "n": 100}
 
@@ -40,7 +45,9 @@ def test_pooled_as_paule_and_mandel_and_hartung_and_knapp_wrote_it():
     found = pool(VALUES, ERRORS)
     assert found.tau2 == pytest.approx(tau2, rel=1e-3)
     assert found.value == pytest.approx(mean, rel=1e-4)
-    assert found.ci_high - found.value == pytest.approx(t.ppf(0.975, 4) * error, rel=1e-3)
+    assert found.ci_high - found.value == pytest.approx(
+        t.ppf(0.975, 4) * error, rel=1e-3
+    )
     assert found.predicted_low < found.ci_low
     assert found.predicted_high > found.ci_high
 
@@ -48,7 +55,9 @@ def test_pooled_as_paule_and_mandel_and_hartung_and_knapp_wrote_it():
 def test_never_narrower_than_a_fixed_effect():
     found = pool([0.2, 0.2001, 0.1999], [0.1, 0.1, 0.1])
     assert found.tau2 == pytest.approx(0.0, abs=1e-9)
-    assert found.ci_high - found.value == pytest.approx(norm.ppf(0.975) * 0.1 / np.sqrt(3))
+    assert found.ci_high - found.value == pytest.approx(
+        norm.ppf(0.975) * 0.1 / np.sqrt(3)
+    )
 
 
 @pytest.mark.parametrize("errors", [[0.1, 0.1], [0.1, 0.1, 0.0]])
@@ -63,7 +72,8 @@ def test_seeds_are_averaged_and_their_intervals_do_not_shrink():
     assert [r["recording"] for r in one.rows] == ["a", "plaza"]
     mean = one.rows[0]
     assert (mean["value"], mean["seed"]) == (pytest.approx(0.15), "mean")
-    # People 0.02 / 1.96 and, of two seeds, a variance of 0.005 over 2: Student's t of few degrees.
+    # People 0.02 / 1.96 and, of two seeds, a variance of 0.005 over 2: Student's t of
+    # few degrees.
     people, between = (0.02 / norm.ppf(0.975)) ** 2, 0.005 / 2
     freedom = ((people + between) / between) ** 2
     half = t.ppf(0.975, freedom) * np.sqrt(people + between)
@@ -83,15 +93,28 @@ def test_seeds_that_agree_have_the_interval_of_any_of_them():
 
 def test_seeds_that_differ_weigh_less_in_the_pool():
     """A recording whose seeds disagree has a larger error; the pool leans to the others."""
-    steady = [row(name, value) for name, value in zip("abcd", (0.1, 0.1, 0.11, 0.09), strict=True)]
+    steady = [
+        row(name, value)
+        for name, value in zip("abcd", (0.1, 0.1, 0.11, 0.09), strict=True)
+    ]
     alike = [*steady, *(row("e", 0.5, seed=seed, half=0.3) for seed in "01")]
-    apart = [*steady, row("e", 0.2, seed="0", half=0.3), row("e", 0.8, seed="1", half=0.3)]
-    (first,), (second,) = (answered(rows, simulated=frozenset()) for rows in (alike, apart))
+    apart = [
+        *steady,
+        row("e", 0.2, seed="0", half=0.3),
+        row("e", 0.8, seed="1", half=0.3),
+    ]
+    (first,), (second,) = (
+        answered(rows, simulated=frozenset()) for rows in (alike, apart)
+    )
     assert first.pooled.value > second.pooled.value > 0.09
 
 
 def test_settings_are_told_as_they_are_typed_without_the_law():
-    stages = StageSettings().changed({"sensing.bs_y_m": 53.0, "sensing.law": "isotropic"}).flat()
+    stages = (
+        StageSettings()
+        .changed({"sensing.bs_y_m": 53.0, "sensing.law": "isotropic"})
+        .flat()
+    )
     assert settings_text(stages) == "sensing.bs_y_m=53.0"
     assert settings_text(StageSettings().flat()) == ""
 
@@ -119,4 +142,6 @@ def test_five_real_recordings_are_pooled_and_a_crowd_is_none():
 def test_signs_that_differ_are_counted():
     rows = [row("a", 0.1), row("b", -0.1), row("c", 0.01)]
     (one,) = answered(rows, simulated=frozenset())
-    assert one.sentence.startswith("Same sign in 2 of 3 real recordings; least -10.0 points (b)")
+    assert one.sentence.startswith(
+        "Same sign in 2 of 3 real recordings; least -10.0 points (b)"
+    )

@@ -59,10 +59,14 @@ def test_variance_is_that_of_leaving_each_person_out_of_every_run():
 
 def test_one_run_has_the_jackknife_of_its_people():
     (sums,) = world(5, n_seeds=1)
-    values = (sums[0].sum() - np.append(0.0, sums[0])) / (sums[1].sum() - np.append(0.0, sums[1]))
+    values = (sums[0].sum() - np.append(0.0, sums[0])) / (
+        sums[1].sum() - np.append(0.0, sums[1])
+    )
     result = over_seeds(sums[None])
     low, high = jackknife_interval(values, effective=N_PEOPLE)
-    assert (result.value, result.ci_low, result.ci_high) == pytest.approx((values[0], low, high))
+    assert (result.value, result.ci_low, result.ci_high) == pytest.approx(
+        (values[0], low, high)
+    )
 
 
 def test_the_same_run_thrice_is_no_more_than_once():
@@ -76,11 +80,21 @@ def test_the_same_run_thrice_is_no_more_than_once():
 def test_interval_covers_the_mean_over_people_and_seeds(seed_spread):
     truth = over_seeds(
         np.concatenate(
-            [world(number, n_seeds=50, seed_spread=seed_spread) for number in range(40)], 2
+            [
+                world(number, n_seeds=50, seed_spread=seed_spread)
+                for number in range(40)
+            ],
+            2,
         )
     ).value
-    results = [over_seeds(world(1000 + number, seed_spread=seed_spread)) for number in range(200)]
-    assert np.mean([estimate.ci_low <= truth <= estimate.ci_high for estimate in results]) >= 0.91
+    results = [
+        over_seeds(world(1000 + number, seed_spread=seed_spread))
+        for number in range(200)
+    ]
+    assert (
+        np.mean([estimate.ci_low <= truth <= estimate.ci_high for estimate in results])
+        >= 0.91
+    )
 
 
 def test_between_seeds_what_differs_makes_the_interval_wider():
@@ -107,8 +121,12 @@ def test_few_seeds_that_differ_cover_the_mean_over_people_and_seeds(n_seeds):
     half = 1.96 * np.hypot(1.0, 0.5)
     covered, by_ends = [], []
     for _ in range(1500):
-        values = rng.standard_normal() + np.hypot(0.5, 1.0) * rng.standard_normal(n_seeds)
-        mean = by_intervals([Estimate(value, value - half, value + half, 50) for value in values])
+        values = rng.standard_normal() + np.hypot(0.5, 1.0) * rng.standard_normal(
+            n_seeds
+        )
+        mean = by_intervals(
+            [Estimate(value, value - half, value + half, 50) for value in values]
+        )
         covered.append(mean.ci_low <= 0.0 <= mean.ci_high)
         by_ends.append(abs(mean.value) <= half)
     assert np.mean(covered) > 0.94
@@ -155,7 +173,9 @@ class TestRuns:
 
     def test_two_runs_lie_between_both(self, outs):
         runs = [read(out) for out in outs]
-        estimate, each = pooled(runs, ("fid", 1.0), 1)  # as shared: as many samples in both
+        estimate, each = pooled(
+            runs, ("fid", 1.0), 1
+        )  # as shared: as many samples in both
         assert min(each) <= estimate.value <= max(each)
         assert estimate.value == pytest.approx(np.mean(each), abs=0.01)
 

@@ -24,14 +24,19 @@ def values(by, *, metric="rank1", levels=LEVELS):
     return {
         source.measure(metric).at(*where): Estimate(achieved)
         for source, found in by.items()
-        for where, achieved in zip(levels, np.broadcast_to(found, len(levels)), strict=True)
+        for where, achieved in zip(
+            levels, np.broadcast_to(found, len(levels)), strict=True
+        )
         if np.isfinite(achieved) or metric == "plr"
     }
 
 
 OTHERS = (("raw", None), ("clean", None), ("mine:Ou", 1.0))
 ALONE = values({SHAPE: (0.5, 0.9, 0.1), DTW: (0.4, 0.1, 0.3)}, levels=OTHERS)
-ORACLE, CONTROL = Source("rerelease/dtw", "oracle"), Source("rerelease/control-times", "")
+ORACLE, CONTROL = (
+    Source("rerelease/dtw", "oracle"),
+    Source("rerelease/control-times", ""),
+)
 SMOOTHER = Source("kalman_rts", "informed")
 AS_THEY_ARE = {Source("shared"): 0.9, Source("identity", "blind"): 0.8}
 
@@ -39,11 +44,15 @@ AS_THEY_ARE = {Source("shared"): 0.9, Source("identity", "blind"): 0.8}
 @pytest.mark.parametrize(
     ("found", "expected"),
     [
-        # The highest mean over raw, fixed noise and FID; of equals the first of the run.
+        # The highest mean over raw, fixed noise and FID; of equals the first of the
+        # run.
         (values({SHAPE: (0.9, 0.1, 0.1), DTW: 0.4}), {"rerelease": DTW}),
         (values({DTW: 0.4, SHAPE: 0.4}), {"rerelease": DTW}),
         # Neither the oracle nor a control is one, nor who takes positions as they are.
-        *((values({SHAPE: 0.1, other: 0.9}), {"rerelease": SHAPE}) for other in (ORACLE, CONTROL)),
+        *(
+            (values({SHAPE: 0.1, other: 0.9}), {"rerelease": SHAPE})
+            for other in (ORACLE, CONTROL)
+        ),
         *((values({other: 0.9}), {}) for other in (ORACLE, CONTROL)),
         (values(AS_THEY_ARE | {SMOOTHER: 0.3}, metric="plr"), {"": SMOOTHER}),
         # It ran at all levels that any did.
@@ -83,7 +92,11 @@ def test_what_one_half_chose_is_scored_on_the_other():
     crossed = cross_fitted(sums, known := families_of(sums), first)
     found = crossed.estimates
     assert crossed.choices == {"plr": [first.measure("plr"), second.measure("plr")]}
-    for key in (first.measure(metric).at(*where) for where in LEVELS for metric in ("plr", "mel")):
+    for key in (
+        first.measure(metric).at(*where)
+        for where in LEVELS
+        for metric in ("plr", "mel")
+    ):
         theirs = every[second.measure(key.metric).at(*key.where)][0]
         scored = np.where(is_first, theirs, every[key][0])
         assert found[key].value == pytest.approx(scored.sum() / tracks.sum())

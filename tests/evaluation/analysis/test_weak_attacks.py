@@ -45,7 +45,10 @@ def of(text):
 def beaten(plr, attack=None):
     """Who is beaten, or whether one attack is, and by whom."""
     rows = flags.flags(run_of(plr))[0]
-    rows = rows[(rows["kind"] == "beaten") & rows["attack"].isin([attack or one for one, _ in plr])]
+    rows = rows[
+        (rows["kind"] == "beaten")
+        & rows["attack"].isin([attack or one for one, _ in plr])
+    ]
     names = rows[["attack", "knowledge", "by", "by_knowledge"]].to_numpy().tolist()
     return ["{} {} < {} {}".format(*one) for one in names]
 
@@ -59,11 +62,17 @@ def beaten(plr, attack=None):
         # Not in the list of simple ones: held against these alone.
         ("another blind .7, mine blind .6", ""),
         # Parameters change no rank.
-        ("savgol:w=2 blind .7, kalman_rts:q=1 blind .6", "kalman_rts:q=1 blind < savgol:w=2 blind"),
+        (
+            "savgol:w=2 blind .7, kalman_rts:q=1 blind .6",
+            "kalman_rts:q=1 blind < savgol:w=2 blind",
+        ),
         ("kalman_rts:q=1 blind .7, kalman_rts blind .6", ""),
         # To know more is an excuse to win.
         ("savgol informed .7, kalman_rts blind .6", ""),
-        ("savgol blind .7, kalman_rts informed .6", "kalman_rts informed < savgol blind"),
+        (
+            "savgol blind .7, kalman_rts informed .6",
+            "kalman_rts informed < savgol blind",
+        ),
         # It does not smooth, and is held against the control alone.
         ("identity blind .2, kalman_rts blind .7, averaging oracle .3", ""),
         ("identity blind .2, averaging oracle .1", "averaging oracle < identity blind"),
@@ -79,7 +88,10 @@ def test_who_should_win_and_does_not_is_beaten(plr, expected):
     ("name", "simpler"),
     [
         *((name, flags.SIMPLER[:place]) for place, name in enumerate(flags.SIMPLER)),
-        *((name, flags.SIMPLER) for name in ("radial_rts", "my_attack:Mine", "gaussian_process")),
+        *(
+            (name, flags.SIMPLER)
+            for name in ("radial_rts", "my_attack:Mine", "gaussian_process")
+        ),
     ],
 )
 def test_an_attack_is_held_against_all_simpler_ones(name, simpler):
@@ -99,15 +111,18 @@ def test_the_interval_of_the_difference_decides_not_those_of_the_values():
 
 def test_a_flag_says_how_much_and_how_often_was_looked():
     found = run_of({("identity", BLIND): 0.3, ("savgol", BLIND): 0.25}, level=1.0)
-    found |= run_of({("identity", BLIND): 0.3, ("savgol", BLIND): 0.6}, level=0.5, rmse=1.0)
+    found |= run_of(
+        {("identity", BLIND): 0.3, ("savgol", BLIND): 0.6}, level=0.5, rmse=1.0
+    )
     (row,) = flags.flags(found)[0].to_dict("records")
     assert list(row) == COLUMNS
     assert (row["mechanism"], row["level"], row["compared"]) == ("fixed", 1.0, 2)
     assert row["difference"] == pytest.approx(0.05)
     assert row["ci_low"] <= row["difference"] <= row["ci_high"]
-    assert row["sentence"] == (
-        "savgol (blind) is beaten by identity (blind) at fixed 1: PLR 25.0 % against 30.0 %, "
-        "+5.0 [+5.0, +5.0] points"
+    assert (
+        row["sentence"]
+        == "savgol (blind) is beaten by identity (blind) at fixed 1: PLR 25.0 % against"
+        " 30.0 %, +5.0 [+5.0, +5.0] points"
     )
 
 
@@ -116,12 +131,18 @@ def ends(quiet, noisy, *, rmse=(0.5, 1.5), shared=(0.5, 0.2), mechanism="fid"):
     attack = ("kalman_rts", BLIND)
     return run_of(
         {attack: quiet}, mechanism="raw", level=None, shared=shared[0], rmse=rmse[0]
-    ) | run_of({attack: noisy}, mechanism=mechanism, level=7.0, shared=shared[1], rmse=rmse[1])
+    ) | run_of(
+        {attack: noisy}, mechanism=mechanism, level=7.0, shared=shared[1], rmse=rmse[1]
+    )
 
 
 def test_success_must_fall_with_the_noise():
     (row,) = flags.flags(ends(0.7, 0.8))[0].to_dict("records")
-    assert (row["kind"], row["mechanism"], row["level"]) == ("does_not_fall", "fid", 7.0)
+    assert (row["kind"], row["mechanism"], row["level"]) == (
+        "does_not_fall",
+        "fid",
+        7.0,
+    )
     assert (row["attack"], row["by"], row["compared"]) == ("kalman_rts", "", 1)
     assert row["difference"] == pytest.approx(0.1)
     assert "PLR 70.0 % at raw, 80.0 % at fid 7" in row["sentence"]
@@ -183,7 +204,9 @@ def test_the_file_explains_itself_and_has_a_list_even_if_it_is_empty():
     assert "not adjusted" in content["intervals"]
     content = json.loads(flags.to_json(*flags.flags(ends(0.7, 0.8, mechanism="mine"))))
     assert list(content["flags"][0]) == COLUMNS
-    raw = run_of({("identity", BLIND): 0.7, ("a", BLIND): 0.6}, mechanism="raw", level=None)
+    raw = run_of(
+        {("identity", BLIND): 0.7, ("a", BLIND): 0.6}, mechanism="raw", level=None
+    )
     assert json.loads(flags.to_json(*flags.flags(raw)))["flags"][0]["level"] is None
 
 
@@ -204,9 +227,10 @@ def test_lines_are_few_and_say_how_many_levels():
         )
     ]
     (line,) = flags.lines(flags.flags(ends(0.7, 0.8))[0])
-    assert line == (
-        "flag: kalman_rts (blind) does not fall with the noise in 1 of 1 mechanisms (fid), by "
-        "+10.0 [+10.0, +10.0] points: flags.json"
+    assert (
+        line
+        == "flag: kalman_rts (blind) does not fall with the noise in 1 of 1 mechanisms"
+        " (fid), by +10.0 [+10.0, +10.0] points: flags.json"
     )
     assert flags.lines(pd.DataFrame(columns=COLUMNS)) == []
 
@@ -216,7 +240,10 @@ def results(tmp_path_factory):
     """24 people, each seen about three times."""
     folder = tmp_path_factory.mktemp("flags")
     walks = write_walks(folder / "walks.csv", n_people=24)
-    axes = {"mechanisms": ("clean", "raw", "fixed:1"), "attacks": ("identity", "kalman_rts", BAD)}
+    axes = {
+        "mechanisms": ("clean", "raw", "fixed:1"),
+        "attacks": ("identity", "kalman_rts", BAD),
+    }
     settings = smoke(walks, folder / "run", scenes=18, predictors=(), **axes)
     with one_process():
         return evaluation.run(settings, pictures=False)
@@ -228,5 +255,7 @@ def test_a_bad_attack_in_a_real_run_is_flagged_in_the_file_and_the_frame(results
     assert set(bad["by"]) == {"identity", "kalman_rts"}
     assert set(bad["mechanism"]) == {"raw", "fixed"}
     content = json.loads((results.out / "flags.json").read_text(encoding="utf-8"))
-    assert [row["sentence"] for row in content["flags"]] == results.flags["sentence"].tolist()
+    assert [row["sentence"] for row in content["flags"]] == results.flags[
+        "sentence"
+    ].tolist()
     assert content["left_out"]["all that is shared leaks already"] > 0

@@ -40,7 +40,9 @@ def slow_tail(values, chosen_by):
     left = places = 0.1 * len(values)
     total = 0.0
     for level in sorted(set(chosen_by), reverse=True):
-        equals = [value for value, by in zip(values, chosen_by, strict=True) if by == level]
+        equals = [
+            value for value, by in zip(values, chosen_by, strict=True) if by == level
+        ]
         taken = min(left, len(equals))
         total += taken * float(np.mean(equals))
         left -= taken
@@ -88,7 +90,10 @@ def test_interval_is_that_of_leaving_out_each_person_by_hand(decimals):
     people = range(23)
     result = estimated(rows, n_clusters=23)
     values = [slow_value(rows, people)]
-    values += [slow_value(rows, [person for person in people if person != out]) for out in people]
+    values += [
+        slow_value(rows, [person for person in people if person != out])
+        for out in people
+    ]
     assert result.value == pytest.approx(values[0], abs=1e-12)
     squares = (np.array(values[1:]) - values[0]) ** 2
     effective = max(3.3, squares.sum() ** 2 / (squares**2).sum())
@@ -117,7 +122,9 @@ def test_order_of_rows_and_of_people_does_not_matter():
     assert np.allclose([first.odd, first.even], [other.odd, other.even], rtol=1e-12)
     turned = PersonMeans(first.person, first.odd[::-1], first.even[::-1])
     once = np.ones((1, N_PEOPLE))
-    assert cross_fitted_tail(first, once) == pytest.approx(cross_fitted_tail(turned, once))
+    assert cross_fitted_tail(first, once) == pytest.approx(
+        cross_fitted_tail(turned, once)
+    )
 
 
 def test_a_release_is_a_scene_and_some_people_have_too_few():
@@ -157,7 +164,10 @@ def test_interval_covers_what_many_people_have():
     def world(n, number):
         rng = stream(number, "people")
         shares = rng.beta(3, 6, n)
-        odd, even = (rng.beta(4 * shares, 4 * (1 - shares), (9, n)).mean(axis=0) for _ in range(2))
+        odd, even = (
+            rng.beta(4 * shares, 4 * (1 - shares), (9, n)).mean(axis=0)
+            for _ in range(2)
+        )
         return PersonMeans(np.arange(n), odd, even)
 
     many = world(100_000, 999)

@@ -38,7 +38,10 @@ class Length:
     def fit(self, _context):
         def score(probe, gallery):
             self.seen.append((len(probe), len(gallery)))
-            ways = [[np.hypot(*(w.xy[-1] - w.xy[0])) for w in one] for one in (probe, gallery)]
+            ways = [
+                [np.hypot(*(w.xy[-1] - w.xy[0])) for w in one]
+                for one in (probe, gallery)
+            ]
             return -np.abs(np.subtract.outer(*ways))
 
         return score
@@ -57,7 +60,9 @@ class TestScores:
                 np.testing.assert_array_equal(numbers_of(found[key]), numbers_of(one))
 
     @pytest.mark.parametrize("task", ["rerelease", "handover-2s"])
-    def test_the_first_few_of_the_first_stage_are_scored_and_others_follow_in_order(self, task):
+    def test_the_first_few_of_the_first_stage_are_scored_and_others_follow_in_order(
+        self, task
+    ):
         n, sessions, spy = 4, sessions_of(task), Length()
         exact, level = linked(sessions, "raw", Length())
         found, _ = linked(sessions, "raw", spy, stages=few(n))
@@ -67,21 +72,27 @@ class TestScores:
             zip(cell.searches, exact[key].searches, strict=True)
         ):
             rows = pairings[number].probe, pairings[number].gallery
-            sides = [side.tracks(one) for side, one in zip(level.blind.both, rows, strict=True)]
+            sides = [
+                side.tracks(one)
+                for side, one in zip(level.blind.both, rows, strict=True)
+            ]
             stage = candidates.first_stage(sessions.task)
             context = type("Context", (), {"granted": stage.requires})()
             first = stage.fit(context)(*sides)
             of = [np.argsort(-one) for one in search.scores]
             chosen = np.array([order[:n] for order in of])
             computed = np.take_along_axis(whole.scores, chosen, axis=1)
-            assert np.array_equal(np.take_along_axis(search.scores, chosen, axis=1), computed)
+            assert np.array_equal(
+                np.take_along_axis(search.scores, chosen, axis=1), computed
+            )
             for row, order in enumerate(of):
                 assert (search.scores[row, order[n:]] < computed.min()).all()
                 ranked = first[row, order]
                 # Up to rounding: another numpy sums in another order.
                 assert (np.diff(ranked[n:]) <= 1e-12).all()
                 assert ranked[:n].min() >= ranked[n:].max(initial=-np.inf) - 1e-12
-        # A stranger is asked about one probe at a time; some are searched in full as well.
+        # A stranger is asked about one probe at a time; some are searched in full as
+        # well.
         asked = [size for probes, size in spy.seen if probes == 1 and size <= n]
         assert len(asked) >= len(sessions.probe)
 
@@ -116,7 +127,9 @@ class TestWhatIsTold:
         found, _ = linked(sessions, "raw", parsed("attacks", "shape"), stages=few(n))
         for key, cell in found.items():
             hits = [
-                np.concatenate([rank1(scores=s.scores, mate=s.mate) for s in one.searches])
+                np.concatenate(
+                    [rank1(scores=s.scores, mate=s.mate) for s in one.searches]
+                )
                 for one in (exact[key], cell)
             ]
             loss = hits[0].mean() - hits[1].mean()
@@ -126,7 +139,9 @@ class TestWhatIsTold:
     def test_what_needs_all_pairs_is_refused_and_ranks_are_not(self):
         for task in ("rerelease", "handover-2s"):
             sessions = sessions_of(task, tracks=walkers(80))
-            found, *_ = linked(sessions, "clean", Length(), controls=True, stages=few(2))
+            found, *_ = linked(
+                sessions, "clean", Length(), controls=True, stages=few(2)
+            )
             for cell in found.values():
                 for name, one in cell.scored.estimates.items():
                     known = [one.value, one.ci_low, one.ci_high]
@@ -141,7 +156,9 @@ class TestWhatIsTold:
     def test_manifest_notice_and_table_say_it(self, tmp_path):
         write_walkers(tmp_path / "walks.csv")
         axes = {"tasks": ("rerelease",), "attacks": ("shape",), "predictors": ()}
-        settings = smoke(tmp_path / "walks.csv", tmp_path / "run", stages=few(5), **axes)
+        settings = smoke(
+            tmp_path / "walks.csv", tmp_path / "run", stages=few(5), **axes
+        )
         results = evaluation.run(settings)
         manifest = read_manifest(tmp_path / "run")
         assert manifest["identity"]["linkage.candidates"] == 5

@@ -5,7 +5,16 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from helpers.cells import EPSILON_M, STAGES, Spy, World, linked, parsed, plugin, sessions_of
+from helpers.cells import (
+    EPSILON_M,
+    STAGES,
+    Spy,
+    World,
+    linked,
+    parsed,
+    plugin,
+    sessions_of,
+)
 from helpers.oracles import aligned
 
 from attacks.reconstruction.averaging import Identity
@@ -31,7 +40,9 @@ from isac_track.types import Knowledge, Release, Sensed
 
 def taken(release, chosen):
     """The release without the samples that were not chosen, (M,) bool."""
-    offsets = np.concatenate([[0], np.cumsum(np.add.reduceat(chosen, release.offsets[:-1]))])
+    offsets = np.concatenate(
+        [[0], np.cumsum(np.add.reduceat(chosen, release.offsets[:-1]))]
+    )
     some = {name: getattr(release, name)[chosen] for name in ("t", "xy", "sigma")}
     return replace(release, offsets=offsets, **some)
 
@@ -89,10 +100,15 @@ class TestSamplesShared:
         return Release(t, np.zeros((t.size, 2)), None, np.array(offsets), names)
 
     def test_everything(self):
-        assert samples_shared(self.released(self.SENSED.t, [0, 3, 5, 7]), self.SENSED) is None
+        assert (
+            samples_shared(self.released(self.SENSED.t, [0, 3, 5, 7]), self.SENSED)
+            is None
+        )
 
     def test_some_of_each_track(self):
-        left = samples_shared(self.released([0.0, 0.2, 5.1, 0.1, 0.2], [0, 2, 3, 5]), self.SENSED)
+        left = samples_shared(
+            self.released([0.0, 0.2, 5.1, 0.1, 0.2], [0, 2, 3, 5]), self.SENSED
+        )
         assert left.rows.tolist() == [0, 2, 4, 5, 6]
         assert left.offsets.tolist() == [0, 2, 3, 5]
         known = restricted(self.SENSED, left)
@@ -103,10 +119,15 @@ class TestSamplesShared:
     @pytest.mark.parametrize(
         ("t", "offsets", "message"),
         [
-            # The times of all samples are those that were sensed; whose they are is not.
+            # The times of all samples are those that were sensed; whose they are is
+            # not.
             (SENSED.t, [0, 4, 5, 7], r"in track 0 nothing was sensed at 5 s"),
             *(
-                ([0.0, 5.0, at], [0, 1, 2, 3], "in track 2 nothing was sensed at .* left out, not")
+                (
+                    [0.0, 5.0, at],
+                    [0, 1, 2, 3],
+                    "in track 2 nothing was sensed at .* left out, not",
+                )
                 for at in (-1.0, 0.15, 0.2 + 1e-12, 9.0)
             ),
             ([0.0, 5.0], [0, 1, 2], "of 3 tracks it returned 2"),
@@ -123,11 +144,19 @@ class TestRefused:
         [
             (
                 lambda release, _: replace(release, t=release.t + 1e-6),
-                r"^mechanism 'mine' changed .* times: in track 0 nothing was sensed at \S+ s; ",
+                (
+                    r"^mechanism 'mine' changed .* times: in track 0 nothing was sensed"
+                    r" at \S+ s; "
+                ),
             ),
             (
-                lambda release, _: taken(release, np.arange(release.t.size) >= release.offsets[1]),
-                r"^mechanism 'mine' failed: ValueError: every track needs at least one sample",
+                lambda release, _: taken(
+                    release, np.arange(release.t.size) >= release.offsets[1]
+                ),
+                (
+                    r"^mechanism 'mine' failed: ValueError: every track needs at least"
+                    r" one sample"
+                ),
             ),
         ],
     )
@@ -143,7 +172,9 @@ class TestRefused:
 
         sieve = Sieve(take=by_chance)
         needs = frozenset({Knowledge.REPEATS})
-        with pytest.raises(PluginError, match="'mine' leaves out other samples when the same"):
+        with pytest.raises(
+            PluginError, match="'mine' leaves out other samples when the same"
+        ):
             rows_of(world, sieve, *attack(Spy(requires=needs)))
         (rows,) = rows_of(world, sieve, Consumer("shared"))  # but it may be shared once
         assert (rows["n_samples"] < np.diff(world.scenes.offsets)).all()
@@ -157,7 +188,9 @@ class TestScenes:
         for row, (lo, hi) in enumerate(pairwise(whole.offsets)):
             mine = np.flatnonzero(chosen[lo:hi]) + lo
             leaked = privacy.leakage_indicator(
-                shared_xy=whole.xy[mine], true_xy=world.scenes.xy[mine], epsilon_m=EPSILON_M
+                shared_xy=whole.xy[mine],
+                true_xy=world.scenes.xy[mine],
+                epsilon_m=EPSILON_M,
             )
             expected = privacy.exposure(
                 leaked=leaked, t=whole.t[mine], offsets=np.array([0, mine.size])
@@ -171,7 +204,9 @@ class TestScenes:
     def test_a_predictor_gets_the_thinned_release_and_the_whole_future(self, world):
         forecaster = parsed("predictors", "least_squares")
         consumer = Consumer("predictor", forecaster)
-        (thinned,), (whole,) = (rows_of(world, by, consumer) for by in (Sieve(Clean()), Clean()))
+        (thinned,), (whole,) = (
+            rows_of(world, by, consumer) for by in (Sieve(Clean()), Clean())
+        )
         for same in ("scene", "track", "conflict", "separation_m"):
             np.testing.assert_array_equal(thinned[same], whole[same])
         release = world.share(Sieve(Clean())).without_sigma()
@@ -187,7 +222,8 @@ class TestScenes:
     def test_an_attack_is_given_and_measured_on_what_was_shared(self, world, granted):
         spy = Spy(uses=frozenset(granted), requires=frozenset(granted))
         (rows,) = rows_of(world, Sieve(Clean()), *attack(spy))
-        # The truth was shared: whatever is compared with it must be the same to the last sample.
+        # The truth was shared: whatever is compared with it must be the same to the
+        # last sample.
         assert np.abs(rows["mse_m2"]).max() < 1e-12
         assert rows["plr"].tolist() == [1.0] * 24
         odd = is_odd(world.sensed)
@@ -244,18 +280,24 @@ class TestLinkage:
         control = Consumer("control", task="rerelease", control="sample_count")
         assert sees_times_alone(control, at_all)
         assert not sees_times_alone(control, at_none)
-        assert not np.array_equal(whole[key].searches[0].scores, few[key].searches[0].scores)
+        assert not np.array_equal(
+            whole[key].searches[0].scores, few[key].searches[0].scores
+        )
 
 
 class TestWindows:
     def frame(self, sessions, by, stages=STAGES):
         consumer = windows_of(sessions.task.name)
-        work = LinkWork(sessions, groups=(), levels=((parsed("mechanisms", by), (consumer,)),))
+        work = LinkWork(
+            sessions, groups=(), levels=((parsed("mechanisms", by), (consumer,)),)
+        )
         ((_, _, one, tables),) = cells(work, tracks=None, stages=stages, seed=0)
         assert one.spec == f"{sessions.task.name}/windows"
         return tables["rows"].to_pandas()
 
-    @pytest.mark.parametrize("by", ["fixed:0.3,adding=independent", "thin:3,d_sigma=0.3"])
+    @pytest.mark.parametrize(
+        "by", ["fixed:0.3,adding=independent", "thin:3,d_sigma=0.3"]
+    )
     @pytest.mark.parametrize(("side", "row"), [("probe", 0), ("gallery", 17)])
     def test_a_window_by_hand(self, sessions, by, side, row):
         task = sessions["rerelease"]
@@ -264,18 +306,29 @@ class TestWindows:
         known = sensed_sessions(task, groups=(), stages=stages, seed=0)
         sensed = known.sensed[("probe", "gallery").index(side)]
         windows = getattr(task, side)
-        shared = share(parsed("mechanisms", by), sensed, "linkage", "rerelease", side, seed=0)
+        shared = share(
+            parsed("mechanisms", by), sensed, "linkage", "rerelease", side, seed=0
+        )
         release, mine = shared[row], slice(*shared.offsets[row : row + 2])
         window = slice(*windows.offsets[row : row + 2])
         t, xy = windows.t[window], windows.xy[window]
         held = np.isin(t, release.t)
-        person, length_m = windows.person[row], sum(np.hypot(*(b - a)) for a, b in pairwise(xy))
-        leaked = privacy.leakage_indicator(shared_xy=release.xy, true_xy=xy[held], epsilon_m=0.6)
+        person, length_m = (
+            windows.person[row],
+            sum(np.hypot(*(b - a)) for a, b in pairwise(xy)),
+        )
+        leaked = privacy.leakage_indicator(
+            shared_xy=release.xy, true_xy=xy[held], epsilon_m=0.6
+        )
         exposed = privacy.exposure(leaked=leaked, t=release.t, offsets=release.offsets)
-        context = AttackContext(rng=stream(0, "test"), epsilon_m=0.6, granted=frozenset())
+        context = AttackContext(
+            rng=stream(0, "test"), epsilon_m=0.6, granted=frozenset()
+        )
         after = RadialRTS().fit(context)(shared.without_sigma())
         after_xy = after.xy[mine]
-        leaked = privacy.leakage_indicator(shared_xy=after_xy, true_xy=xy[held], epsilon_m=0.6)
+        leaked = privacy.leakage_indicator(
+            shared_xy=after_xy, true_xy=xy[held], epsilon_m=0.6
+        )
         left = privacy.exposure(leaked=leaked, t=release.t, offsets=release.offsets)
         assert found[found["side"] == side].iloc[row].to_dict() == {
             "side": side,
@@ -295,13 +348,19 @@ class TestWindows:
         }
 
     @pytest.mark.parametrize("task", LINKER)
-    def test_each_window_of_either_side_has_a_row_and_one_walk_at_every_level(self, sessions, task):
+    def test_each_window_of_either_side_has_a_row_and_one_walk_at_every_level(
+        self, sessions, task
+    ):
         levels = ("raw", "thin:4", "clean")
         raw, thin, clean = (self.frame(sessions[task], by) for by in levels)
-        sides = {side: len(getattr(sessions[task], side)) for side in ("probe", "gallery")}
+        sides = {
+            side: len(getattr(sessions[task], side)) for side in ("probe", "gallery")
+        }
         for one in (raw, thin, clean):
             assert tuple(one.columns) == WINDOW_COLUMNS
-            assert one["side"].tolist() == [side for side, n in sides.items() for _ in range(n)]
+            assert one["side"].tolist() == [
+                side for side, n in sides.items() for _ in range(n)
+            ]
             for name in ("source", "search", "duration_s", "speed_mps"):
                 assert one[name].tolist() == raw[name].tolist()
         assert (clean["plr"] == 1).all()
@@ -321,7 +380,9 @@ class TestWindows:
 
 
 def test_the_presets_but_smoke_hold_the_controls():
-    controls = [one.spec for one in plugins.parse_all("mechanisms", DISSOCIATION + PROTECTIONS)]
+    controls = [
+        one.spec for one in plugins.parse_all("mechanisms", DISSOCIATION + PROTECTIONS)
+    ]
     for preset in ("paper", "full"):
         bare = Settings(preset=preset, predictors=(), attacks=(), tasks=())
         assert [one.spec for one in axes(bare).mechanisms][-len(controls) :] == controls

@@ -36,16 +36,22 @@ def levels(name):
     whose = []
     for side, windows in sides_of:
         far_m = np.hypot(*(windows.xy - station_m).T)
-        level = np.log(side.sigma_raw) - STAGES.sensing.path_loss_exponent * np.log(far_m)
+        level = np.log(side.sigma_raw) - STAGES.sensing.path_loss_exponent * np.log(
+            far_m
+        )
         own = {found.source[who]: set() for who in windows.person.tolist()}
-        for who, (lo, hi) in zip(windows.person.tolist(), pairwise(windows.offsets), strict=True):
+        for who, (lo, hi) in zip(
+            windows.person.tolist(), pairwise(windows.offsets), strict=True
+        ):
             own[found.source[who]] |= set(np.round(level[lo:hi], 9).tolist())
         whose.append(own)
     return whose
 
 
 @pytest.mark.parametrize("name", ["split", *HANDOVERS])
-def test_a_gain_that_never_forgets_is_one_of_a_walk_on_both_sides_and_at_every_instant(name):
+def test_a_gain_that_never_forgets_is_one_of_a_walk_on_both_sides_and_at_every_instant(
+    name,
+):
     probe, gallery = levels(name)
     both = probe.keys() & gallery.keys()
     assert len(both) > 20
@@ -71,7 +77,9 @@ def test_no_draw_depends_on_the_gap():
     windows = []
     for name in HANDOVERS:
         found, sides = sensed(name)
-        keys = zip(found.probe.person.tolist(), found.probe.search.tolist(), strict=True)
+        keys = zip(
+            found.probe.person.tolist(), found.probe.search.tolist(), strict=True
+        )
         each = {
             (found.source[who], found.searches[number]): one.xy.tobytes()
             for (who, number), one in zip(keys, sides[0], strict=True)

@@ -40,7 +40,10 @@ LEVELS = ("fixed", "raw", "clean")
 
 def by_length(probe, gallery):
     """Scores by how far each walk leads."""
-    ways = ([np.hypot(*(one.xy[-1] - one.xy[0])) for one in side] for side in (probe, gallery))
+    ways = (
+        [np.hypot(*(one.xy[-1] - one.xy[0])) for one in side]
+        for side in (probe, gallery)
+    )
     return -np.abs(np.subtract.outer(*ways))
 
 
@@ -94,7 +97,9 @@ def watched(request):
 
 
 class TestWhatAnAdversarySees:
-    def test_every_walk_has_a_frame_and_a_clock_of_its_own_unless_the_scene_shows(self, watched):
+    def test_every_walk_has_a_frame_and_a_clock_of_its_own_unless_the_scene_shows(
+        self, watched
+    ):
         sessions, level, _, ((_, probe, _), *_) = watched
         rows = level.known.halves[0].searches[0][1].probe
         if sessions.task.shows_scene:  # the true frame and clock, to everyone
@@ -108,7 +113,9 @@ class TestWhatAnAdversarySees:
             truth, t = sessions.probe.xy[own], sessions.probe.t[own]
             # The same walk, by its distances, but neither where nor when it was.
             near = np.linalg.norm(track.xy - track.xy[0], axis=1)
-            assert np.allclose(near, np.linalg.norm(truth - truth[0], axis=1), atol=1e-6)
+            assert np.allclose(
+                near, np.linalg.norm(truth - truth[0], axis=1), atol=1e-6
+            )
             assert np.allclose(np.diff(track.t), np.diff(t), atol=1e-6)
             way, shown = truth[-1] - truth[0], track.xy[-1] - track.xy[0]
             angles.append(np.angle(complex(*shown) / complex(*way)))
@@ -116,7 +123,9 @@ class TestWhatAnAdversarySees:
         for values in (angles, starts):
             assert np.unique(np.round(values, 3)).size == len(values)
 
-    def test_sigma_shows_where_it_is_granted_frame_and_repeats_where_the_task_does(self, watched):
+    def test_sigma_shows_where_it_is_granted_frame_and_repeats_where_the_task_does(
+        self, watched
+    ):
         sessions, _, adversaries, seen = watched
         for context, *sides in seen:
             assert (Knowledge.SCENE in context.granted) == sessions.task.shows_scene
@@ -129,7 +138,9 @@ class TestWhatAnAdversarySees:
 
     def test_who_trains_is_somebody_else(self, watched):
         sessions, level, _, seen = watched
-        context, probe, _ = next(one for one in seen if Knowledge.TRAIN in one[0].granted)
+        context, probe, _ = next(
+            one for one in seen if Knowledge.TRAIN in one[0].granted
+        )
         train = context.train
         assert isinstance(train, LinkageTrainingSet)
         assert (train.mate >= 0).all()
@@ -162,7 +173,10 @@ class TestWhatAnAdversarySees:
         distinct = {id(context): context for context in contexts}.values()
         assert len(distinct) == 4
         assert len({context.train.probe.xy.tobytes() for context in distinct}) == 4
-        assert {type(context.mechanism).__name__ for context in distinct} == {"Raw", "Fixed"}
+        assert {type(context.mechanism).__name__ for context in distinct} == {
+            "Raw",
+            "Fixed",
+        }
 
     def test_a_linker_behind_a_reconstruction_sees_what_that_makes(self):
         spy, rounds = Linker(uses=frozenset({Knowledge.TRAIN})), Spy(move=np.rint)
@@ -176,9 +190,14 @@ class TestWhatAnAdversarySees:
         assert not any((one.xy == np.rint(one.xy)).all() for _, one, _ in rounds.seen)
 
     def test_a_reconstruction_in_front_learns_where_its_people_truly_were(self):
-        rounds, sessions = Spy(uses=frozenset({Knowledge.TRAIN})), sessions_of("rerelease")
+        rounds, sessions = (
+            Spy(uses=frozenset({Knowledge.TRAIN})),
+            sessions_of("rerelease"),
+        )
         linked(sessions, "clean", behind(Linker(), rounds))
-        informed = [one.train for one, *_ in rounds.seen if Knowledge.TRAIN in one.granted]
+        informed = [
+            one.train for one, *_ in rounds.seen if Knowledge.TRAIN in one.granted
+        ]
         assert len(informed[0].release) == sessions.learns[0].sum()
         for train in informed:
             assert np.allclose(train.truth, train.release.xy, atol=1e-6)
@@ -197,13 +216,21 @@ class TestWhatAnAdversarySees:
 class TestWhatIsReadOff:
     def test_rank_1_is_that_of_the_raw_scores(self):
         result = of_task("rerelease", Linker(), by="fixed:0.3")[SPY]
-        hits = np.concatenate([rank1(scores=one.scores, mate=one.mate) for one in result.searches])
-        assert result.scored.estimates["rank1"].value == pytest.approx(hits.mean(), abs=1e-12)
+        hits = np.concatenate(
+            [rank1(scores=one.scores, mate=one.mate) for one in result.searches]
+        )
+        assert result.scored.estimates["rank1"].value == pytest.approx(
+            hits.mean(), abs=1e-12
+        )
         assert result.scored.n_mated == hits.size
 
     def test_without_groups_neither_probes_nor_candidates_are_of_one(self):
         found, level = linked(sessions_of("rerelease"), "clean", Linker())
-        result, sessions, alone = found[SPY], level.known.sessions, level.known.sessions.alone
+        result, sessions, alone = (
+            found[SPY],
+            level.known.sessions,
+            level.known.sessions.alone,
+        )
         hits = []
         for search, (_, pairing) in zip(
             result.searches, sorted(level.known.searches.items()), strict=True
@@ -243,10 +270,14 @@ class TestControls:
     )
     def test_every_task_has_its_controls(self, task, without):
         found = of_task(task, Linker(), controls=True)
-        names = {spec.partition("control-")[2] for spec, _ in found if "control" in spec}
+        names = {
+            spec.partition("control-")[2] for spec, _ in found if "control" in spec
+        }
         assert names == CONTROLS.keys() - without
 
-    @pytest.mark.parametrize("most_pairs", [2**19, 1])  # beyond, scores are in single precision
+    @pytest.mark.parametrize(
+        "most_pairs", [2**19, 1]
+    )  # beyond, scores are in single precision
     def test_shuffled_mates_are_those_of_a_real_attack(self, monkeypatch, most_pairs):
         monkeypatch.setattr("attacks.linkage.learning._MOST_PAIRS", most_pairs)
         found = of_task("rerelease", SHAPE, by="clean", controls=True)
@@ -260,9 +291,12 @@ class TestControls:
 
     def test_what_sees_times_alone_is_alike_at_every_level(self):
         raw, fixed = (
-            of_task("rerelease", Linker(), by=spec, controls=True) for spec in ("raw", "fixed:1")
+            of_task("rerelease", Linker(), by=spec, controls=True)
+            for spec in ("raw", "fixed:1")
         )
-        for name, control in ((one, CONTROLS[one]) for one in CONTROLS if one not in COLUMNS):
+        for name, control in (
+            (one, CONTROLS[one]) for one in CONTROLS if one not in COLUMNS
+        ):
             key = f"rerelease/control-{name}", ""
             assert equal(raw[key], fixed[key]) == control.sees_times_only
 
@@ -273,8 +307,12 @@ class TestControls:
         for seed in range(300):
             sessions = sessions_of("rerelease", seed=seed)
             found, *_ = linked(sessions, "raw", Linker(), controls=True, seed=seed)
-            rejected.append(found[f"rerelease/control-{name}", ""].scored.p_value <= 0.05)
-        assert 0.02 <= np.mean(rejected) <= 0.085  # 300 draws at 5 %: three standard errors
+            rejected.append(
+                found[f"rerelease/control-{name}", ""].scored.p_value <= 0.05
+            )
+        assert (
+            0.02 <= np.mean(rejected) <= 0.085
+        )  # 300 draws at 5 %: three standard errors
 
 
 class TestDeterminism:
@@ -299,9 +337,18 @@ class TestBreaches:
     @pytest.mark.parametrize(
         ("score", "message"),
         [
-            (lambda p, g: np.ma.zeros((len(p), len(g))), "for every pair, got a masked array"),
-            (lambda p, g: np.zeros((len(g), len(p) + 1)), r"must return scores \(\d+, \d+\)"),
-            (lambda p, g: np.full((len(p), len(g)), np.nan), "score that is not finite"),
+            (
+                lambda p, g: np.ma.zeros((len(p), len(g))),
+                "for every pair, got a masked array",
+            ),
+            (
+                lambda p, g: np.zeros((len(g), len(p) + 1)),
+                r"must return scores \(\d+, \d+\)",
+            ),
+            (
+                lambda p, g: np.full((len(p), len(g)), np.nan),
+                "score that is not finite",
+            ),
             (lambda p, g: np.full((len(p), len(g)), 1e300), "score that is not finite"),
             (lambda p, g: np.zeros((len(p), len(g)), dtype=bool), "of bool"),
             (lambda *_: None, r"got \(\) of object"),
@@ -310,12 +357,16 @@ class TestBreaches:
         ],
     )
     def test_a_plugin_that_breaks_its_contract_is_named(self, score, message):
-        with pytest.raises(PluginError, match=rf"attack rerelease/spy \(blind\) .*{message}"):
+        with pytest.raises(
+            PluginError, match=rf"attack rerelease/spy \(blind\) .*{message}"
+        ):
             of_task("rerelease", Linker(score=score))
 
     def test_a_reconstruction_in_front_is_named_as_well(self):
         cuts = Spy(move=lambda xy: xy[:-1])
-        with pytest.raises(PluginError, match=r"attack rounds \(behind rerelease/spy@rounds"):
+        with pytest.raises(
+            PluginError, match=r"attack rounds \(behind rerelease/spy@rounds"
+        ):
             of_task("rerelease", behind(Linker(), cuts))
 
     def test_who_requires_sigma_is_the_oracle(self):
@@ -334,7 +385,11 @@ def written(out, task, *, control="", keep_scores=False):
     (out / "cells").mkdir()
     content = cell_files.packed([(consumer.label, "key", {}, tables)], unit="", code={})
     (out / "cells" / "one.parquet").write_bytes(content)
-    where = {"consumer": consumer.spec, "knowledge": consumer.knowledge, "files": ["one.parquet"]}
+    where = {
+        "consumer": consumer.spec,
+        "knowledge": consumer.knowledge,
+        "files": ["one.parquet"],
+    }
     return result, level.known, tables, where
 
 
@@ -351,7 +406,9 @@ class TestCells:
         for name, estimate in result.scored.estimates.items():
             found = read.estimates[name]
             for field_name in ("value", "ci_low", "ci_high", "n"):
-                np.testing.assert_equal(getattr(found, field_name), getattr(estimate, field_name))
+                np.testing.assert_equal(
+                    getattr(found, field_name), getattr(estimate, field_name)
+                )
             if not found.replicates.size:
                 of_ranks = name in result.scored.probes.values()
                 assert name in DERIVED or (control and not of_ranks)
@@ -373,7 +430,9 @@ class TestCells:
             for number, search in enumerate(result.searches)
             for scores, mate in zip(search.scores, search.mate, strict=True)
         ]
-        for row, (number, scores, mate) in zip(table.itertuples(), expected, strict=True):
+        for row, (number, scores, mate) in zip(
+            table.itertuples(), expected, strict=True
+        ):
             assert row.search == known.sessions.searches[number]
             assert row.chance == 1 / scores.size
             of_mate = np.nan if mate < 0 else scores[mate]
@@ -382,7 +441,9 @@ class TestCells:
 
     def test_raw_scores_stay_where_they_are_asked_for(self, tmp_path):
         result, _, tables, where = written(tmp_path, "handover-2s", keep_scores=True)
-        rows = cell_files.read_rows(tmp_path, where, columns=["source", "mate", "scores"])
+        rows = cell_files.read_rows(
+            tmp_path, where, columns=["source", "mate", "scores"]
+        )
         gallery = json.loads(tables["about"]["about"][0].as_py())["gallery"]
         table, first = rows.to_pandas(), 0
         for number, search in enumerate(result.searches):
@@ -401,7 +462,9 @@ class TestCells:
         entry = {"files": ["cell.parquet"], "consumer": "split/x", "knowledge": "blind"}
         read_rows = partial(cell_files.read_rows, columns=["source"])
         for read in (lambda out, one: cell_files.read_outcomes(out, [one]), read_rows):
-            with pytest.raises(DataError, match=r"cell\.parquet .*run the matrix again"):
+            with pytest.raises(
+                DataError, match=r"cell\.parquet .*run the matrix again"
+            ):
                 read(tmp_path, entry)
 
 
@@ -411,7 +474,11 @@ KEY = ["dataset", "mechanism", "level", "consumer", "knowledge", "metric"]
 def settings_in(folder):
     write_walkers(folder / "walkers.csv")
     attacks = ("shape", "histogram@kalman_rts", "kinematic", "identity", "kalman_rts")
-    axes = {"mechanisms": ("raw", "fixed:1", "thin:3"), "predictors": (), "attacks": attacks}
+    axes = {
+        "mechanisms": ("raw", "fixed:1", "thin:3"),
+        "predictors": (),
+        "attacks": attacks,
+    }
     axes["tasks"] = ("rerelease", "handover-2s")
     return smoke(folder / "walkers.csv", folder / "run", scenes=8, **axes)
 
@@ -419,7 +486,9 @@ def settings_in(folder):
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     """A run that nobody changes."""
-    return evaluation.run(settings_in(tmp_path_factory.mktemp("linked")), pictures=False)
+    return evaluation.run(
+        settings_in(tmp_path_factory.mktemp("linked")), pictures=False
+    )
 
 
 class TestRuns:
@@ -430,7 +499,11 @@ class TestRuns:
         assert set(ranks["mechanism"]) == {"raw", "fixed", "thin", "clean"}
         # Who needs no frame is not run where it shows, nor the other way round.
         consumers = ranks.loc[~ranks["consumer"].str.contains("control"), "consumer"]
-        everybody = {"rerelease/shape", "rerelease/histogram@kalman_rts", "handover-2s/kinematic"}
+        everybody = {
+            "rerelease/shape",
+            "rerelease/histogram@kalman_rts",
+            "handover-2s/kinematic",
+        }
         assert set(consumers) == everybody
         knowledge = set(ranks.loc[ranks["consumer"] == "rerelease/shape", "knowledge"])
         assert knowledge == {"blind", "informed"}
@@ -442,17 +515,23 @@ class TestRuns:
         assert len(refused)
         assert refused[["value", "ci_low", "ci_high"]].isna().all(axis=None)
         # The ceiling has no descriptors: nobody shares without error.
-        assert set(summary.loc[summary["mechanism"] == "clean", "metric"]).isdisjoint({"plr"})
+        assert set(summary.loc[summary["mechanism"] == "clean", "metric"]).isdisjoint(
+            {"plr"}
+        )
 
     def test_the_file_says_what_every_cell_means(self, finished):
         found = finished.linkability
         assert list(found.columns) == linkability.COLUMNS
         assert set(found["cohort"]) == {"all", "without_groups", "without_frozen"}
         clean = found[(found["mechanism"] == "clean") & (found["cohort"] == "all")]
-        assert (clean.loc[clean["consumer"] == "rerelease/shape", "outcome"] == "links").all()
+        assert (
+            clean.loc[clean["consumer"] == "rerelease/shape", "outcome"] == "links"
+        ).all()
         assert (found["gallery_min"].dropna() >= 1).all()
         # Nothing is declared at the ceiling: noise leaks nothing.
-        assert (clean.loc[clean["consumer"].str.startswith("handover"), "invalid"] == "").all()
+        assert (
+            clean.loc[clean["consumer"].str.startswith("handover"), "invalid"] == ""
+        ).all()
 
     def test_the_manifest_says_who_is_linked(self, finished):
         manifest = finished.manifest
@@ -462,8 +541,12 @@ class TestRuns:
         assert manifest["settings"]["tasks"] == ["rerelease", "handover-2s"]
         assert "shape" in manifest["settings"]["attacks"]
 
-    def test_the_windows_of_every_level_have_a_cell_and_no_row_of_the_summary(self, finished):
-        entries = [one for one in finished.manifest["cells"] if one["kind"] == "windows"]
+    def test_the_windows_of_every_level_have_a_cell_and_no_row_of_the_summary(
+        self, finished
+    ):
+        entries = [
+            one for one in finished.manifest["cells"] if one["kind"] == "windows"
+        ]
         mean = {}
         for one in entries:
             assert one["knowledge"] == ""
@@ -471,20 +554,26 @@ class TestRuns:
             mean[one["consumer"], one["spec"]] = rows["n_samples"].to_numpy().mean()
         assert len(mean) == len(entries) == 2 * 4
         for task in ("rerelease", "handover-2s"):
-            clean, raw, few = (mean[f"{task}/windows", by] for by in ("clean", "raw", "thin:3"))
+            clean, raw, few = (
+                mean[f"{task}/windows", by] for by in ("clean", "raw", "thin:3")
+            )
             assert clean == raw
             assert few / raw == pytest.approx(1 / 3, rel=0.05)
         table = finished.summary.set_index(["mechanism", "consumer", "metric"])["value"]
         assert not finished.summary["consumer"].str.contains("windows").any()
         assert table.sort_index().loc[("thin", "kalman_rts", "plr")].min() > 0
 
-    def test_an_earlier_attack_whose_ceiling_is_missing_is_left_out(self, finished, tmp_path):
+    def test_an_earlier_attack_whose_ceiling_is_missing_is_left_out(
+        self, finished, tmp_path
+    ):
         settings = settings_in(tmp_path)
         shutil.copytree(finished.out, settings.out)
         for path in (settings.out / "cells").glob("clean*"):
             path.unlink()
         for attacks in (("histogram",), ("histogram", "shape")):
-            asked = replace(settings, tasks=("rerelease",), attacks=attacks, mechanisms=("raw",))
+            asked = replace(
+                settings, tasks=("rerelease",), attacks=attacks, mechanisms=("raw",)
+            )
             found = set(evaluation.run(asked, pictures=False).linkability["consumer"])
             assert "rerelease/histogram" in found
             assert ("rerelease/shape" in found) == ("shape" in attacks)
@@ -492,9 +581,24 @@ class TestRuns:
     def test_a_presets_task_without_people_is_left_out_loudly(
         self, csv_recording, tmp_path, capsys
     ):
-        words = ["--preset", "smoke", "--dataset", csv_recording, "--scenes", 8, "--jobs", 1]
+        words = [
+            "--preset",
+            "smoke",
+            "--dataset",
+            csv_recording,
+            "--scenes",
+            8,
+            "--jobs",
+            1,
+        ]
         words += ["--mechanism", "raw", "--predictor", "none", "--attack", "histogram"]
-        words += ["--verbose", "--set", "linkage.most_people=30", "--out", tmp_path / "run"]
+        words += [
+            "--verbose",
+            "--set",
+            "linkage.most_people=30",
+            "--out",
+            tmp_path / "run",
+        ]
         assert matrix.main([str(word) for word in words]) == 0
         shown = capsys.readouterr().err
         assert "task rerelease: 12 of 12 tracks last 12 s, but it takes 24" in shown
@@ -504,7 +608,14 @@ class TestRuns:
         assert set(rows["dataset"]) == {linkability.TWO_SESSIONS}
 
     def test_a_task_that_was_named_must_be(self, csv_recording, tmp_path):
-        words = ["--dataset", csv_recording, "--task", "rerelease", "--out", tmp_path / "run"]
+        words = [
+            "--dataset",
+            csv_recording,
+            "--task",
+            "rerelease",
+            "--out",
+            tmp_path / "run",
+        ]
         assert matrix.main([str(word) for word in words]) == 2
 
 
@@ -519,15 +630,30 @@ class TestAxes:
         [
             ({"tasks": ("rerelese",)}, "did you mean 'rerelease'"),
             ({"attacks": ("shape@dtw",)}, "write a linkage attack left of @"),
-            ({"attacks": ("kalman_rts@radial_rts",)}, "write a linkage attack left of @"),
+            (
+                {"attacks": ("kalman_rts@radial_rts",)},
+                "write a linkage attack left of @",
+            ),
             ({"attacks": ("shape@kalman_rtss",)}, "did you mean 'kalman_rts'"),
             ({"attacks": ("shape@",)}, "'shape@': expected LINKER@RECONSTRUCTION"),
             ({"attacks": ("@radial_rts",)}, "expected LINKER@RECONSTRUCTION"),
-            ({"attacks": ("kinematic",), "tasks": ("split",)}, "'kinematic' has no task"),
-            ({"attacks": ("shape@averaging",)}, "has no task to run in.*requires REPEATS"),
-            ({"attacks": ("identity",), "tasks": ("split",)}, "task split has no attack"),
+            (
+                {"attacks": ("kinematic",), "tasks": ("split",)},
+                "'kinematic' has no task",
+            ),
+            (
+                {"attacks": ("shape@averaging",)},
+                "has no task to run in.*requires REPEATS",
+            ),
+            (
+                {"attacks": ("identity",), "tasks": ("split",)},
+                "task split has no attack",
+            ),
             ({"attacks": ("shape",), "tasks": ()}, "'shape' has no task"),
-            ({"attacks": ("kalman_rts",), "adversaries": ("anchor",)}, "anchor: .*--attack ou_rts"),
+            (
+                {"attacks": ("kalman_rts",), "adversaries": ("anchor",)},
+                "anchor: .*--attack ou_rts",
+            ),
         ],
     )
     def test_what_does_not_fit_is_refused_with_the_way_out(self, given, message):
@@ -544,15 +670,27 @@ class TestAxes:
 
     def test_who_links_where(self):
         for attack, task, spec in (
-            ("shape", "handover-1s", "shape"),  # it has no task of its own: it runs where it can
+            (
+                "shape",
+                "handover-1s",
+                "shape",
+            ),  # it has no task of its own: it runs where it can
             ("histogram@savgol:0.5", "split", "histogram@savgol:width_s=0.5"),
         ):
             found = axes(Settings(attacks=(attack,), tasks=(task,)))
-            assert [(where.name, one.spec) for where, one in found.links] == [(task, spec)]
+            assert [(where.name, one.spec) for where, one in found.links] == [
+                (task, spec)
+            ]
 
-    def test_preset_quick_leaves_out_the_oracle_where_a_lesser_adversary_can_attack(self):
+    def test_preset_quick_leaves_out_the_oracle_where_a_lesser_adversary_can_attack(
+        self,
+    ):
         crossed = axes(Settings(preset="quick", attacks=("radial_rts", "averaging")))
-        rows = {(one.spec, one.knowledge) for one in crossed.consumers if one.kind == "attack"}
+        rows = {
+            (one.spec, one.knowledge)
+            for one in crossed.consumers
+            if one.kind == "attack"
+        }
         assert {knowledge for spec, knowledge in rows if spec == "radial_rts"} == {
             "blind",
             "informed",
@@ -561,12 +699,18 @@ class TestAxes:
         asked = axes(Settings(preset="quick", adversaries=("oracle",))).consumers
         assert "oracle" in {one.knowledge for one in asked}
 
-    def test_paper_has_every_task_and_every_linker_and_nothing_is_linked_without_tasks(self):
+    def test_paper_has_every_task_and_every_linker_and_nothing_is_linked_without_tasks(
+        self,
+    ):
         found = axes(paper())
         assert {task.name for task in found.tasks} == TASKS.keys()
         linkers = {one.plugin.name for _, one in found.links}
         known = {"shape", "profile", "dtw", "behaviour", "histogram", "kinematic"}
-        known |= {"likelihood_ratio", "likelihood_ratio:one_to_one=true", "mean_distance"}
+        known |= {
+            "likelihood_ratio",
+            "likelihood_ratio:one_to_one=true",
+            "mean_distance",
+        }
         assert linkers == known
         assert found.ceiling.spec == "clean"
         nothing = axes(Settings(tasks=()))
@@ -576,11 +720,20 @@ class TestAxes:
 def entry(consumer, mechanism, p_value, low=1.0):
     """An entry of a manifest, and what was achieved there."""
     of = Estimate(value=0.1, ci_low=0.0, ci_high=0.2, n=5)
-    numbers = defaultdict(int, p_value=p_value, p_value_low=low, gallery_sizes=[5, 5, 5.0])
+    numbers = defaultdict(
+        int, p_value=p_value, p_value_low=low, gallery_sizes=[5, 5, 5.0]
+    )
     kind, knowledge = ("control", "") if "control" in consumer else ("linkage", "blind")
-    where = {"consumer": consumer, "mechanism": mechanism, "spec": mechanism, "kind": kind}
+    where = {
+        "consumer": consumer,
+        "mechanism": mechanism,
+        "spec": mechanism,
+        "kind": kind,
+    }
     where |= {"knowledge": knowledge, "level": 1.0 if mechanism == "fixed" else None}
-    return where, cell_files.LinkageOutcome({"rank1": of, "chance": of}, numbers, cohorts={})
+    return where, cell_files.LinkageOutcome(
+        {"rank1": of, "chance": of}, numbers, cohorts={}
+    )
 
 
 class TestOutcomes:
@@ -592,12 +745,20 @@ class TestOutcomes:
             # Mates that score low are a leak, and random scores are none.
             ("split/control-duration", "raw", 1.0, 0.0002),
             ("rerelease/control-random", "raw", 0.001),
-            *(("split/x", "fixed", 0.2), ("split/x", "raw", 0.01), ("split/x", "clean", 0.001)),
+            *(
+                ("split/x", "fixed", 0.2),
+                ("split/x", "raw", 0.01),
+                ("split/x", "clean", 0.001),
+            ),
             *(("rerelease/x", by, 0.2) for by in LEVELS),
         )
-        frame = linkability.linkability([entry(*one) for one in entries], dataset="here")
+        frame = linkability.linkability(
+            [entry(*one) for one in entries], dataset="here"
+        )
         found = frame.set_index(["consumer", "mechanism"])
-        assert found.loc[("split/control-duration", "fixed"), "outcome"] == "beats chance"
+        assert (
+            found.loc[("split/control-duration", "fixed"), "outcome"] == "beats chance"
+        )
         for task, by, invalid, said in (
             ("split", "fixed", "duration", "no link detected"),
             *(("split", "raw", "duration", "links"), ("split", "clean", "", "links")),
@@ -606,13 +767,23 @@ class TestOutcomes:
             row = found.loc[(f"{task}/x", by)]
             assert (row["invalid"], row["outcome"]) == (invalid, said)
 
-    def test_the_noise_level_makes_cells_invalid_only_where_the_channel_is_another_one(self):
+    def test_the_noise_level_makes_cells_invalid_only_where_the_channel_is_another_one(
+        self,
+    ):
         tasks = ("rerelease", "split", "handover-1s")
         entries = [(f"{task}/control-noise_level", "raw", 0.0004) for task in tasks]
-        entries += [(f"{task}/x", by, 0.001) for task in tasks for by in ("raw", "clean")]
-        frame = linkability.linkability([entry(*each) for each in entries], dataset="here")
+        entries += [
+            (f"{task}/x", by, 0.001) for task in tasks for by in ("raw", "clean")
+        ]
+        frame = linkability.linkability(
+            [entry(*each) for each in entries], dataset="here"
+        )
         invalid = frame.set_index(["consumer", "mechanism"])["invalid"]
-        assert [invalid[f"{task}/x", "raw"] for task in tasks] == ["noise_level", "", ""]
+        assert [invalid[f"{task}/x", "raw"] for task in tasks] == [
+            "noise_level",
+            "",
+            "",
+        ]
 
     def test_the_simulated_task_has_a_data_set_of_its_own(self):
         assert linkability.dataset_of("new_traversal/x", dataset="here") != "here"
@@ -641,7 +812,8 @@ def test_who_comes_back_is_linked_by_an_adversary_who_never_saw_them_learning():
     hits = round(10 * rank1.value)
     exact = binomtest(hits, 10).proportion_ci(method="exact")
     np.testing.assert_allclose([rank1.ci_low, rank1.ci_high], exact, rtol=1e-9)
-    # A control sees its circumstance alone: there are 20 people in either session, at any time.
+    # A control sees its circumstance alone: there are 20 people in either session, at
+    # any time.
     crowd = found["cross_session/control-run_density", ""].searches[0]
     assert (crowd.scores == 0).all()
     times = found["cross_session/control-run_time", ""].searches[0].scores

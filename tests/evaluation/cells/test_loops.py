@@ -13,10 +13,16 @@ from isac_track import compiling
 def cells_of(crossed):
     """Every level of some axes with each of its consumers, those of tasks included."""
     linked = [one for task in crossed.tasks for one in crossed.readers(task)]
-    return [(level, one) for level in crossed.mechanisms for one in (*crossed.consumers, *linked)]
+    return [
+        (level, one)
+        for level in crossed.mechanisms
+        for one in (*crossed.consumers, *linked)
+    ]
 
 
-def test_a_quick_run_calls_no_loop_that_is_not_compiled_ahead(csv_recording, tmp_path, monkeypatch):
+def test_a_quick_run_calls_no_loop_that_is_not_compiled_ahead(
+    csv_recording, tmp_path, monkeypatch
+):
     called, call = set(), compiling.Loop.__call__
 
     def noted(loop, *arguments):
@@ -25,7 +31,9 @@ def test_a_quick_run_calls_no_loop_that_is_not_compiled_ahead(csv_recording, tmp
 
     monkeypatch.setattr(compiling.Loop, "__call__", noted)
     levels = ("raw", "fid:1", "ou:0.4")
-    settings = Settings(dataset=str(csv_recording), scenes=8, mechanisms=levels, tasks=(), jobs=1)
+    settings = Settings(
+        dataset=str(csv_recording), scenes=8, mechanisms=levels, tasks=(), jobs=1
+    )
     run(settings, out=tmp_path / "run", progress=False, pictures=False)
     assert called <= {*loops_of(cells_of(axes(settings)))}
 
@@ -54,9 +62,13 @@ def test_every_listed_loop_is_there():
         (False, False, [COMPILING, LOADED]),
     ],
 )
-def test_a_loop_says_whether_it_is_compiled(is_cached, fills_cache, states, monkeypatch):
+def test_a_loop_says_whether_it_is_compiled(
+    is_cached, fills_cache, states, monkeypatch
+):
     monkeypatch.setattr(compiling, "is_cached", lambda _: is_cached)
-    monkeypatch.setattr(compiling, "prepared", lambda _, *, quietly: fills_cache and quietly)
+    monkeypatch.setattr(
+        compiling, "prepared", lambda _, *, quietly: fills_cache and quietly
+    )
     assert [*prepare_loop(loops.GAIN)] == states
 
 

@@ -37,7 +37,9 @@ def computed(tracks, *attacks, mechanisms=("raw",), n_scenes=N_SCENES, size=None
     attacks = tuple(parsed("attacks", one) for one in attacks)
     consumers = Axes(mechanisms=(), predictors=(), attacks=attacks).consumers
     found = {}
-    for by, one, rows in World(tracks, n_scenes=n_scenes).cells(mechanisms, consumers, size=size):
+    for by, one, rows in World(tracks, n_scenes=n_scenes).cells(
+        mechanisms, consumers, size=size
+    ):
         found.setdefault((by.spec, one.spec, one.knowledge), []).append(rows)
     return found
 
@@ -49,7 +51,9 @@ def assert_same(a, b, rows=slice(None)):
 
 
 def in_groups(tracks, n_groups):
-    return replace(tracks, group=tuple(f"g{row % n_groups}" for row in range(len(tracks))))
+    return replace(
+        tracks, group=tuple(f"g{row % n_groups}" for row in range(len(tracks)))
+    )
 
 
 def lengths(xy, offsets):
@@ -62,9 +66,13 @@ def test_walking_groups_stay_together_and_are_halved_by_the_seed_alone():
     half = folds(groups, seed=0)
     of_group = {group: set(half[np.array(groups) == group]) for group in groups}
     assert all(len(halves) == 1 for halves in of_group.values())
-    n_groups = [sum(halves == {fold} for halves in of_group.values()) for fold in (0, 1)]
+    n_groups = [
+        sum(halves == {fold} for halves in of_group.values()) for fold in (0, 1)
+    ]
     assert sorted(n_groups) == [5, 6]
-    order = stream(0, "test", "order").permutation(33)  # that of the tracks does not matter
+    order = stream(0, "test", "order").permutation(
+        33
+    )  # that of the tracks does not matter
     turned = folds(tuple(groups[row] for row in order), seed=0)
     assert turned.tolist() == half[order].tolist()
     assert len({tuple(folds(groups, seed=seed)) for seed in range(5)}) > 1
@@ -72,14 +80,17 @@ def test_walking_groups_stay_together_and_are_halved_by_the_seed_alone():
 
 
 class TestBlock:
-    def test_an_overlap_or_a_walk_that_is_twice_in_a_pass_stops_the_run(self, tracks, monkeypatch):
+    def test_an_overlap_or_a_walk_that_is_twice_in_a_pass_stops_the_run(
+        self, tracks, monkeypatch
+    ):
         world = World(tracks, n_scenes=ONE_PASS)
         track = np.roll(world.scenes.track, 1)
         track[0] = track[1]
         world.scenes = replace(world.scenes, track=track)
         with pytest.raises(AssertionError, match="a walk occurs twice in one pass"):
             world.attacked()
-        # One person of the victims' half, who need not be a victim: their group is enough.
+        # One person of the victims' half, who need not be a victim: their group is
+        # enough.
         monkeypatch.setattr(
             reconstruction,
             "_people",
@@ -87,7 +98,9 @@ class TestBlock:
         )
         for n_groups in (12, 4):
             world = World(in_groups(tracks, n_groups), n_scenes=N_SCENES)
-            with pytest.raises(AssertionError, match="group is among the training people"):
+            with pytest.raises(
+                AssertionError, match="group is among the training people"
+            ):
                 world.attacked()
 
     def test_the_walks_are_sensed_anew_for_repeats_alone(self, tracks):
@@ -109,18 +122,29 @@ class TestIdentity:
         specs = ("raw", "clean", "fid:100", "fixed:0.5", "fixed:0.5,adding=independent")
         found = computed(tracks, "identity", mechanisms=specs, n_scenes=2 * ONE_PASS)
         for spec in specs:
-            (shared,), (attacked,) = found[spec, "shared", ""], found[spec, "identity", "blind"]
+            (shared,), (attacked,) = (
+                found[spec, "shared", ""],
+                found[spec, "identity", "blind"],
+            )
             assert {"plr", "ael_s", "mse_m2", "track", "scene"} <= shared.keys()
             assert shared.pop("speed_mps").shape == shared["plr"].shape  # of the truth
             assert_same(attacked, shared)
 
 
 class TestWhatIsShown:
-    def spied(self, tracks, *, granted=(), requires=(), mechanism="fixed:0.5", slow=False):
+    def spied(
+        self, tracks, *, granted=(), requires=(), mechanism="fixed:0.5", slow=False
+    ):
         """What a spy saw of both halves, as the adversary who is granted so much."""
-        spy = (SlowSpy if slow else Spy)(requires=frozenset(requires), uses=frozenset(granted))
+        spy = (SlowSpy if slow else Spy)(
+            requires=frozenset(requires), uses=frozenset(granted)
+        )
         computed(tracks, plugin(spy), mechanisms=(mechanism,), n_scenes=ONE_PASS)
-        seen = [one for one in spy.seen if one[0].granted == frozenset((*granted, *requires))]
+        seen = [
+            one
+            for one in spy.seen
+            if one[0].granted == frozenset((*granted, *requires))
+        ]
         assert len(seen) == 2
         return World(tracks, mechanism=mechanism, n_scenes=ONE_PASS), seen
 
@@ -129,7 +153,8 @@ class TestWhatIsShown:
         world, seen = self.spied(tracks, requires=granted)
         for fold, (context, release, _) in enumerate(seen):
             xy, t, sigma = (
-                getattr(world.release, name)[world.samples(fold)] for name in ("xy", "t", "sigma")
+                getattr(world.release, name)[world.samples(fold)]
+                for name in ("xy", "t", "sigma")
             )
             assert context.granted == frozenset(granted)
             if SIGMA in granted:
@@ -142,9 +167,13 @@ class TestWhatIsShown:
                 continue
             # Rigid: the same walks, so that all there is to see is there to be seen.
             truth = lengths(xy, release.offsets)
-            for ours, theirs in zip(lengths(release.xy, release.offsets), truth, strict=True):
+            for ours, theirs in zip(
+                lengths(release.xy, release.offsets), truth, strict=True
+            ):
                 np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9)
-            np.testing.assert_allclose(np.diff(release.t), np.diff(t), rtol=0, atol=1e-9)
+            np.testing.assert_allclose(
+                np.diff(release.t), np.diff(t), rtol=0, atol=1e-9
+            )
             assert np.hypot(*(release.xy - xy).T).min() > 1.0
             assert abs(release.t[0] - t[0]) > 1.0
             last = release.offsets[1] - 1
@@ -163,26 +192,36 @@ class TestWhatIsShown:
                 row
                 for one in lengths(train.truth, train.release.offsets)
                 for row, other in enumerate(known)
-                if one.shape == other.shape and np.allclose(one, other, rtol=0, atol=1e-9)
+                if one.shape == other.shape
+                and np.allclose(one, other, rtol=0, atol=1e-9)
             ]
             assert sorted(taught) == np.flatnonzero(world.half != fold).tolist()
-            # Under clean sharing it is shared as it is, in a frame that is not the victims'.
+            # Under clean sharing it is shared as it is, in a frame that is not the
+            # victims'.
             np.testing.assert_allclose(train.release.xy, train.truth, rtol=0, atol=1e-9)
-            nearest = np.abs(train.truth[:, None] - release.xy[None, ::50]).sum(axis=2).min()
+            nearest = (
+                np.abs(train.truth[:, None] - release.xy[None, ::50]).sum(axis=2).min()
+            )
             assert nearest > 1.0
 
     @pytest.mark.parametrize("mechanism", ["fixed:5", "fixed:5,adding=independent"])
     def test_the_training_set_is_perturbed_by_the_same_mechanism_with_noise_of_its_own(
         self, tracks, mechanism
     ):
-        world, seen = self.spied(tracks, requires=(TRAIN, SIGMA, SCENE), mechanism=mechanism)
+        world, seen = self.spied(
+            tracks, requires=(TRAIN, SIGMA, SCENE), mechanism=mechanism
+        )
         for fold, (context, release, _) in enumerate(seen):
             train, truth = context.train.release, context.train.truth
             other = train.xy - truth
-            # The length of a radial error is |N(0, sigma)|; a fresh one makes it a sum of two.
-            assert np.mean((np.hypot(*other.T) / train.sigma) ** 2) == pytest.approx(1.0, abs=0.1)
+            # The length of a radial error is |N(0, sigma)|; a fresh one makes it a sum
+            # of two.
+            assert np.mean((np.hypot(*other.T) / train.sigma) ** 2) == pytest.approx(
+                1.0, abs=0.1
+            )
             assert train.sigma.min() >= 5
-            # The noise of the release, by sample number, tells nothing of the training set's.
+            # The noise of the release, by sample number, tells nothing of the training
+            # set's.
             error = release.xy - world.scenes.xy[world.samples(fold)]
             n = min(len(error), len(other))
             between = np.corrcoef(error[:n, 0], other[:n, 0])[0, 1]
@@ -197,19 +236,28 @@ class TestWhatIsShown:
         assert all(context.mechanism is fixed.instance for context in granted)
 
     @pytest.mark.parametrize("granted", [(REPEATS,), (REPEATS, SCENE)])
-    def test_repeats_are_the_same_walks_and_instants_with_other_errors(self, tracks, granted):
-        # Noise of the mechanism's own, far above that of sensing: see above for the latter.
-        world, seen = self.spied(tracks, requires=granted, mechanism="fixed:9,adding=independent")
+    def test_repeats_are_the_same_walks_and_instants_with_other_errors(
+        self, tracks, granted
+    ):
+        # Noise of the mechanism's own, far above that of sensing: see above for the
+        # latter.
+        world, seen = self.spied(
+            tracks, requires=granted, mechanism="fixed:9,adding=independent"
+        )
         for fold, (context, release, _) in enumerate(seen):
             all_of_them = (release, *context.repeats)
             assert len(context.repeats) == 2
             for one in context.repeats:
-                np.testing.assert_allclose(np.diff(one.t), np.diff(release.t), rtol=0, atol=1e-9)
+                np.testing.assert_allclose(
+                    np.diff(one.t), np.diff(release.t), rtol=0, atol=1e-9
+                )
                 np.testing.assert_array_equal(one.offsets, release.offsets)
                 assert one.sigma is None
                 assert set(one.pseudonym).isdisjoint(release.pseudonym)
             clocks = {round(one.t[0], 3) for one in all_of_them}
-            assert len(clocks) == (1 if SCENE in granted else 3)  # or each has one of its own
+            assert len(clocks) == (
+                1 if SCENE in granted else 3
+            )  # or each has one of its own
             if SCENE in granted:
                 assert all(np.array_equal(one.t, release.t) for one in context.repeats)
                 truth = world.scenes.xy[world.samples(fold)]
@@ -218,13 +266,24 @@ class TestWhatIsShown:
 
     def test_its_random_numbers_are_its_own_whatever_else_runs(self, tracks):
         alone, among = (Spy(uses=frozenset({MECHANISM})) for _ in range(2))
-        computed(tracks, plugin(alone), mechanisms=("raw", "fixed:0.5"), n_scenes=ONE_PASS)
-        others = ("moving_average", "averaging", plugin(Spy(uses=frozenset(Knowledge)), "other"))
+        computed(
+            tracks, plugin(alone), mechanisms=("raw", "fixed:0.5"), n_scenes=ONE_PASS
+        )
+        others = (
+            "moving_average",
+            "averaging",
+            plugin(Spy(uses=frozenset(Knowledge)), "other"),
+        )
         mechanisms = ("clean", "fixed:0.5", "raw")
-        computed(tracks, *others, plugin(among), mechanisms=mechanisms, n_scenes=ONE_PASS)
+        computed(
+            tracks, *others, plugin(among), mechanisms=mechanisms, n_scenes=ONE_PASS
+        )
         # The release's first clock, a frame's own, names the level and the half.
         first, second = (
-            {(one.granted, release.t[0].round(3)): tuple(drawn) for one, release, drawn in spy.seen}
+            {
+                (one.granted, release.t[0].round(3)): tuple(drawn)
+                for one, release, drawn in spy.seen
+            }
             for spy in (alone, among)
         )
         assert len(first) == 2 * 2 * 2  # adversaries, levels, halves
@@ -232,7 +291,14 @@ class TestWhatIsShown:
         assert len(set(first.values())) == 8
 
 
-QUICK = ("identity", "moving_average", "savgol", "kalman_rts", "radial_rts", "averaging")
+QUICK = (
+    "identity",
+    "moving_average",
+    "savgol",
+    "kalman_rts",
+    "radial_rts",
+    "averaging",
+)
 
 
 class Vandal:
@@ -257,7 +323,8 @@ class TestStrangers:
     """Who is not one of the project's own gets each walk once a release, and copies of it."""
 
     def test_no_release_shows_a_walk_twice(self, tracks):
-        # Four passes over 12 people: a copy would have the sampling instants of its twin.
+        # Four passes over 12 people: a copy would have the sampling instants of its
+        # twin.
         spy = Spy()
         computed(tracks, plugin(spy))
         for _, release, _ in spy.seen:
@@ -265,13 +332,19 @@ class TestStrangers:
             assert len(set(rhythms)) == len(rhythms)
         assert len(spy.seen) == 2 * N_SCENES / ONE_PASS
         assert sum(len(release) for _, release, _ in spy.seen) == 4 * N_SCENES
-        assert len({round(release.t[0], 3) for _, release, _ in spy.seen}) == len(spy.seen)
+        assert len({round(release.t[0], 3) for _, release, _ in spy.seen}) == len(
+            spy.seen
+        )
 
     @pytest.mark.parametrize("name", QUICK)
-    def test_the_built_in_attacks_gain_nothing_by_seeing_all_passes_at_once(self, tracks, name):
+    def test_the_built_in_attacks_gain_nothing_by_seeing_all_passes_at_once(
+        self, tracks, name
+    ):
         own = parsed("attacks", name)
         mechanisms = ("fid:1000,adding=independent",)
-        found = computed(tracks, own, plugin(own.instance, "foreign"), mechanisms=mechanisms)
+        found = computed(
+            tracks, own, plugin(own.instance, "foreign"), mechanisms=mechanisms
+        )
         compared = 0
         for (mechanism, consumer, knowledge), (rows,) in found.items():
             if consumer == "foreign":
@@ -299,16 +372,21 @@ def test_positions_elsewhere_in_its_frame_are_found_there_in_the_true_one(tracks
         is_odd = np.arange(len(xy))[:, None] % 2 == 1
         return np.where(is_odd, xy, xy[::-1])
 
-    # Not clean: about the truth itself a turn of the correction would change no distance.
+    # Not clean: about the truth itself a turn of the correction would change no
+    # distance.
     spec = "fixed:0.3"
-    rows = computed(tracks, plugin(Spy(move=move)), mechanisms=(spec,), n_scenes=ONE_PASS)
+    rows = computed(
+        tracks, plugin(Spy(move=move)), mechanisms=(spec,), n_scenes=ONE_PASS
+    )
     (rows,) = rows[spec, "spy", "blind"]
     world = World(tracks, mechanism=spec, n_scenes=ONE_PASS)
     for fold in (0, 1):
         own, mine = world.samples(fold), world.rows(fold)
         square = ((move(world.release.xy[own]) - world.scenes.xy[own]) ** 2).sum(axis=1)
         parts = np.split(square, np.cumsum(np.diff(world.scenes.offsets)[mine])[:-1])
-        np.testing.assert_allclose(rows["mse_m2"][mine], [one.mean() for one in parts], rtol=1e-9)
+        np.testing.assert_allclose(
+            rows["mse_m2"][mine], [one.mean() for one in parts], rtol=1e-9
+        )
         leaked = [np.mean(one < EPSILON_M**2) for one in parts]
         np.testing.assert_allclose(rows["plr"][mine], leaked, rtol=1e-9)
         assert 0 < np.mean(leaked) < 0.6
@@ -333,11 +411,15 @@ class TestSlowAttacks:
     def test_their_rows_are_those_of_the_same_walks_in_a_quick_attack(self, found):
         for few, all_of in zip(*found, strict=True):
             place = list(zip(all_of["scene"], all_of["agent"], strict=True))
-            rows = [place.index(one) for one in zip(few["scene"], few["agent"], strict=True)]
+            rows = [
+                place.index(one) for one in zip(few["scene"], few["agent"], strict=True)
+            ]
             assert_same(all_of, few, rows)
 
 
-def expected_of(mechanism, *, n_samples=1, sigma_raw=0.3, law="radial", step_s=0.1, name="mine"):
+def expected_of(
+    mechanism, *, n_samples=1, sigma_raw=0.3, law="radial", step_s=0.1, name="mine"
+):
     """What the benchmark expects of one track at the origin: squared error and PLR."""
     t, offsets = step_s * np.arange(float(n_samples)), np.array([0, n_samples])
     information = np.full(n_samples, sigma_raw**-2.0)
@@ -353,7 +435,9 @@ def expected_of(mechanism, *, n_samples=1, sigma_raw=0.3, law="radial", step_s=0
     )
     release = mechanism.share(sensed, stream(0, "test", "benchmark"))
     by = plugin(mechanism, name)
-    (mse,), (plr,) = benchmark(release, sensed=sensed, mechanism=by, epsilon_m=0.3).values()
+    (mse,), (plr,) = benchmark(
+        release, sensed=sensed, mechanism=by, epsilon_m=0.3
+    ).values()
     return mse, plr
 
 
@@ -379,22 +463,29 @@ class TestBenchmark:
         assert plr == pytest.approx(1 - np.exp(-(0.3**2) / (2 * variance)), rel=1e-4)
 
     def test_of_a_short_walk_it_is_that_of_the_line_through_its_samples(self):
-        # A line through n samples of variance r: r / n at its middle, 4 r / n at its ends, 2 r / n
-        # on average. Per axis r is 2 m^2, on two axes 4; in 0.5 s nobody turns by as much.
+        # A line through n samples of variance r: r / n at its middle, 4 r / n at its
+        # ends, 2 r / n on average. Per axis r is 2 m^2, on two axes 4; in 0.5 s nobody
+        # turns by as much.
         mse, _ = expected_of(Raw(), n_samples=50, step_s=0.01, sigma_raw=2.0)
         assert mse == pytest.approx(4.0 * 2 / 50, rel=0.05)
 
     @pytest.mark.parametrize("name", ["clean", "here:Clean"])
-    def test_what_takes_error_away_is_judged_by_what_it_left_whatever_its_name(self, name):
+    def test_what_takes_error_away_is_judged_by_what_it_left_whatever_its_name(
+        self, name
+    ):
         mse, plr = expected_of(Clean(), n_samples=5, name=name)
         assert mse < 1e-10
         assert plr == 1.0
 
     def test_it_is_the_same_whatever_was_drawn(self, tracks):
         found = computed(tracks, "identity", "kalman_rts", mechanisms=("raw",))
-        of = [rows for key, (rows,) in found.items() if key[1] not in {"shared", "bound"}]
+        of = [
+            rows for key, (rows,) in found.items() if key[1] not in {"shared", "bound"}
+        ]
         for rows in of[1:]:
-            np.testing.assert_array_equal(rows["benchmark_mse_m2"], of[0]["benchmark_mse_m2"])
+            np.testing.assert_array_equal(
+                rows["benchmark_mse_m2"], of[0]["benchmark_mse_m2"]
+            )
         assert (of[0]["benchmark_mse_m2"] < of[0]["mse_m2"]).all()
 
 
@@ -414,23 +505,36 @@ class Bad:
         (lambda _: sys.exit(3), "failed: SystemExit: 3"),
         (lambda _: None, "failed: TypeError: 'NoneType' object is not callable"),
         (lambda _: lambda one: one.xy, "must return a Reconstruction with xy .* got"),
-        (lambda _: lambda _: None, "must return a Reconstruction with xy .* got NoneType"),
+        (
+            lambda _: lambda _: None,
+            "must return a Reconstruction with xy .* got NoneType",
+        ),
         (lambda _: lambda one: Reconstruction(one.xy[1:]), "must return .* with xy"),
         (
             lambda _: lambda one: Reconstruction(one.xy * np.nan),
             "failed: ValueError: a reconstructed position is not finite",
         ),
-        (lambda context: context.train.truth, "failed: KnowledgeDenied: TRAIN was not granted"),
+        (
+            lambda context: context.train.truth,
+            "failed: KnowledgeDenied: TRAIN was not granted",
+        ),
         (lambda _: lambda one: one.xy + one.sigma[:, None], "failed: TypeError"),
-        (lambda _: lambda one: one.xy.__setitem__(0, 0), "failed: ValueError: assignment dest"),
+        (
+            lambda _: lambda one: one.xy.__setitem__(0, 0),
+            "failed: ValueError: assignment dest",
+        ),
     ],
 )
-def test_an_attack_that_breaks_its_contract_is_named_with_its_adversary(tracks, how, message):
+def test_an_attack_that_breaks_its_contract_is_named_with_its_adversary(
+    tracks, how, message
+):
     def later(context):
         return how(context) if MECHANISM in context.granted else Spy().fit(context)
 
     for bad, knowledge in ((how, "blind"), (later, "informed")):
-        with pytest.raises(PluginError, match=rf"attack mine \({knowledge}\) {message}"):
+        with pytest.raises(
+            PluginError, match=rf"attack mine \({knowledge}\) {message}"
+        ):
             computed(tracks, plugin(Bad(bad), "mine"), n_scenes=ONE_PASS)
 
 
@@ -439,7 +543,9 @@ def test_of_one_group_an_attack_that_learns_is_refused_and_the_others_run(tracks
     block = World(crowd, n_scenes=N_SCENES).attacked()
     (fold,) = (fold for fold, half in enumerate(block.halves) if half.size)
     assert block.training[fold] is None
-    with pytest.raises(DataError, match=r"'kalman_rts' needs other people .* leave the attack out"):
+    with pytest.raises(
+        DataError, match=r"'kalman_rts' needs other people .* leave the attack out"
+    ):
         computed(crowd, "kalman_rts")
     found = computed(crowd, "identity", "averaging")
     for key in (("raw", "identity", "blind"), ("raw", "averaging", "oracle")):
@@ -461,7 +567,9 @@ class TestRuns:
         keys = ["mechanism", "consumer", "knowledge", "metric"]
         table = results.summary.set_index(keys)["value"].sort_index()
         shared, attacked = (
-            results.summary[results.summary["consumer"] == name].set_index(["mechanism", "metric"])
+            results.summary[results.summary["consumer"] == name].set_index(
+                ["mechanism", "metric"]
+            )
             for name in ("shared", "identity")
         )
         numbers = ["value", "ci_low", "ci_high", "n"]
@@ -470,9 +578,13 @@ class TestRuns:
         entries = [one for one in results.manifest["cells"] if one["kind"] == "attack"]
         assert len(entries) == 3 * (1 + 3 + 1)
         for entry in entries:
-            rows = rows_of(results.out, entry["spec"], entry["consumer"], entry["knowledge"])
+            rows = rows_of(
+                results.out, entry["spec"], entry["consumer"], entry["knowledge"]
+            )
             said = table[entry["mechanism"], entry["consumer"], entry["knowledge"]]
-            mse, plr = (rows[of].sum() / rows[f"benchmark_{of}"].sum() for of in METRICS)
+            mse, plr = (
+                rows[of].sum() / rows[f"benchmark_{of}"].sum() for of in METRICS
+            )
             assert said["rmse_over_benchmark"] == pytest.approx(np.sqrt(mse))
             assert said["plr_over_benchmark"] == pytest.approx(plr)
             assert said["rmse"] == pytest.approx(np.sqrt(rows["mse_m2"].mean()))

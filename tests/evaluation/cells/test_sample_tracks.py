@@ -15,19 +15,31 @@ from isac_track.errors import DataError
 
 def gallery(ready, *specs):
     mechanisms = plugins.parse_all("mechanisms", specs)
-    of = {"tracks": ready.tracks, "attacks": (), "stages": ready.settings.stages, "seed": 0}
-    rows = [sample_tracks.gallery_rows(one, **of) for one in sample_tracks.chosen(mechanisms)]
+    of = {
+        "tracks": ready.tracks,
+        "attacks": (),
+        "stages": ready.settings.stages,
+        "seed": 0,
+    }
+    rows = [
+        sample_tracks.gallery_rows(one, **of)
+        for one in sample_tracks.chosen(mechanisms)
+    ]
     return pa.concat_tables(rows)
 
 
 @pytest.fixture(scope="module")
 def found(ready):
-    return gallery(ready, "raw", "fid:1", "fid:100", "fixed:0.2", "fixed:0.8").to_pandas()
+    return gallery(
+        ready, "raw", "fid:1", "fid:100", "fixed:0.2", "fixed:0.8"
+    ).to_pandas()
 
 
 @pytest.fixture(scope="module")
 def ready():
-    return plan(Settings(preset="smoke", dataset="plaza", scenes=2, attacks=(), tasks=()))
+    return plan(
+        Settings(preset="smoke", dataset="plaza", scenes=2, attacks=(), tasks=())
+    )
 
 
 class TestTheGallery:
@@ -39,17 +51,23 @@ class TestTheGallery:
 
     def test_a_leak_is_a_place_within_epsilon_of_the_truth(self, found):
         for what in ("shared", "rec"):
-            x_m, y_m = (found[f"{axis}_{what}"] - found[f"{axis}_true"] for axis in "xy")
+            x_m, y_m = (
+                found[f"{axis}_{what}"] - found[f"{axis}_true"] for axis in "xy"
+            )
             distance = np.hypot(x_m, y_m)
             sure = abs(distance - 0.3) > 0.002  # positions are kept in millimetres
-            np.testing.assert_array_equal((distance < 0.3)[sure], found[f"leaked_{what}"][sure])
+            np.testing.assert_array_equal(
+                (distance < 0.3)[sure], found[f"leaked_{what}"][sure]
+            )
 
     def test_the_truth_is_the_same_whatever_is_shared(self, found):
         raw, fid = (found[found["mechanism"] == name] for name in ("raw", "fid:1"))
         np.testing.assert_array_equal(raw[["t", "x_true"]], fid[["t", "x_true"]])
         assert fid["leaked_shared"].mean() < raw["leaked_shared"].mean()
 
-    def test_without_any_error_everything_leaks_and_what_is_not_shared_is_not_shown(self, ready):
+    def test_without_any_error_everything_leaks_and_what_is_not_shared_is_not_shown(
+        self, ready
+    ):
         whole, thin = (gallery(ready, spec).to_pandas() for spec in ("clean", "thin:4"))
         assert whole["leaked_shared"].all()
         np.testing.assert_array_equal(whole["x_shared"], whole["x_true"])

@@ -45,6 +45,10 @@ def test_a_column_is_what_pyarrow_makes(values):
 
 def test_a_worker_does_without_pandas():
     done = subprocess.run(
-        [sys.executable, "-c", SAYS], capture_output=True, text=True, check=True, timeout=60
+        [sys.executable, "-c", SAYS],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
     )
     assert done.stdout.strip() == "False"

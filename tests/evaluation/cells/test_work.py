@@ -21,7 +21,9 @@ def piece(tracks):
     known, task = cut(tracks, settings=STAGES, seed=0), TASKS["rerelease"]
     attacks = ("shape", "histogram", "histogram@kalman_rts")
     consumers = axes(Settings(attacks=attacks, tasks=(task.name,))).readers(task)
-    levels = tuple((parsed("mechanisms", spec), consumers) for spec in ("fid:1", "fixed:0.3"))
+    levels = tuple(
+        (parsed("mechanisms", spec), consumers) for spec in ("fid:1", "fixed:0.3")
+    )
     return LinkWork(sessions_of(task.name), (), levels), known
 
 
@@ -45,7 +47,11 @@ def test_controls_of_times_alone_are_computed_once_and_the_same(piece, monkeypat
 
 def test_a_plug_in_of_somebody_else_is_handed_a_copy_and_ours_the_very_object(tracks):
     batch = World(tracks, n_scenes=1).sensed
-    for origin in ("isac_track.sharing:Raw", "attacks.linkage:Shape", "predictors.kalman:Kalman"):
+    for origin in (
+        "isac_track.sharing:Raw",
+        "attacks.linkage:Shape",
+        "predictors.kalman:Kalman",
+    ):
         assert handed(batch, replace(plugin(Spy()), origin=origin)) is batch
     for origin in ("mine:Raw", "attackers.shape:Shape", "isac_tracks:Raw"):
         theirs = handed(batch, replace(plugin(Spy()), origin=origin))

@@ -85,7 +85,11 @@ def test_a_task_that_is_added_is_linked():
 def test_all_that_a_preset_does_besides_its_axes_stays():
     usual = axes(Settings())
     added = axes(
-        Settings(attacks=["+savgol:0.4"], mechanisms=["+laplace:0.3"], predictors=["+kalman_cv:2"])
+        Settings(
+            attacks=["+savgol:0.4"],
+            mechanisms=["+laplace:0.3"],
+            predictors=["+kalman_cv:2"],
+        )
     )
     assert added.against_slow == usual.against_slow
     assert added.worlds == usual.worlds
@@ -136,10 +140,16 @@ def test_both_at_once_is_refused(axis, values, says):
 
 @pytest.mark.parametrize(
     "words",
-    [("--attack", "+kalman_rts", "--attack", "savgol"), ("--attack", "+none"), ("--task", "+")],
+    [
+        ("--attack", "+kalman_rts", "--attack", "savgol"),
+        ("--attack", "+none"),
+        ("--task", "+"),
+    ],
 )
 def test_the_command_says_it_in_one_line(tmp_path, words):
-    assert_refused(run(tmp_path, *MATRIX, *words), "a +" if len(words) == 2 else "write + before")
+    assert_refused(
+        run(tmp_path, *MATRIX, *words), "a +" if len(words) == 2 else "write + before"
+    )
 
 
 def test_none_beside_a_plus_is_refused():
@@ -149,4 +159,8 @@ def test_none_beside_a_plus_is_refused():
 
 def test_what_is_added_must_be_able_to_run():
     with pytest.raises(SettingsError, match="has no task to run in"):
-        axes(Settings(preset="smoke", tasks=["split"], attacks=["+kinematic:0.3@kalman_rts"]))
+        axes(
+            Settings(
+                preset="smoke", tasks=["split"], attacks=["+kinematic:0.3@kalman_rts"]
+            )
+        )

@@ -32,7 +32,9 @@ FILES = {
     "circle_2.py": "import circle\n",
     "lazy.py": "def f():\n    import_module('isac_track.loops')\n",
     "isac_track/loops.py": "X = 1\n",
-    "for_types.py": "if TYPE_CHECKING:\n    import stranger\nelse:\n    import helper_b\n",
+    "for_types.py": (
+        "if TYPE_CHECKING:\n    import stranger\nelse:\n    import helper_b\n"
+    ),
 }
 
 
@@ -51,10 +53,20 @@ def folder(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("module", "changes", "stays"),
     [
-        ("solo", ["solo.py", "helper_a.py", "helper_b.py"], ["stranger.py", "kit/base.py"]),
+        (
+            "solo",
+            ["solo.py", "helper_a.py", "helper_b.py"],
+            ["stranger.py", "kit/base.py"],
+        ),
         (
             "kit.plugin",
-            ["kit/plugin.py", "kit/__init__.py", "kit/base.py", "kit/deep/core.py", "kit/side.py"],
+            [
+                "kit/plugin.py",
+                "kit/__init__.py",
+                "kit/base.py",
+                "kit/deep/core.py",
+                "kit/side.py",
+            ],
             ["kit/unused.py", "solo.py"],
         ),
         ("broken", ["broken.py"], ["solo.py"]),
@@ -93,7 +105,11 @@ def test_an_installed_module_is_its_own_package_alone(folder, monkeypatch):
 STAGES = (SHARING, RECONSTRUCTION, "rerelease")
 MADE_OF = {
     STAGES: (
-        *("isac_track.sensing", "isac_track.datasets.read_table", "evaluation.cells.sharing"),
+        *(
+            "isac_track.sensing",
+            "isac_track.datasets.read_table",
+            "evaluation.cells.sharing",
+        ),
         *("isac_track.privacy", "isac_track.conflict"),
     ),
     (SHARING,): ("evaluation.cells.forecasts",),
@@ -105,19 +121,30 @@ MADE_OF = {
         "evaluation.cells.link_scores",
     ),
     (): (
-        *("evaluation.experiment.presets", "evaluation.experiment.axes", "isac_track.plugins"),
-        *("isac_track.testing.engine", "attacks.testing", "evaluation.reporting.figures.heat"),
+        *(
+            "evaluation.experiment.presets",
+            "evaluation.experiment.axes",
+            "isac_track.plugins",
+        ),
+        *(
+            "isac_track.testing.engine",
+            "attacks.testing",
+            "evaluation.reporting.figures.heat",
+        ),
         *("evaluation.analysis.summary", "evaluation.runs.execute"),
     ),
 }
 
 
 @pytest.mark.parametrize(
-    ("module", "stages"), [(one, stages) for stages, modules in MADE_OF.items() for one in modules]
+    ("module", "stages"),
+    [(one, stages) for stages, modules in MADE_OF.items() for one in modules],
 )
 def test_a_stage_is_computed_by_what_it_imports(monkeypatch, module, stages):
     def digests():
-        return {stage: [source_digest(one) for one in sources(stage)] for stage in STAGES}
+        return {
+            stage: [source_digest(one) for one in sources(stage)] for stage in STAGES
+        }
 
     before = digests()
     change_code(monkeypatch, module)
@@ -143,7 +170,9 @@ def test_a_plug_in_is_its_own_code_and_nobody_elses(monkeypatch):
     assert len(set(before.values())) == len(consumers)
     change_code(monkeypatch, "attacks.reconstruction._window_loops")
     after = keys()
-    changed = {label.partition(" ")[0] for label in before if before[label] != after[label]}
+    changed = {
+        label.partition(" ")[0] for label in before if before[label] != after[label]
+    }
     assert changed == {"savgol", "rerelease/shape@savgol"}
 
 

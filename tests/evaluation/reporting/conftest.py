@@ -1,7 +1,13 @@
 """The page of a made-up run with everything in it, drawn once."""
 
 import pytest
-from helpers.finished_runs import levels, make_gallery, make_run, make_summary, with_links
+from helpers.finished_runs import (
+    levels,
+    make_gallery,
+    make_run,
+    make_summary,
+    with_links,
+)
 
 from evaluation.reporting import page
 from evaluation.reporting.figures.figure import figures_of

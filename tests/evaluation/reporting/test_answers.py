@@ -44,7 +44,9 @@ RUNS = {
     "all": lambda: with_links(make_run()),
     "raw alone": lambda: with_links(make_run(at=[("raw", np.nan)])),
     "clean alone": lambda: with_links(make_run(at=[("clean", np.nan)])),
-    "independent alone": lambda: with_links(make_run(at=levels(rules=(":adding=independent",)))),
+    "independent alone": lambda: with_links(
+        make_run(at=levels(rules=(":adding=independent",)))
+    ),
     "a stranger": lambda: with_links(make_run(at=[("ou", 0.2), ("ou", 0.4)])),
     "no predictor": lambda: make_run(summary=make_summary(predictors=())),
     "no attack": lambda: make_run(summary=make_summary(attacks=()), strongest={}),
@@ -72,7 +74,9 @@ def test_every_number_of_an_answer_is_in_the_tables(name):
     assert shares or name == "nothing"
     (percent,) = re.findall(r"by at least (\d+) points", said[3].sentence) or [None]
     items = run.verdict.get("items", ())
-    spreads = {f"{100 * i['spread_low']:.0f}" for i in items if i["section"] == "validity"}
+    spreads = {
+        f"{100 * i['spread_low']:.0f}" for i in items if i["section"] == "validity"
+    }
     assert percent in (spreads or {None})
     untested = [one.topic for one in said if one.sentence.startswith("Not tested")]
     expected = {
@@ -103,18 +107,52 @@ LINKABLE = "say how linkable people are"
 @pytest.mark.parametrize(
     ("decision", "evidence", "low", "said"),
     [
-        ("does not track", ["attacks"], 0.08, f"does not {LINKABLE}: {EQUAL} at least 8 points"),
-        ("does not track", ["construction"], 0.08, f"does not {LINKABLE}: {EQUAL} at least 8"),
-        ("does not track", ["attacks"], 0.0, f"does not {LINKABLE}: linkage falls where the priv"),
-        ("tracks", ["attacks"], 0.0, "says how linkable people are: at equal values, linkage"),
-        ("between", [], 0.02, "The run cannot say whether the privacy leakage ratio tells"),
+        (
+            "does not track",
+            ["attacks"],
+            0.08,
+            f"does not {LINKABLE}: {EQUAL} at least 8 points",
+        ),
+        (
+            "does not track",
+            ["construction"],
+            0.08,
+            f"does not {LINKABLE}: {EQUAL} at least 8",
+        ),
+        (
+            "does not track",
+            ["attacks"],
+            0.0,
+            f"does not {LINKABLE}: linkage falls where the priv",
+        ),
+        (
+            "tracks",
+            ["attacks"],
+            0.0,
+            "says how linkable people are: at equal values, linkage",
+        ),
+        (
+            "between",
+            [],
+            0.02,
+            "The run cannot say whether the privacy leakage ratio tells",
+        ),
         ("not testable", [], 0.0, "The run cannot test the descriptors: nobody links."),
     ],
 )
-def test_the_fourth_answer_says_what_was_decided_and_how_wide_it_is(decision, evidence, low, said):
-    item = ITEM | SPREAD | {"decision": decision, "evidence": evidence, "spread_low": low}
+def test_the_fourth_answer_says_what_was_decided_and_how_wide_it_is(
+    decision, evidence, low, said
+):
+    item = (
+        ITEM | SPREAD | {"decision": decision, "evidence": evidence, "spread_low": low}
+    )
     item |= {"why": "nobody links"}
-    other = item | {"decision": "not testable", "evidence": [], "spread_low": -1.0, "why": "x"}
+    other = item | {
+        "decision": "not testable",
+        "evidence": [],
+        "spread_low": -1.0,
+        "why": "x",
+    }
     answer = answers(make_run(verdict={"items": [item, other]}))[3]
     assert said in answer.sentence
     details = " ".join(answer.details)
@@ -134,7 +172,9 @@ def test_where_the_adding_rules_disagree_the_fourth_answer_says_so():
     other = item | {"decision": "between", "adding": "independent"}
     sentence = answers(make_run(verdict={"items": [item, other]}))[3].sentence
     assert sentence.endswith(" (noise as in the paper).")
-    agreed = answers(make_run(verdict={"items": [item, item | {"adding": "independent"}]}))[3]
+    agreed = answers(
+        make_run(verdict={"items": [item, item | {"adding": "independent"}]})
+    )[3]
     assert "(" not in agreed.sentence
 
 
@@ -144,7 +184,9 @@ def test_where_the_adding_rules_disagree_the_first_three_say_so():
     far = run.summary["mechanism"] == "fid:adding=independent"
     run.summary.loc[far, columns] = 0.001
     robot, leak, *_ = answers(run)
-    assert robot.sentence.endswith("With noise independent of the sensing error: <1 % ±0.")
+    assert robot.sentence.endswith(
+        "With noise independent of the sensing error: <1 % ±0."
+    )
     assert leak.sentence.endswith(
         "With noise independent of the sensing error: <1 % ±0 and <1 % ±0."
     )
@@ -154,7 +196,9 @@ def test_what_attacks_find_is_held_against_the_optimum_where_that_is_known():
     shown = {"rank1": 0.47, "rank1_gap": 0.04, "rank1_optimum": 0.51}
     rows = [
         {
-            "consumer": "rerelease/" + ("bound" if name == "rank1_optimum" else "shape"),
+            "consumer": (
+                "rerelease/" + ("bound" if name == "rank1_optimum" else "shape")
+            ),
             "value": value,
         }
         | {
@@ -164,11 +208,19 @@ def test_what_attacks_find_is_held_against_the_optimum_where_that_is_known():
         }
         for name, value in shown.items()
     ]
-    world = pd.DataFrame(rows).assign(dataset="students03:model,law=isotropic", mechanism="fid")
-    world = world.assign(level=1.0, ci_low=0.0, ci_high=0.6, n=84, family="fid", adding="linear")
+    world = pd.DataFrame(rows).assign(
+        dataset="students03:model,law=isotropic", mechanism="fid"
+    )
+    world = world.assign(
+        level=1.0, ci_low=0.0, ci_high=0.6, n=84, family="fid", adding="linear"
+    )
     item = ITEM | SPREAD | {"decision": "tracks", "evidence": ["attacks"]}
-    run = make_run(summary=pd.concat([make_summary(), world]), verdict={"items": [item]})
-    beside = "In the model world the closest attack lacks 4.0 of 100 people of the optimum."
+    run = make_run(
+        summary=pd.concat([make_summary(), world]), verdict={"items": [item]}
+    )
+    beside = (
+        "In the model world the closest attack lacks 4.0 of 100 people of the optimum."
+    )
     assert beside in answers(run)[3].details
 
 
@@ -187,13 +239,17 @@ def proposed(*levels):
 
 def test_of_a_dozen_people_without_intervals_nothing_is_proposed():
     said = proposed(changed(half=np.nan))
-    assert said.startswith("The run cannot say: there are too few people: a decision takes 20.")
+    assert said.startswith(
+        "The run cannot say: there are too few people: a decision takes 20."
+    )
     assert said.endswith("All other limits hold with slow noise of 0.4 m.")
 
 
 def test_a_level_is_proposed_with_its_cost_and_what_breaks_it():
     said = proposed(changed(beyond={"anchor": 0.92}))
-    assert said.startswith("Slow noise of 0.4 m is the cheapest level with at most 50 % of pos")
+    assert said.startswith(
+        "Slow noise of 0.4 m is the cheapest level with at most 50 % of pos"
+    )
     cost = "Held to the false alarms of raw positions, a Kalman robot misses 20 % ±2"
     assert f"{cost} (raw: 5 %)." in said
     assert said.endswith("An adversary with one true position (knows 92 %) breaks it.")
@@ -201,7 +257,10 @@ def test_a_level_is_proposed_with_its_cost_and_what_breaks_it():
 
 def test_if_none_holds_the_nearest_is_told_and_a_control_never():
     said = proposed(BAD, SHIFTED)
-    nearest = "The nearest is fixed noise of 1 m (independent): an attack knows up to 82 % of pos"
+    nearest = (
+        "The nearest is fixed noise of 1 m (independent): an attack knows up to 82 %"
+        " of pos"
+    )
     assert said.startswith(f"No level keeps within the limits. {nearest}")
     assert "shift" not in said
     expected = "Not answerable: the run has no level that claims to protect."
@@ -221,7 +280,9 @@ def test_a_robot_that_knows_the_mechanism_is_in_the_first_answer_beside_the_othe
 
 
 def test_a_plug_in_is_called_by_its_class_where_a_person_reads():
-    of = headline_of(make_run(summary=make_summary(predictors=("my_robot.it:MyRobot",))))
+    of = headline_of(
+        make_run(summary=make_summary(predictors=("my_robot.it:MyRobot",)))
+    )
     assert of.robots[0].name == "MyRobot"
     names = ("my_noise.mine:MyNoise", "fixed", "kalman_cv:aware=true")
     assert [spoken(one) for one in names] == ["MyNoise", *names[1:]]
@@ -261,12 +322,21 @@ def test_the_worst_off_tenth_stands_beside_the_mean_or_says_why_it_does_not(n):
     worst = run.summary[is_attack & (run.summary["metric"] == "plr")]
     numbers = {"value": 0.876, "ci_low": 0.8, "ci_high": 0.92}
     refused = dict.fromkeys(numbers, np.nan)
-    worst = worst.assign(metric="plr_worst_tenth", n=n, **(numbers if n > 20 else refused))
+    worst = worst.assign(
+        metric="plr_worst_tenth", n=n, **(numbers if n > 20 else refused)
+    )
     both = make_run(summary=pd.concat([run.summary, worst]))
-    details, table = " ".join(answers(both)[1].details), headline_table(headline_of(both))
+    details, table = (
+        " ".join(answers(both)[1].details),
+        headline_table(headline_of(both)),
+    )
     heads = [column.name for column in table.columns]
     is_told = "Of the most exposed tenth of people it knows 88 % ±6." in details
-    assert is_told == (n > 20) == ("known to 0.3 m, attacked, worst tenth of people" in heads)
+    assert (
+        is_told
+        == (n > 20)
+        == ("known to 0.3 m, attacked, worst tenth of people" in heads)
+    )
     (note,) = table.notes
     expected = "the most exposed tenth of 55 people" if n > 20 else "it takes 20 people"
     assert expected in note
@@ -285,11 +355,16 @@ def test_the_worst_tenth_under_slow_noise_is_that_of_the_attack_that_is_stronges
     summary = pd.DataFrame(rows, columns=names).assign(
         dataset="walks", knowledge="informed", adding="", n=40, unit="fraction"
     )
-    summary["ci_low"], summary["ci_high"] = summary["value"] - 0.02, summary["value"] + 0.02
+    summary["ci_low"], summary["ci_high"] = (
+        summary["value"] - 0.02,
+        summary["value"] + 0.02,
+    )
     attacked = summary[(summary["consumer"] == "ou_rts") & (summary["metric"] == "plr")]
     attacked = attacked.assign(task="", adversary="one release")
     for given in (None, attacked):
-        first = headline(summary, attacks={"": Source("radial_rts", "informed")}, attacked=given)
+        first = headline(
+            summary, attacks={"": Source("radial_rts", "informed")}, attacked=given
+        )
         assert first.worst is not None
         worst = first.at(("ou", 0.4), first.worst)
         assert worst is not None

@@ -18,7 +18,9 @@ INDEPENDENT = ("independent",)
 
 def shown(answer, *, width=116, verbose=False):
     raw = io.StringIO()
-    show(answer, verbose=verbose, console=Console(file=raw, width=width, highlight=False))
+    show(
+        answer, verbose=verbose, console=Console(file=raw, width=width, highlight=False)
+    )
     return raw.getvalue()
 
 
@@ -28,7 +30,9 @@ def made(tmp_path):
 
 
 def test_the_answer_is_letter_for_letter_what_was_read_and_approved(made, tmp_path):
-    broken = changed(GOOD, level=0.5, missed=0.3, plr=0.2, beyond={"repeats": 0.6, "anchor": 0.4})
+    broken = changed(
+        GOOD, level=0.5, missed=0.3, plr=0.2, beyond={"repeats": 0.6, "anchor": 0.4}
+    )
     out = made((RAW, GOOD, broken, BAD))
     limits = {**USUAL, "missed": 0.35, "rank1": 0.5}
     questions = [
@@ -46,12 +50,17 @@ def test_the_answer_is_letter_for_letter_what_was_read_and_approved(made, tmp_pa
 
 @pytest.mark.parametrize("width", [80, 116])
 @pytest.mark.parametrize(
-    "limits", [USUAL, {**USUAL, "missed": 0.1}, {**USUAL, "plr": 0.1, "rank1": 0.1, "ael": 0.5}]
+    "limits",
+    [USUAL, {**USUAL, "missed": 0.1}, {**USUAL, "plr": 0.1, "rank1": 0.1, "ael": 0.5}],
 )
 def test_the_short_answer_has_twelve_lines(made, limits, width):
-    broken = changed(GOOD, level=0.5, missed=0.3, plr=0.2, beyond={"repeats": 0.6, "anchor": 0.4})
+    broken = changed(
+        GOOD, level=0.5, missed=0.3, plr=0.2, beyond={"repeats": 0.6, "anchor": 0.4}
+    )
     out = made((RAW, GOOD, broken, BAD))
-    lines = shown(answer_of(out, Question(adding=INDEPENDENT, limits=limits)), width=width)
+    lines = shown(
+        answer_of(out, Question(adding=INDEPENDENT, limits=limits)), width=width
+    )
     assert len(lines.splitlines()) <= 12
     assert max(map(len, lines.splitlines())) <= width
 
@@ -60,7 +69,9 @@ def test_a_yes_names_the_adversary_of_the_run_that_breaks_it(made):
     broken = changed(GOOD, beyond={"anchor": 0.92})
     question = Question(adding=INDEPENDENT)
     text = " ".join(shown(answer_of(made((RAW, broken)), question)).split())
-    assert text.startswith("Yes, against one release, but not an adversary with one true position:")
+    assert text.startswith(
+        "Yes, against one release, but not an adversary with one true position:"
+    )
     assert "knows 92 % ±2 of positions; to make it count: --against anchor." in text
 
 
@@ -71,14 +82,20 @@ def test_too_few_people_are_in_the_answer(made):
     assert any("18 usable tracks" in note for note in to_json(answer)["notes"])
 
 
-@pytest.mark.parametrize(("times", "told"), [(3.0, "about 3 times"), (1e7, "no realistic number")])
-def test_how_many_more_people_would_decide_is_a_number_that_can_be_met(made, times, told):
+@pytest.mark.parametrize(
+    ("times", "told"), [(3.0, "about 3 times"), (1e7, "no realistic number")]
+)
+def test_how_many_more_people_would_decide_is_a_number_that_can_be_met(
+    made, times, told
+):
     half = 0.1
     value = 0.5 + half / times**0.5
     out = made((RAW, changed(GOOD, plr=value, wide=0.3, half=half)))
     answer = answer_of(out, Question(adding=INDEPENDENT, limits={"plr": 0.5}))
     (reason,) = [
-        check["reason"] for check in to_json(answer)["nearest"]["checks"] if check["name"] == "plr"
+        check["reason"]
+        for check in to_json(answer)["nearest"]["checks"]
+        if check["name"] == "plr"
     ]
     expected = "about 1,500 scenes" if times < 10 else told
     assert expected in reason

@@ -53,7 +53,9 @@ def test_it_fits_a_terminal_whatever_was_said_before(name, before):
     assert len(lines) <= LINES == 24
     assert max(map(len, lines)) <= 80
     assert not any("?" in line or "nan" in line for line in lines)
-    assert lines[0].startswith("Students03: 428 people recorded, 106 long enough to use; 2,000")
+    assert lines[0].startswith(
+        "Students03: 428 people recorded, 106 long enough to use; 2,000"
+    )
     assert any(line.startswith("raw positions ") for line in lines) == (
         name not in ("clean alone", "nothing")
     )
@@ -76,13 +78,18 @@ def test_the_level_that_the_last_answer_names_has_a_row_where_there_is_room_for_
     lines = first_screen(run, before=12)
     assert any(line.startswith("slow noise, 0.4 m ") for line in lines)
     text = " ".join(" ".join(lines).split())
-    assert "Share: Slow noise of 0.4 m is the cheapest level with at most 50 % of" in text
+    assert (
+        "Share: Slow noise of 0.4 m is the cheapest level with at most 50 % of" in text
+    )
     assert "It holds against an adversary with several releases" in text
 
 
 def test_raw_comes_first_then_a_level_of_every_mechanism_of_the_paper():
     lines = first_screen(make_run(at=MANY))
-    start = lines.index(next(line for line in lines if line.startswith("what is shared"))) + 1
+    start = (
+        lines.index(next(line for line in lines if line.startswith("what is shared")))
+        + 1
+    )
     rows = [line.split("  ")[0] for line in lines[start:]]
     assert rows[0] == "raw positions"
     assert {"FID noise, eta 1", "fixed noise, 0.7 m"} <= {*rows[1:7]}
@@ -104,7 +111,9 @@ def test_what_simulates_says_so_first_and_doubts_are_counted():
     run = make_run(flags=make_flags(), failed=failed, linkability=linked)
     run.manifest["dataset"]["simulated"] = True
     run.manifest["linkage"] = {
-        "tasks": {"rerelease": {"frozen": 7, "people": 9, "too_short": 0, "not_drawn": 0}},
+        "tasks": {
+            "rerelease": {"frozen": 7, "people": 9, "too_short": 0, "not_drawn": 0}
+        },
         "skipped": {"split": "x"},
     }
     text = " ".join(" ".join(first_screen(run)).split())
@@ -128,21 +137,31 @@ def test_too_few_people_are_a_doubt_from_the_start_to_the_end():
     text = " ".join(" ".join(first_screen(run)).split())
     assert "Doubts: 18 usable tracks: too few to decide anything" in text
     assert "Share: With 18 usable tracks nothing is decided." in text
-    assert data_notices(dataset)[0].endswith("too few to decide anything (the longest last 9.0 s).")
+    assert data_notices(dataset)[0].endswith(
+        "too few to decide anything (the longest last 9.0 s)."
+    )
 
 
 def test_units_in_doubt_are_a_doubt_and_what_was_mended_a_notice():
     run = make_run()
-    doubt = {"kind": "doubt", "count": 1, "detail": "f: units may be wrong: likely feet?"}
+    doubt = {
+        "kind": "doubt",
+        "count": 1,
+        "detail": "f: units may be wrong: likely feet?",
+    }
     bent = {"kind": "overshoot", "count": 1234, "detail": "pieces"}
     run.manifest["dataset"]["repairs"] = [doubt, bent]
-    assert "units of the recording may be wrong" in " ".join(doubts(run, headline_of(run)))
+    assert "units of the recording may be wrong" in " ".join(
+        doubts(run, headline_of(run))
+    )
     first, second = data_notices(run.manifest["dataset"])
     assert first == doubt["detail"]
     assert "1,234 pieces of walks made straight where a spline overshoots" in second
 
 
-@pytest.mark.parametrize("name", ["students03-paper-0", "a-recording-with-a-long-name-paper-0"])
+@pytest.mark.parametrize(
+    "name", ["students03-paper-0", "a-recording-with-a-long-name-paper-0"]
+)
 def test_where_to_read_on_can_be_copied_and_fits(tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
     out = tmp_path / "runs" / name
@@ -157,8 +176,14 @@ def test_where_to_read_on_can_be_copied_and_fits(tmp_path, monkeypatch, name):
 @pytest.mark.parametrize(
     ("predictors", "shown"),
     [
-        (("kalman_cv", "least_squares", "mine:gain=0.5"), "A robot with mine:gain=0.5 misses "),
-        (("kalman_ca", "kalman_cv", "least_squares"), "The paper's straight line misses "),
+        (
+            ("kalman_cv", "least_squares", "mine:gain=0.5"),
+            "A robot with mine:gain=0.5 misses ",
+        ),
+        (
+            ("kalman_ca", "kalman_cv", "least_squares"),
+            "The paper's straight line misses ",
+        ),
         (("kalman_ca", "kalman_cv"), "A Kalman robot with acceleration misses "),
         (("constant_position", "another"), "A robot with another misses "),
         (("constant_position",), "A robot that expects people to stand still misses "),
@@ -174,7 +199,9 @@ def test_a_user_s_own_robot_is_shown(predictors, shown):
 def test_numbers_without_an_interval_say_why():
     assert "no intervals" not in " ".join(first_screen(make_run()))
     run = make_run()  # Its numbers are read once: they change before that.
-    run.summary.loc[run.summary["metric"] == "missed_conflict_rate", ["ci_low", "ci_high"]] = np.nan
+    run.summary.loc[
+        run.summary["metric"] == "missed_conflict_rate", ["ci_low", "ci_high"]
+    ] = np.nan
     text = " ".join(" ".join(first_screen(run)).split())
     assert "Doubts: no intervals on missed conflicts (few people)" in text
 
@@ -187,7 +214,9 @@ def test_the_next_question_is_one_that_the_run_can_answer(tmp_path):
     assert first.endswith(" --max-missed 0.20 \\")
     assert second.startswith("  --adding linear ")
     assert not any("--adding" in line for line in asked)
-    alone = first_screen(make_run(tmp_path / "run", summary=make_summary(predictors=())))
+    alone = first_screen(
+        make_run(tmp_path / "run", summary=make_summary(predictors=()))
+    )
     assert "evaluation.report --verbose" in alone[-2] + alone[-1]
 
 
@@ -204,7 +233,9 @@ def test_the_time_left_goes_by_what_was_finished_after_the_first_cell():
     at = iter([0.0, 1.0, 30.0, 31.0, 40.0, 4130.0])
     clock = Clock(now=lambda: next(at))
     assert clock.text(0, 1000) == "0:01"
-    assert clock.text(10, 1000) == "0:30"  # 29 s of compiling tell nothing of the others
+    assert (
+        clock.text(10, 1000) == "0:30"
+    )  # 29 s of compiling tell nothing of the others
     assert clock.text(20, 1000) == "0:31"
     # 100 cells in 10 s: 89 s for 890; then an eighth of 129 s for the report.
     assert clock.text(110, 1000) == "0:40, about 1:44 left"
@@ -213,10 +244,19 @@ def test_the_time_left_goes_by_what_was_finished_after_the_first_cell():
 
 @pytest.mark.parametrize(
     ("distance_m", "at_cap", "said"),
-    [(30.0, 0.13, ""), (53.2, 0.1, "(usual: 20 to 40 m)."), (30.0, 0.48, "; 48 % have the larg")],
+    [
+        (30.0, 0.13, ""),
+        (53.2, 0.1, "(usual: 20 to 40 m)."),
+        (30.0, 0.48, "; 48 % have the larg"),
+    ],
 )
 def test_an_unusual_geometry_is_on_the_first_screen(distance_m, at_cap, said):
-    known = {"distance_m": distance_m, "sigma_raw_m": 1.92, "at_cap": at_cap, "tracks": 9}
+    known = {
+        "distance_m": distance_m,
+        "sigma_raw_m": 1.92,
+        "at_cap": at_cap,
+        "tracks": 9,
+    }
     run = make_run()
     run = replace(run, manifest=run.manifest | {"geometry": known})
     shown = " ".join(" ".join(first_screen(run)).split())

@@ -39,7 +39,9 @@ def made(tmp_path_factory):
             out=folder / "run",
             pictures=False,
         )
-    return SimpleNamespace(run=run, said=said.getvalue(), loaded=evaluation.load(folder / "run"))
+    return SimpleNamespace(
+        run=run, said=said.getvalue(), loaded=evaluation.load(folder / "run")
+    )
 
 
 def test_a_run_takes_options_over_settings_and_says_what_it_is_about(made):
@@ -81,7 +83,9 @@ def test_a_run_is_read_as_it_was_returned(made):
         if name == "linkability":  # of a cohort nothing is said: empty in a file
             frame["outcome"] = frame["outcome"].fillna("")
         frame, read = (one.dropna(axis="columns", how="all") for one in (frame, read))
-        pd.testing.assert_frame_equal(read.convert_dtypes(), frame, check_dtype=bool(len(frame)))
+        pd.testing.assert_frame_equal(
+            read.convert_dtypes(), frame, check_dtype=bool(len(frame))
+        )
     for name in ("manifest", "verdict", "strongest"):
         assert getattr(made.loaded, name) == getattr(made.run, name)
     assert [*made.loaded.flags] == [*made.run.flags]
@@ -90,7 +94,10 @@ def test_a_run_is_read_as_it_was_returned(made):
 def test_reading_writes_nothing_and_imports_nothing_slow(made):
     before = {path: path.stat().st_mtime_ns for path in made.run.out.rglob("*")}
     slow = "{'numba', 'scipy', 'sklearn', 'matplotlib', 'jinja2', 'rich'}"
-    code = f"import evaluation, sys; evaluation.load('run'); print({slow} & set(sys.modules))"
+    code = (
+        f"import evaluation, sys; evaluation.load('run'); print({slow} &"
+        " set(sys.modules))"
+    )
     assert run(made.run.out.parent, "-c", code).out == "set()\n"
     assert {path: path.stat().st_mtime_ns for path in made.run.out.rglob("*")} == before
 
@@ -100,7 +107,10 @@ def test_reading_writes_nothing_and_imports_nothing_slow(made):
     ("spoil", "told"),
     [
         (lambda out: (out / "manifest.json").unlink(), "holds no run"),
-        (lambda out: (out / "frontier.csv").unlink(), "frontier.csv is missing; python -m evalua"),
+        (
+            lambda out: (out / "frontier.csv").unlink(),
+            "frontier.csv is missing; python -m evalua",
+        ),
         (lambda out: (out / "summary.csv").write_text(""), "cannot be read"),
         (lambda out: (out / "verdict.json").write_text("{"), "cannot be read"),
     ],
@@ -123,8 +133,16 @@ CSV = {"metric": "plr", "consumer": "shared"}
     [
         ({"metric": "plr"}, CSV, ""),
         ({"metric": "plr", "after": "savgol"}, CSV | {"consumer": "savgol"}, "savgol"),
-        ({"metric": "rmse", "after": "identity"}, {"metric": "rmse", "consumer": "identity"}, None),
-        ({"metric": "missed"}, {"metric": "missed_conflict_rate", "consumer": "least_squares"}, ""),
+        (
+            {"metric": "rmse", "after": "identity"},
+            {"metric": "rmse", "consumer": "identity"},
+            None,
+        ),
+        (
+            {"metric": "missed"},
+            {"metric": "missed_conflict_rate", "consumer": "least_squares"},
+            "",
+        ),
         (
             {"metric": "false_alarm", "robot": "kalman_cv"},
             {"metric": "false_alarm_rate", "consumer": "kalman_cv"},
@@ -139,11 +157,24 @@ CSV = {"metric": "plr", "consumer": "shared"}
 )
 def test_a_frame_has_the_rows_of_the_summary(made, asked, rows, attack):
     frame = made.loaded.frame(**asked)
-    names = ["family", "level", "adding", "attack", "knowledge", "value", "ci_low", "ci_high"]
+    names = [
+        "family",
+        "level",
+        "adding",
+        "attack",
+        "knowledge",
+        "value",
+        "ci_low",
+        "ci_high",
+    ]
     assert [*frame] == names
-    summary = pd.read_csv(made.run.out / "summary.csv", keep_default_na=False, na_values=[""])
+    summary = pd.read_csv(
+        made.run.out / "summary.csv", keep_default_na=False, na_values=[""]
+    )
     rows = rows | {"dataset": made.run.dataset}  # not those of a further horizon
-    want = summary.query(" and ".join(f"{name} == {value!r}" for name, value in rows.items()))
+    want = summary.query(
+        " and ".join(f"{name} == {value!r}" for name, value in rows.items())
+    )
     assert [*frame["value"]] == [*want["value"]]
     assert [*frame["family"]] == [*want["family"]]
     raw = frame[frame["family"] == "raw"]
@@ -169,7 +200,10 @@ def test_the_strongest_attack_is_the_verdicts(made):
         ({"metric": "plrr"}, "did you mean 'plr'?"),
         ({"metric": "plr", "after": "dtw"}, "it has that of shared, identity"),
         ({"metric": "rank1", "task": "split"}, "nobody in this task"),
-        ({"metric": "missed", "robot": "mine"}, "it has that of least_squares, kalman_cv"),
+        (
+            {"metric": "missed", "robot": "mine"},
+            "it has that of least_squares, kalman_cv",
+        ),
     ],
 )
 def test_a_frame_of_what_is_not_there_says_what_is(made, asked, told):
@@ -184,24 +218,31 @@ def test_a_plot_has_units_and_a_line_with_intervals_for_each_family_and_rule(mad
     assert axes.get_ylabel() == f"PLR (%), after {best.label}"
     names = [text.get_text() for text in axes.get_legend().get_texts()]
     assert names == ["raw", "fid linear", "fixed linear", "fid independent"]
-    (line, _, bars) = axes.containers[names.index("fixed linear")]
+    line, _, bars = axes.containers[names.index("fixed linear")]
     frames = [made.loaded.frame("missed"), made.loaded.frame("plr", after="strongest")]
-    points = [100 * one.query("family == 'fixed'")["value"].to_numpy() for one in frames]
+    points = [
+        100 * one.query("family == 'fixed'")["value"].to_numpy() for one in frames
+    ]
     assert np.array(line.get_data()) == pytest.approx(np.array(points))
     assert len(bars) == 2
     marks = [bar[0] for bar in axes.containers]
-    assert [(one.get_marker(), one.get_markerfacecolor() == "none") for one in marks] == [
-        *(("*", False), ("o", False), ("s", False), ("o", True))
-    ]
+    assert [
+        (one.get_marker(), one.get_markerfacecolor() == "none") for one in marks
+    ] == [*(("*", False), ("o", False), ("s", False), ("o", True))]
     again = made.loaded.plot(x="level", y="rank1", ax=axes)
     assert again is axes
     assert axes.get_xscale() == "log"
-    assert [one.get_alpha() for one in axes.patches] == [0.1, 0.1]  # intervals of raw, and clean
+    assert [one.get_alpha() for one in axes.patches] == [
+        0.1,
+        0.1,
+    ]  # intervals of raw, and clean
     assert "d_sigma in m" in axes.get_xlabel()
     plt.close(axes.figure)
 
 
-def test_in_a_line_it_says_how_many_scenes_are_attacked_and_how_many_are_the_robots(made):
+def test_in_a_line_it_says_how_many_scenes_are_attacked_and_how_many_are_the_robots(
+    made,
+):
     identity = made.run.manifest["identity"] | {"scenes": 500, "scenes_utility": 2000}
     run = replace(made.run, manifest=made.run.manifest | {"identity": identity})
     assert "2,000 scenes, 500 of them attacked, seed 0" in repr(run)

@@ -4,7 +4,13 @@ import re
 from pathlib import Path
 
 import pytest
-from helpers.finished_runs import levels, make_gallery, make_run, make_summary, with_links
+from helpers.finished_runs import (
+    levels,
+    make_gallery,
+    make_run,
+    make_summary,
+    with_links,
+)
 from helpers.pages import Tags
 
 from attacks.tasks.task_list import TASKS
@@ -41,7 +47,9 @@ WORDS = (
 
 @pytest.mark.parametrize("kind", ["mechanisms", "predictors", "attacks"])
 def test_every_built_in_plugin_has_a_sentence(kind):
-    built_in = [name for name, path in plugins.names(kind).items() if "tests" not in path]
+    built_in = [
+        name for name, path in plugins.names(kind).items() if "tests" not in path
+    ]
     assert len(built_in) > 3
     assert not [name for name in built_in if not DEFINITIONS.get(name)]
 
@@ -96,7 +104,9 @@ def test_hover_text_marks_each_name_once_and_escapes_the_rest():
 
 
 def test_the_page_of_the_docs_is_that_of_the_code():
-    assert (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8") == glossary_page()
+    assert (ROOT / "docs" / "glossary.md").read_text(
+        encoding="utf-8"
+    ) == glossary_page()
 
 
 @pytest.fixture(scope="module")
@@ -111,12 +121,23 @@ def made():
 
 def test_what_it_shows_of_a_run_is_in_its_glossary(made):
     run, text = made
-    section = text[text.index('<section id="words">') : text.index('<section id="again">')]
+    section = text[
+        text.index('<section id="words">') : text.index('<section id="again">')
+    ]
     listed = set(re.findall(r"<dt>([^<]+?) ?(?:<span|</dt>)", section))
     consumers = {name for name in run.summary["consumer"] if "control-" not in name}
-    parts = {part for name in consumers for part in re.split(r"[/@]", name)} - {"shared"}
+    parts = {part for name in consumers for part in re.split(r"[/@]", name)} - {
+        "shared"
+    }
     shown = {*parts, *run.summary["family"], *run.summary["knowledge"]} - {""}
-    assert {"radial_rts", "least_squares", "rerelease", "fid", "informed", "thin"} <= shown
+    assert {
+        "radial_rts",
+        "least_squares",
+        "rerelease",
+        "fid",
+        "informed",
+        "thin",
+    } <= shown
     assert shown <= listed
 
 
@@ -127,4 +148,6 @@ def test_cells_and_keys_have_hover_text(made):
     assert {DEFINITIONS["raw"], DEFINITIONS["fid"]} <= {
         attributes["title"] for attributes in tags.of("abbr")
     }
-    assert DEFINITIONS["linear"] in {attributes.get("title") for attributes in tags.of("td")}
+    assert DEFINITIONS["linear"] in {
+        attributes.get("title") for attributes in tags.of("td")
+    }

@@ -47,7 +47,11 @@ def test_a_mechanism_has_its_level_and_the_unit(sections):
 
 
 def test_every_setting_has_its_value_unit_and_words(sections):
-    lines = dict(zip(StageSettings().flat(), sections["settings (--set NAME=VALUE)"], strict=True))
+    lines = dict(
+        zip(
+            StageSettings().flat(), sections["settings (--set NAME=VALUE)"], strict=True
+        )
+    )
     assert SETTINGS.keys() == lines.keys()
     assert lines["privacy.epsilon_m"].split(maxsplit=3)[1:3] == ["0.3", "m"]
     assert lines["sensing.carrier_ghz"].split(maxsplit=3)[1:3] == ["3.5", "GHz"]
@@ -60,7 +64,10 @@ def test_every_task_is_a_line(sections):
 
 
 def test_a_source_is_read_and_not_run(tmp_path, monkeypatch):
-    text = 'raise SystemExit\n\nclass Mine:\n    """Hide.\n\n    More."""\n    std_m: float = 1.0\n'
+    text = (
+        'raise SystemExit\n\nclass Mine:\n    """Hide.\n\n    More."""\n    std_m:'
+        " float = 1.0\n"
+    )
     (tmp_path / "mine_unrun.py").write_text(text, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     found = source_of("mine_unrun:Mine")

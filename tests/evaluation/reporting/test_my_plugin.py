@@ -28,7 +28,12 @@ ATTACK = {
     "other": interval(0.9, 0.88, 0.92),
     "difference": interval(-0.25, -0.28, -0.22),
 }
-LINKER = ATTACK | {"kind": "linker", "task": "handover-1s", "rival": "kinematic", "metric": "rank1"}
+LINKER = ATTACK | {
+    "kind": "linker",
+    "task": "handover-1s",
+    "rival": "kinematic",
+    "metric": "rank1",
+}
 PREDICTOR = ATTACK | {
     "kind": "predictor",
     "plugin": "my_tracker",
@@ -67,12 +72,19 @@ def test_a_run_of_built_in_plugins_says_nothing(usual):
 def test_each_kind_is_compared_in_its_own_metric(usual):
     gap = "90 %, difference -25 points [-28, -22], mean of 5 levels"
     smoother, alarms = "radial Kalman smoother", "false alarms 5 % against 7 %"
-    attack, linker, predictor = plugin_lines(with_plugins(usual, ATTACK, LINKER, PREDICTOR))
+    attack, linker, predictor = plugin_lines(
+        with_plugins(usual, ATTACK, LINKER, PREDICTOR)
+    )
     said = "Yours: my_attack rebuilds 65 % of positions to epsilon, strongest built-in"
     assert attack == f"{said} ({smoother}) {gap}."
-    said = "Yours: my_attack re-identifies 65 % after 1 s of silence, strongest built-in"
+    said = (
+        "Yours: my_attack re-identifies 65 % after 1 s of silence, strongest built-in"
+    )
     assert linker == f"{said} (kinematic) {gap}."
-    said = "Yours: my_tracker misses 65 % of future conflicts within 3 s, strongest built-in"
+    said = (
+        "Yours: my_tracker misses 65 % of future conflicts within 3 s, strongest"
+        " built-in"
+    )
     assert predictor == f"{said} (Kalman) {gap}; {alarms}."
 
 
@@ -91,11 +103,18 @@ def test_folders_are_no_part_of_a_name(usual, spec, name):
 
 
 def test_a_mechanism_has_its_row(usual):
-    said = "Yours: my_noise 0.2: a robot (Kalman) misses 20 % of future conflicts within 3 s; "
+    said = (
+        "Yours: my_noise 0.2: a robot (Kalman) misses 20 % of future conflicts within"
+        " 3 s; "
+    )
     said += "30 % of positions are known to epsilon as sent, 80 % after attack; "
     said += "70 % are re-identified after 1 s of silence."
     assert plugin_lines(with_plugins(usual, MECHANISM)) == [said]
-    nobody = MECHANISM | {"robot": "", "linked": interval(None), "attacked": interval(None)}
+    nobody = MECHANISM | {
+        "robot": "",
+        "linked": interval(None),
+        "attacked": interval(None),
+    }
     assert plugin_lines(with_plugins(usual, nobody)) == [
         "Yours: my_noise 0.2: 30 % of positions are known to epsilon as sent."
     ]
@@ -114,7 +133,11 @@ def test_without_an_interval_it_says_so(usual):
 
 
 def test_alone_it_is_a_doubt(usual):
-    alone = ATTACK | {"rival": "", "other": interval(None), "difference": interval(None)}
+    alone = ATTACK | {
+        "rival": "",
+        "other": interval(None),
+        "difference": interval(None),
+    }
     run = with_plugins(usual, alone)
     said = "no built-in attack in this run to compare with: add +my_attack"
     assert plugin_doubts(run) == [said]

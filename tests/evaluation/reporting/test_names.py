@@ -6,7 +6,11 @@ from attacks.tasks.task_list import TASKS
 from evaluation.analysis.families import Family
 from evaluation.analysis.strongest import BEYOND
 from evaluation.reporting import names
-from evaluation.reporting.names import mechanism_name, mechanism_phrase, short_mechanism_name
+from evaluation.reporting.names import (
+    mechanism_name,
+    mechanism_phrase,
+    short_mechanism_name,
+)
 from isac_track import plugins
 
 INDEPENDENT = "fid:adding=independent"
@@ -48,7 +52,9 @@ WHITE = "fixed:adding=independent,law=isotropic"
         ("a.b:Mine", 3.0, "Mine:3", "Mine:3", "Mine:3"),
     ],
 )
-def test_a_level_has_a_name_for_a_table_and_for_a_sentence(mechanism, level, name, short, phrase):
+def test_a_level_has_a_name_for_a_table_and_for_a_sentence(
+    mechanism, level, name, short, phrase
+):
     name_of_plugin = mechanism if "." in mechanism else mechanism.partition(":")[0]
     family = Family(mechanism, name_of_plugin, "")
     assert mechanism_name(family, level) == name

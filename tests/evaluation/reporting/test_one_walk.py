@@ -25,22 +25,26 @@ def test_the_furthest_walk_runs_from_left_to_right_and_keeps_its_distances(galle
     assert walk.true[0] == pytest.approx([0.0, 0.0])
     assert walk.true[-1] == pytest.approx([7.0 * np.sqrt(5.0), 0.0])
     rows = gallery[(gallery["track"] == 3) & (gallery["mechanism"] == "fid:1")]
-    before = np.hypot(rows["x_shared"] - rows["x_true"], rows["y_shared"] - rows["y_true"])
+    before = np.hypot(
+        rows["x_shared"] - rows["x_true"], rows["y_shared"] - rows["y_true"]
+    )
     np.testing.assert_allclose(np.hypot(*(walk.shared - walk.true).T), before)
 
 
 def test_it_says_how_much_leaks_and_draws_every_shared_position(gallery):
     walk = longest_walk(gallery)
     text = caption(walk, level_name="FID noise, eta 1")
-    assert text == (
-        "FID noise, eta 1: 50 % of the shared positions are within 0.3 m of the walk; "
+    assert (
+        text == "FID noise, eta 1: 50 % of the shared positions are within 0.3 m of the"
+        " walk; "
         "after a radial Kalman smoother, 75 % are."
     )
     root = ET.fromstring(one_walk(walk, level_name="FID noise, eta 1"))
     assert text in "".join(root.itertext())
     paths = list(root.iter("{http://www.w3.org/2000/svg}path"))
     places = {
-        name: [p for p in paths if p.get("class") == f"line {name}"] for name in ("far", "near")
+        name: [p for p in paths if p.get("class") == f"line {name}"]
+        for name in ("far", "near")
     }
     assert [places[name][0].get("d").count("M") for name in ("far", "near")] == [4, 4]
     assert float(root.get("viewBox").split()[2]) == pytest.approx(2 * PANEL[0] + 30)
@@ -56,7 +60,10 @@ def test_walks_of_recorded_people_are_not_drawn(tmp_path, simulated):
     run.manifest["dataset"]["simulated"] = simulated
     written = write_pages(run, root=tmp_path)
     run.manifest["dataset"]["simulated"] = False
-    assert written == [tmp_path / GLOSSARY_PAGE, *([tmp_path / PICTURE] if simulated else [])]
+    assert written == [
+        tmp_path / GLOSSARY_PAGE,
+        *([tmp_path / PICTURE] if simulated else []),
+    ]
     assert all(path.stat().st_size for path in written)
 
 

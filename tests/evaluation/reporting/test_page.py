@@ -26,15 +26,19 @@ class TestTheFile:
         assert made.startswith("<!doctype html>")
         assert "<title>Students03: " in made
         tags = Tags(made)
-        assert {"name": "viewport", "content": "width=device-width, initial-scale=1"} in tags.of(
-            "meta"
-        )
+        assert {
+            "name": "viewport",
+            "content": "width=device-width, initial-scale=1",
+        } in tags.of("meta")
         text = re.sub(r"<(script|style)>.*?</\1>|<[^>]*>", "", made, flags=re.DOTALL)
         assert "?" not in text.removeprefix("<!doctype html>")
         assert re.findall(r"<text[^>]*>missed conflicts \(%\)</text>", made)
         for tag, attributes in tags.found:
             for name in ("href", "src", "xlink:href", "action", "data", "srcset"):
-                assert attributes.get(name, "#").startswith(("#", "data:")), (tag, attributes)
+                assert attributes.get(name, "#").startswith(("#", "data:")), (
+                    tag,
+                    attributes,
+                )
         css = "".join(re.findall(r"<style>(.*?)</style>", made, re.DOTALL))
         assert not re.search(r"url\(|@import", css)
         outside = re.findall(r"https?://[^\s\"<]+", made)
@@ -44,7 +48,9 @@ class TestTheFile:
         tags = Tags(made)
         ids = [attributes["id"] for _, attributes in tags.found if "id" in attributes]
         assert len(ids) == len(set(ids))
-        wanted = {a["href"][1:] for _, a in tags.found if a.get("href", "").startswith("#")}
+        wanted = {
+            a["href"][1:] for _, a in tags.found if a.get("href", "").startswith("#")
+        }
         wanted |= set(re.findall(r"url\(#([^)]+)\)", made))
         for _, attributes in tags.found:
             wanted |= set(attributes.get("aria-labelledby", "").split())
@@ -61,7 +67,11 @@ class TestTheFile:
         assert len(told) > PANELS
         assert all(re.search(r"\d", words) for words in told)
         assert all(head["scope"] == "col" for head in heads)
-        assert sum(one.get("class") == "sort" for one in tags.of("button")) == len(heads) > 0
+        assert (
+            sum(one.get("class") == "sort" for one in tags.of("button"))
+            == len(heads)
+            > 0
+        )
         assert len(tags.of("caption")) == len(tags.of("table"))
 
     def test_a_folder_that_cannot_be_written_is_named(self, tmp_path):
@@ -70,7 +80,9 @@ class TestTheFile:
 
 
 class TestWhatItSays:
-    def test_the_questions_come_first_and_words_are_told_where_they_are_first_used(self, made):
+    def test_the_questions_come_first_and_words_are_told_where_they_are_first_used(
+        self, made
+    ):
         questions = [
             "robot lose",
             "still leaks",
@@ -79,8 +91,14 @@ class TestWhatItSays:
             "should I share",
         ]
         heads = re.findall(r"<h2>(\d .*?)</h2>", made)
-        assert [word in head for word, head in zip(questions, heads, strict=True)] == [True] * 5
-        assert made.index(heads[-1]) < made.index('id="plane-1"') < made.index('class="gallery"')
+        assert [word in head for word, head in zip(questions, heads, strict=True)] == [
+            True
+        ] * 5
+        assert (
+            made.index(heads[-1])
+            < made.index('id="plane-1"')
+            < made.index('class="gallery"')
+        )
         assert made.index('class="gallery"') < made.index('<section id="verdict">')
         text = made[made.index("<body>") :]
         for short, long in (
@@ -89,7 +107,12 @@ class TestWhatItSays:
             ("MEL", "maximum exposure length"),
         ):
             assert text.index(long) < text.index(short), short
-        told = ["▲ inflated", "· between", "split: too few [red]people[/red]", "18.7 [18.4, 19.1]"]
+        told = [
+            "▲ inflated",
+            "· between",
+            "split: too few [red]people[/red]",
+            "18.7 [18.4, 19.1]",
+        ]
         assert all(text in made for text in told)
         contents = re.findall(r'<li><a href="#(\w+)">([^<]+)</a></li>', made)
         assert len(contents) == made.count("<section id=")
@@ -105,8 +128,14 @@ class TestWhatItSays:
         assert "<table>" not in text
 
     def test_marks_in_a_command_and_a_subject_are_words(self):
-        run = make_run(verdict={**VERDICT, "items": [{**ITEM, "subject": "</td><img src=x>"}]})
-        run.manifest["environment"]["command"] = ["matrix.py", "--dataset", "</code><b>x"]
+        run = make_run(
+            verdict={**VERDICT, "items": [{**ITEM, "subject": "</td><img src=x>"}]}
+        )
+        run.manifest["environment"]["command"] = [
+            "matrix.py",
+            "--dataset",
+            "</code><b>x",
+        ]
         tags = Tags(page.render(run))
         assert not tags.of("img")
         assert not tags.of("b")
@@ -115,9 +144,14 @@ class TestWhatItSays:
         run = make_run(flags=make_flags())
         run.manifest["dataset"]["simulated"] = True
         text = page.render(run)
-        notice = text.index("Simulated crowd: these numbers say nothing about real people.")
+        notice = text.index(
+            "Simulated crowd: these numbers say nothing about real people."
+        )
         assert notice < text.index("What does the robot lose")
-        assert "radial_rts (informed) is beaten by radial_rts (blind) at 1 of 47 levels" in text
+        assert (
+            "radial_rts (informed) is beaten by radial_rts (blind) at 1 of 47 levels"
+            in text
+        )
         assert "+0.3 [+0.1, +0.5]" in text
 
 
@@ -150,7 +184,11 @@ def test_the_command_of_a_run_from_python_has_its_identity_and_its_axes():
     words = shlex.split(command(manifest))[3:]
     settings = matrix.settings_from(matrix.parser().parse_args(words))
     assert (settings.preset, settings.seed) == ("smoke", 7)
-    assert (settings.dataset, settings.format, settings.fps) == ("my walks.csv", "obsmat", 12.5)
+    assert (settings.dataset, settings.format, settings.fps) == (
+        "my walks.csv",
+        "obsmat",
+        12.5,
+    )
     assert settings.mechanisms == ("raw", "fid:1")
     assert settings.tasks == ()
 
@@ -158,9 +196,19 @@ def test_the_command_of_a_run_from_python_has_its_identity_and_its_axes():
 def test_the_command_of_a_run_from_python_adds_where_the_run_added():
     manifest = copy.deepcopy(MANIFEST)
     manifest["environment"]["command"] = []
-    manifest["settings"]["named"] = {"attacks": ["+my_attack", "+savgol:0.4"], "tasks": []}
+    manifest["settings"]["named"] = {
+        "attacks": ["+my_attack", "+savgol:0.4"],
+        "tasks": [],
+    }
     words = shlex.split(command(manifest))[3:]
-    assert words[-6:] == ["--attack", "+my_attack", "--attack", "+savgol:0.4", "--task", "none"]
+    assert words[-6:] == [
+        "--attack",
+        "+my_attack",
+        "--attack",
+        "+savgol:0.4",
+        "--task",
+        "none",
+    ]
     settings = matrix.settings_from(matrix.parser().parse_args(words))
     assert settings.choice("attacks").named == ("my_attack", "savgol:0.4")
     assert not settings.choice("attacks").replaces

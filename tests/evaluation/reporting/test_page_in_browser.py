@@ -8,7 +8,9 @@ import shutil
 import pytest
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+sync_api = pytest.importorskip(
+    "playwright.sync_api", reason="playwright is not installed"
+)
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
 
 ARGUMENTS = [
@@ -30,8 +32,13 @@ BOXES = """
 SIZES = """
 () => [document.documentElement.scrollHeight, document.querySelectorAll('*').length]
 """
-VALUES = "(table) => [...table.tBodies[0].rows].map((row) => row.cells[%d].textContent.trim())"
-SIDEWAYS = "() => document.documentElement.scrollWidth - document.documentElement.clientWidth"
+VALUES = (
+    "(table) => [...table.tBodies[0].rows].map((row) =>"
+    " row.cells[%d].textContent.trim())"
+)
+SIDEWAYS = (
+    "() => document.documentElement.scrollWidth - document.documentElement.clientWidth"
+)
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +58,9 @@ def opened(browser, page_path):
         context = browser.new_context(viewport=viewport, **options)
         contexts.append(context)
         tab = context.new_page()
-        tab.on("console", lambda message: trouble.append(f"{message.type}: {message.text}"))
+        tab.on(
+            "console", lambda message: trouble.append(f"{message.type}: {message.text}")
+        )
         tab.on("pageerror", lambda error: trouble.append(str(error)))
         tab.on("request", lambda request: requests.append(request.url))
         tab.goto(page_path.as_uri())
@@ -81,7 +90,9 @@ def test_the_page_fits_is_readable_and_the_answers_come_first(opened, viewport):
     assert len(shown) == 5 + 2 + 12  # pictures, the planes of one robot, and walks
     for box in shown:
         assert not box["is_chart"] or box["text_px"] > 9, box
-    tab.evaluate("() => document.querySelectorAll('details').forEach((d) => d.open = true)")
+    tab.evaluate(
+        "() => document.querySelectorAll('details').forEach((d) => d.open = true)"
+    )
     assert tab.evaluate(SIDEWAYS) <= 0
     boxes = tab.evaluate(BOXES)
     assert len(boxes) > len(shown)
@@ -96,11 +107,15 @@ def test_the_record_fits_a_screen(opened):
 
 
 @pytest.mark.parametrize(
-    ("viewport", "expected"), [(PHONE, {True}), (DESK, {True, False})], ids=["phone", "desk"]
+    ("viewport", "expected"),
+    [(PHONE, {True}), (DESK, {True, False})],
+    ids=["phone", "desk"],
 )
 def test_a_table_that_scrolls_says_so_and_no_head_is_empty(opened, viewport, expected):
     tab = opened(viewport)
-    tab.evaluate("() => document.querySelectorAll('details').forEach((d) => d.open = true)")
+    tab.evaluate(
+        "() => document.querySelectorAll('details').forEach((d) => d.open = true)"
+    )
     tab.wait_for_function("() => document.querySelector('.table.wide') !== null")
     frames = tab.locator(".table").evaluate_all(
         "(all) => all.map((one) => { const frame = one.querySelector('.scroll');"
@@ -112,7 +127,9 @@ def test_a_table_that_scrolls_says_so_and_no_head_is_empty(opened, viewport, exp
     heads = tab.locator("th").all_text_contents()
     assert heads
     assert all(head.strip() for head in heads)
-    captions = tab.locator("caption").evaluate_all("(all) => all.map((one) => one.offsetHeight)")
+    captions = tab.locator("caption").evaluate_all(
+        "(all) => all.map((one) => one.offsetHeight)"
+    )
     assert max(captions) <= 1
 
 
@@ -142,10 +159,14 @@ GROUND = "() => getComputedStyle(document.body).backgroundColor"
         ("dark", "rgb(23, 25, 28)", "rgb(232, 232, 230)"),
     ],
 )
-def test_light_and_dark_are_two_pages_and_print_is_light_no_buttons(opened, scheme, ground, ink):
+def test_light_and_dark_are_two_pages_and_print_is_light_no_buttons(
+    opened, scheme, ground, ink
+):
     tab = opened(color_scheme=scheme)
     assert tab.evaluate(GROUND) == ground
-    fill = "() => getComputedStyle(document.querySelector('#fig-after_attack svg')).fill"
+    fill = (
+        "() => getComputedStyle(document.querySelector('#fig-after_attack svg')).fill"
+    )
     assert tab.evaluate(fill) == ink
     tab.emulate_media(media="print", color_scheme=scheme)
     assert tab.evaluate(GROUND) == "rgb(255, 255, 255)"
@@ -159,7 +180,9 @@ class TestTables:
 
     def unfolded(self, opened, **options):
         tab = opened(**options)
-        tab.evaluate("() => document.querySelectorAll('details').forEach((d) => d.open = true)")
+        tab.evaluate(
+            "() => document.querySelectorAll('details').forEach((d) => d.open = true)"
+        )
         return tab
 
     def values(self, tab, column):
@@ -182,17 +205,28 @@ class TestTables:
         assert tab.locator(f"{self.PAPER} th[aria-sort]").count() == 1
 
     @pytest.mark.parametrize("has_clipboard", [True, False])
-    def test_copy_gives_the_table_as_csv_with_or_without_a_clipboard(self, opened, has_clipboard):
-        options = {"permissions": ["clipboard-read", "clipboard-write"]} if has_clipboard else {}
+    def test_copy_gives_the_table_as_csv_with_or_without_a_clipboard(
+        self, opened, has_clipboard
+    ):
+        options = (
+            {"permissions": ["clipboard-read", "clipboard-write"]}
+            if has_clipboard
+            else {}
+        )
         tab = self.unfolded(opened, **options)
         if not has_clipboard:
-            tab.evaluate("() => { navigator.clipboard.writeText = () => Promise.reject(Error()) }")
+            tab.evaluate(
+                "() => { navigator.clipboard.writeText = () =>"
+                " Promise.reject(Error()) }"
+            )
         tab.evaluate(
-            "() => document.addEventListener('copy', () => {"
-            " window.copied = document.activeElement.value ?? String(getSelection()); })"
+            "() => document.addEventListener('copy', () => { window.copied ="
+            " document.activeElement.value ?? String(getSelection()); })"
         )
         tab.locator("#table-claims .copy").click()
-        tab.wait_for_function("() => document.getElementById('said').textContent !== ''")
+        tab.wait_for_function(
+            "() => document.getElementById('said').textContent !== ''"
+        )
         assert tab.locator("#said").text_content() == "Copied"
         shown = tab.locator("#table-claims table").evaluate(
             "(table) => [...table.rows].map("

@@ -15,7 +15,9 @@ def manifest(*words, preset="quick", **more):
         "dataset": {"name": "plaza"},
         "identity": {"scenes": 250, "scenes_utility": 2000, "scenes.agents": 4},
         "history": {"points": 350.0},
-        "linkage": {"tasks": {"rerelease": {"candidates": {"half 1": 100, "half 2": 100}}}},
+        "linkage": {
+            "tasks": {"rerelease": {"candidates": {"half 1": 100, "half 2": 100}}}
+        },
         "environment": {"command": ["matrix.py", *words]},
         **more,
     }
@@ -25,7 +27,10 @@ def manifest(*words, preset="quick", **more):
     ("words", "rest"),
     [
         ((), "--dataset plaza --seed 3"),
-        (("--preset", "quick", "--out", "runs/a", "--fresh"), "--dataset plaza --seed 3"),
+        (
+            ("--preset", "quick", "--out", "runs/a", "--fresh"),
+            "--dataset plaza --seed 3",
+        ),
         (("--preset=quick", "--seed", "3"), "--seed 3 --dataset plaza"),
     ],
 )

@@ -5,7 +5,13 @@ from itertools import product
 
 import numpy as np
 import pytest
-from helpers.finished_runs import levels, make_gallery, make_run, make_summary, with_links
+from helpers.finished_runs import (
+    levels,
+    make_gallery,
+    make_run,
+    make_summary,
+    with_links,
+)
 
 from evaluation.reporting.answers import headline_of
 from evaluation.reporting.headline import levels_of
@@ -72,7 +78,9 @@ def test_the_front_turns_at_the_points_that_no_other_beats(of):
 
 def test_no_two_mechanisms_look_alike_however_many_there_are():
     others = [
-        (f"mine{letter}{rule}", 1.0) for letter in "abcdef" for rule in ("", ":adding=independent")
+        (f"mine{letter}{rule}", 1.0)
+        for letter in "abcdef"
+        for rule in ("", ":adding=independent")
     ]
     of = headline_of(make_run(at=levels(others=others)))
     for one in (one for both in planes(of).values() for one in both if one):
@@ -91,7 +99,10 @@ def test_no_two_mechanisms_look_alike_however_many_there_are():
 )
 def test_what_a_run_lacks_has_no_picture_and_stops_nothing(changes):
     of = headline_of(make_run(**changes))
-    for picture in [*pictures(of), *[one for both in planes(of).values() for one in both]]:
+    for picture in [
+        *pictures(of),
+        *[one for both in planes(of).values() for one in both],
+    ]:
         assert picture is None or picture.chart.marks
 
 
@@ -107,13 +118,19 @@ def test_walks_are_drawn_to_scale_and_leaks_are_counted():
         (walk,) = paths["true"]
         length_px, text = one.bar
         step = np.hypot(*np.diff(walk, axis=0).T)
-        assert step == pytest.approx(length_px / float(text.split()[0]), abs=1e-6)  # of 1 m each
+        assert step == pytest.approx(
+            length_px / float(text.split()[0]), abs=1e-6
+        )  # of 1 m each
         assert len(paths["shared leak"]) == 4
         assert ((walk >= 0) & (walk <= SIZE)).all()
 
 
 def test_the_limit_is_asked_of_noise_and_not_of_raw_positions(of):
     chosen = pictures(of)[4]
-    noisy = [name for _, _, name in chosen.chart.marks if not name.startswith("raw positions")]
+    noisy = [
+        name
+        for _, _, name in chosen.chart.marks
+        if not name.startswith("raw positions")
+    ]
     assert len(noisy) < len(chosen.chart.marks)
     assert f"of {len(noisy)} levels" in chosen.caption

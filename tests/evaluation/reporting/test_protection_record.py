@@ -39,7 +39,9 @@ def test_numbers_are_those_of_the_run_with_intervals():
 
 
 def test_risks_are_quoted_and_none_else():
-    found = protection_record(with_links(make_run()), headline_of(with_links(make_run())))
+    found = protection_record(
+        with_links(make_run()), headline_of(with_links(make_run()))
+    )
     quoted = [entry.topic for entry in found if entry.quotation]
     assert quoted == ["Singling out", "Linkability", "Inference"]
 

@@ -55,7 +55,9 @@ def other(key):
     return float(f"{1.25 * usual:.4g}") if isinstance(usual, float) else usual
 
 
-READ = [key for key in DEFAULTS if not key.startswith("patrol.")]  # A run refuses the others.
+READ = [
+    key for key in DEFAULTS if not key.startswith("patrol.")
+]  # A run refuses the others.
 CHANGED = {key: value for key in READ if (value := other(key)) != DEFAULTS[key]}
 
 
@@ -86,11 +88,13 @@ def texts(tmp_path_factory):
         with redirect_stdout(StringIO()) as sink:
             design.main([*asked, str(results.out)])
         texts[name] = sink.getvalue()
-    # How long the lines below a walk are, the gap in a task's name, and the horizon that a question
-    # to the run is about (and the option that adds it), no setting says.
+    # How long the lines below a walk are, the gap in a task's name, and the horizon
+    # that a question to the run is about (and the option that adds it), no setting
+    # says.
     texts["page"] = re.sub(r'<svg class="track".*?</svg>', "", texts["page"])
     not_settings = (
-        r"(?i)(after|across|of)\s[125]\ss\b|within\s3\ss\b|--set\s+conflict\.horizons_s=3\b"
+        r"(?i)(after|across|of)\s[125]\ss\b|within\s3\ss\b"
+        r"|--set\s+conflict\.horizons_s=3\b"
     )
     return {name: re.sub(not_settings, "", text) for name, text in texts.items()}
 

@@ -17,19 +17,36 @@ NAME = make.said("name")
 ODD = ["<script>", "[red]x[/red]", "[/]", ":smile:", "$a_b%&#{}~^\\|", "\x1b[31mx"]
 
 
-def make_table(*, n_columns=3, n_rows=4, names=("fid", "fixed"), notes=(), marks=None, mark=""):
+def make_table(
+    *, n_columns=3, n_rows=4, names=("fid", "fixed"), notes=(), marks=None, mark=""
+):
     columns = [NAME, Column("level")]
-    columns += [Column(f"m_{n}", unit="%", above="linear" if n else "") for n in range(n_columns)]
+    columns += [
+        Column(f"m_{n}", unit="%", above="linear" if n else "")
+        for n in range(n_columns)
+    ]
     rows = [
         [
             word(name),
             number(place, digits=0),
-            *(number(0.1 * n + place, place, place + 1, mark=mark) for n in range(n_columns)),
+            *(
+                number(0.1 * n + place, place, place + 1, mark=mark)
+                for n in range(n_columns)
+            ),
         ]
         for name in names
         for place in range(1, n_rows + 1)
     ]
-    return Table("some", "A title", columns, rows, notes=notes, marks=marks, n_headings=1, n_keys=2)
+    return Table(
+        "some",
+        "A title",
+        columns,
+        rows,
+        notes=notes,
+        marks=marks,
+        n_headings=1,
+        n_keys=2,
+    )
 
 
 def printed(one, *, width=120, encoding="utf-8", **options):
@@ -46,14 +63,20 @@ def html(table):
 def assert_well_formed(tex):
     """Braces are balanced, special characters escaped, rows as long as their tabular is wide."""
     body = "\n".join(line for line in tex.splitlines() if not line.startswith("%"))
-    depth = np.cumsum([{"{": 1, "}": -1}.get(c, 0) for c in re.sub(r"\\[{}]", "", body)])
+    depth = np.cumsum(
+        [{"{": 1, "}": -1}.get(c, 0) for c in re.sub(r"\\[{}]", "", body)]
+    )
     assert depth.min() >= 0 == depth[-1]
     assert not re.search(r"(?<!\\)[_#%~^]", body)
     for part in body.split(r"\begin{tabular}")[1:]:
         spec, *lines = part.partition(r"\end{tabular}")[0].splitlines()
-        rows = [line for line in lines if line.endswith(r"\\") and "multicolumn" not in line]
+        rows = [
+            line for line in lines if line.endswith(r"\\") and "multicolumn" not in line
+        ]
         assert rows
-        assert {len(re.findall(r"(?<!\\)&", row)) for row in rows} == {len(spec.strip("{}")) - 1}
+        assert {len(re.findall(r"(?<!\\)&", row)) for row in rows} == {
+            len(spec.strip("{}")) - 1
+        }
 
 
 class TestCells:
@@ -71,7 +94,9 @@ class TestCells:
         assert number(*given, scale=100.0).full == text
         assert make.amount("plr", *given).full == text
 
-    def test_it_is_sorted_by_the_number_that_is_shown_and_a_column_of_numbers_may_have_gaps(self):
+    def test_it_is_sorted_by_the_number_that_is_shown_and_a_column_of_numbers_may_have_gaps(
+        self,
+    ):
         assert number(0.187, scale=100.0).value == pytest.approx(18.7)
         assert word("as shared").value is None
         assert word(np.nan) == word(None) == Cell()
@@ -87,7 +112,9 @@ class TestTheTerminal:
         assert max(map(len, lines)) <= width
         assert text.count("m_") == 8  # whatever is split, nothing is left out
         for part in text.split("A title")[1:]:
-            numbers = [line for line in part.splitlines() if re.match(r"^fi\w+ +\d ", line)]
+            numbers = [
+                line for line in part.splitlines() if re.match(r"^fi\w+ +\d ", line)
+            ]
             assert len(numbers) == 8
             assert len({len(line) for line in numbers}) == 1
 
@@ -110,11 +137,15 @@ class TestTheTerminal:
     def test_names_are_shown_literally(self, name):
         assert name.replace("\x1b", "?") in printed(make_table(names=(name,)))
 
-    def test_without_colours_nothing_is_lost_and_ascii_terminals_survive(self, monkeypatch):
+    def test_without_colours_nothing_is_lost_and_ascii_terminals_survive(
+        self, monkeypatch
+    ):
         coloured = printed(make_table(), force_terminal=True, color_system="truecolor")
         assert re.sub(r"\x1b\[[0-9;]*m", "", coloured) == printed(make_table())
         monkeypatch.setenv("NO_COLOR", "1")
-        assert not re.search(r"\x1b\[[0-9;]*3\dm", printed(make_table(), force_terminal=True))
+        assert not re.search(
+            r"\x1b\[[0-9;]*3\dm", printed(make_table(), force_terminal=True)
+        )
         assert "??" in printed(make_table(names=("広場",)), encoding="ascii")
 
     def test_piped_output_has_a_fixed_width(self, monkeypatch):
@@ -140,7 +171,9 @@ class TestLatex:
     def test_values_stand_with_their_intervals_and_marks(self):
         text = latex([make_table(n_columns=1, mark="?", marks={"?": "weak"})])
         assert r"fid & 1 & 1.0\textsuperscript{?} {\scriptsize [1.0, 2.0]} \\" in text
-        signed = latex([Table("x", "x", [Column("d")], [[number(-4.5)], [number(None)]])])
+        signed = latex(
+            [Table("x", "x", [Column("d")], [[number(-4.5)], [number(None)]])]
+        )
         assert "$-4.5$ \\\\\n-- \\\\" in signed
 
     def test_many_intervals_stand_below_and_more_columns_in_further_tabulars(self):

@@ -48,7 +48,11 @@ def shown(run, out):
 
 def row_of(table, *start):
     """The cells of the row that starts so, behind what it starts with."""
-    (row,) = [row for row in table.rows if tuple(cell.text for cell in row[: len(start)]) == start]
+    (row,) = [
+        row
+        for row in table.rows
+        if tuple(cell.text for cell in row[: len(start)]) == start
+    ]
     return row[len(start) :]
 
 
@@ -57,13 +61,25 @@ def ranks(frame):
     return rank_table(run, linked_tasks(frame)[0])
 
 
-def test_what_is_shown_of_a_run_is_letter_for_letter_what_was_read_and_approved(tmp_path):
+def test_what_is_shown_of_a_run_is_letter_for_letter_what_was_read_and_approved(
+    tmp_path,
+):
     run = everything()
     tables.write_tex(run, folder=tmp_path)
     found = tables.page_tables(run)
-    told = [name for name in found if re.match("matched|cells-h|doubts|flags|contr|verd", name)]
-    parts = [shown(run, tmp_path), *(f"{name}\n{markdown(found[name])}" for name in told)]
-    parts += [(tmp_path / f"{name}.tex").read_text("utf-8") for name in ("linkability", "verdict")]
+    told = [
+        name
+        for name in found
+        if re.match("matched|cells-h|doubts|flags|contr|verd", name)
+    ]
+    parts = [
+        shown(run, tmp_path),
+        *(f"{name}\n{markdown(found[name])}" for name in told),
+    ]
+    parts += [
+        (tmp_path / f"{name}.tex").read_text("utf-8")
+        for name in ("linkability", "verdict")
+    ]
     text = "\n".join(parts)
     assert_as_approved(text, Path(__file__).with_name("shown.txt"))
     assert all(map(tells_rows_apart, found.values()))
@@ -71,7 +87,12 @@ def test_what_is_shown_of_a_run_is_letter_for_letter_what_was_read_and_approved(
 
 class TestTheTextFile:
     def test_notices_and_at_last_failed_cells_are_told(self, tmp_path):
-        row = {"spec": "fid:1", "kind": "attack", "consumer": "mine", "knowledge": "blind"}
+        row = {
+            "spec": "fid:1",
+            "kind": "attack",
+            "consumer": "mine",
+            "knowledge": "blind",
+        }
         run = make_run(failed=pd.DataFrame([row | {"block": 0, "why": "it broke"}]))
         run.manifest["dataset"]["simulated"] = True
         text = shown(run, tmp_path)
@@ -100,14 +121,23 @@ class TestTheTextFile:
 def test_levels_that_tell_are_those_of_the_headline_or_all(at, controls, told):
     wheres = [(name, None if np.isnan(level) else level) for name, level in at]
     found = telling(wheres, families_in(make_summary(at)), controls=controls)
-    rest = [(name, level) for name, level in found if "=indep" not in name and "corr" not in name]
-    names = [f"{name} {'' if level is None else f'{level:g}'}".strip() for name, level in rest]
+    rest = [
+        (name, level)
+        for name, level in found
+        if "=indep" not in name and "corr" not in name
+    ]
+    names = [
+        f"{name} {'' if level is None else f'{level:g}'}".strip()
+        for name, level in rest
+    ]
     assert sorted(names) == sorted(told)
     assert names[:2] == told[:2] or controls
 
 
 class TestTheSweep:
-    def test_each_further_predictor_has_a_table_of_its_own_and_attacks_change_none(self):
+    def test_each_further_predictor_has_a_table_of_its_own_and_attacks_change_none(
+        self,
+    ):
         names = ("least_squares", "kalman_cv")
         odd = [*ATTACKS, ("least_squares", "informed"), ("shared", "blind")]
         first, second = sweep_tables(make_summary(predictors=names, attacks=odd))
@@ -137,7 +167,11 @@ class TestAfterAttack:
         last = frame[rows_where(frame, consumer="radial_rts", knowledge="informed")]
         table = attack_table(pd.concat([frame, last.assign(knowledge="oracle")]))
         of = {(row[3].text, row[4].text) for row in table.rows}
-        assert {("identity", "blind"), ("radial_rts", "informed, oracle"), ("savgol", "any")} <= of
+        assert {
+            ("identity", "blind"),
+            ("radial_rts", "informed, oracle"),
+            ("savgol", "any"),
+        } <= of
 
     def test_without_attacks_nothing_is_shown_and_missing_values_do_not_stop_it(self):
         alone = make_summary(attacks=())
@@ -147,11 +181,15 @@ class TestAfterAttack:
         frame.loc[frame["knowledge"] != "", ["value", "ci_low", "ci_high"]] = np.nan
         part = frame[(frame["knowledge"] == "") | (frame["mechanism"] == "fid")]
         for one in (frame, part):
-            assert {c.full for c in row_of(exposure_table(one), "raw", "", "")[1:]} == {""}
+            assert {c.full for c in row_of(exposure_table(one), "raw", "", "")[1:]} == {
+                ""
+            }
 
 
 class TestLinkage:
-    def test_missing_cells_and_values_do_not_stop_it_and_long_names_keep_their_settings(self):
+    def test_missing_cells_and_values_do_not_stop_it_and_long_names_keep_their_settings(
+        self,
+    ):
         name = "some_package.attacks.clever:TheVeryBest,window_s=2.5"
         frame = make_linkability(tasks={"rerelease": {"shape": 0.4, name: 0.3}})
         shape = frame["consumer"] == "rerelease/shape"
@@ -161,7 +199,9 @@ class TestLinkage:
         table = ranks(frame)
         assert [cell.full for cell in row_of(table, "shape")[:2]] == ["", ""]
         assert row_of(table, "shape")[2].low == ""
-        assert re.fullmatch(r"some_package\S*\.\.\.\S*window_s=2\.5", table.rows[1][0].text)
+        assert re.fullmatch(
+            r"some_package\S*\.\.\.\S*window_s=2\.5", table.rows[1][0].text
+        )
 
     def test_read_from_its_file_the_frame_says_the_same(self, tmp_path):
         frame = make_linkability()
@@ -175,7 +215,10 @@ class TestAnswers:
     def test_another_recording_is_compared_but_not_judged(self):
         table = paper_table(make_run(dataset="plaza"))
         told = "The paper used students03; ours are of plaza, so they need not agree."
-        assert table.notes == ["Missed rates rest on 2,000 scenes, the others on 500.", told]
+        assert table.notes == [
+            "Missed rates rest on 2,000 scenes, the others on 500.",
+            told,
+        ]
         assert table.columns[-1].head == "paper's own error"
 
     @pytest.mark.parametrize(
@@ -188,20 +231,34 @@ class TestAnswers:
         ],
     )
     def test_an_effect_has_the_digits_that_its_unit_needs(self, unit, value, text):
-        row = {"unit": unit, "effect": value, "ci_low": value - 0.001, "ci_high": value + 0.001}
+        row = {
+            "unit": unit,
+            "effect": value,
+            "ci_low": value - 0.001,
+            "ci_high": value + 0.001,
+        }
         assert effect(row, signed=True).full == text
 
 
-def test_every_kind_of_result_has_its_file_in_latex_and_every_attack_its_tabular(tmp_path):
+def test_every_kind_of_result_has_its_file_in_latex_and_every_attack_its_tabular(
+    tmp_path,
+):
     tables.write_tex(make_run(), folder=tmp_path)
     files = {path.stem: path.read_text("utf-8") for path in tmp_path.iterdir()}
     assert files.keys() == {"sweep", "attacks", "paper", "linkability", "verdict"}
-    assert r"fid & linear & 1 & missed (\%) & 30.5 & 26.0 {\scriptsize [20.5" in files["paper"]
+    assert (
+        r"fid & linear & 1 & missed (\%) & 30.5 & 26.0 {\scriptsize [20.5"
+        in files["paper"]
+    )
     text = files["attacks"]
     assert text.count(r"\begin{tabular}") == 1 + len(ATTACKS)
     for attack, knowledge in ATTACKS:
         assert f"% After {attack} ({knowledge})".replace("_", r"\_") in text
-    rows = [line for line in text.splitlines() if line.startswith(("raw &", "fid &", "fixed &"))]
+    rows = [
+        line
+        for line in text.splitlines()
+        if line.startswith(("raw &", "fid &", "fixed &"))
+    ]
     assert len(rows) == (1 + len(ATTACKS)) * (1 + 2 * 5)
 
 
@@ -216,11 +273,17 @@ class TestTheDocs:
         (tmp_path / "docs" / "other.md").write_text("Nothing.\n", encoding="utf-8")
         return tmp_path
 
-    def test_the_summary_and_the_blocks_are_written_and_written_again_the_same(self, root):
+    def test_the_summary_and_the_blocks_are_written_and_written_again_the_same(
+        self, root
+    ):
         run = make_run()
         path = root / "docs" / "results" / "students03-paper-3.csv"
         strongest = path.with_stem("students03-paper-3-strongest")
-        assert tables.write_docs(run, root=root) == [path, strongest, root / "README.md"]
+        assert tables.write_docs(run, root=root) == [
+            path,
+            strongest,
+            root / "README.md",
+        ]
         text = (root / "README.md").read_text(encoding="utf-8")
         expected = markdown(tables.DOCS["sweep"](tables.published(run)))
         assert text == BLOCK.replace("old\n", expected)
@@ -235,9 +298,13 @@ class TestTheDocs:
         for make in tables.DOCS.values():
             assert markdown(make(read)) == markdown(make(frame))
 
-    @pytest.mark.parametrize("mark", ["sweep nowhere-paper-0", "nothing students03-paper-3"])
+    @pytest.mark.parametrize(
+        "mark", ["sweep nowhere-paper-0", "nothing students03-paper-3"]
+    )
     def test_what_is_not_there_is_named(self, root, mark):
-        (root / "README.md").write_text(f"<!-- table: {mark} -->\n<!-- end -->\n", encoding="utf-8")
+        (root / "README.md").write_text(
+            f"<!-- table: {mark} -->\n<!-- end -->\n", encoding="utf-8"
+        )
         with pytest.raises(DataError, match=mark.split()[0]):
             tables.write_docs(make_run(), root=root)
 
@@ -257,13 +324,17 @@ class TestTheDocs:
 def test_what_laplace_promises_stands_where_its_level_does():
     frame = make_summary(predictors=()).assign(family="laplace", level=1.5)
     (table,) = sweep_tables(frame)
-    assert list(table.notes[1:]) == ["laplace 1.5: epsilon 1.15 1/m a report, 423 1/m over 366."]
+    assert list(table.notes[1:]) == [
+        "laplace 1.5: epsilon 1.15 1/m a report, 423 1/m over 366."
+    ]
 
 
 def test_what_scores_tell_stands_beside_ranks_with_its_ends_turned_round():
     run = with_links(make_run())
     linked = run.summary[run.summary["metric"] == "rank1"]
-    lost = linked.assign(metric="cllr_min", value=0.3, ci_low=0.1, ci_high=0.4, unit="bit")
+    lost = linked.assign(
+        metric="cllr_min", value=0.3, ci_low=0.1, ci_high=0.4, unit="bit"
+    )
     table = strength_table(replace(run, summary=pd.concat([run.summary, lost])))
     heads = [one.name for one in table.columns]
     assert heads[-4:] == ["rank 1", "rank 1 of 100", "chance", "1 - Cllr_min"]

@@ -6,7 +6,14 @@ from helpers.finished_runs import levels, make_run, make_summary, with_links
 
 from evaluation.reporting import takeaways
 from evaluation.reporting.answers import headline_of, reference
-from evaluation.reporting.charts import Axis, Curve, Look, Point, curves_chart, label_room
+from evaluation.reporting.charts import (
+    Axis,
+    Curve,
+    Look,
+    Point,
+    curves_chart,
+    label_room,
+)
 from evaluation.reporting.figures.figure import figures_of
 from evaluation.reporting.pictures import pictures, planes
 from isac_track.intervals import Estimate
@@ -41,7 +48,9 @@ def test_every_caption_is_a_sentence_of_its_numbers(run, table):
     assert len(shown) > 10
     for text in shown:
         assert text.endswith("."), text
-        assert any(character.isdigit() for character in text) or text.startswith("No "), text
+        assert any(character.isdigit() for character in text) or text.startswith(
+            "No "
+        ), text
         assert max(len(part.split()) for part in text.split(". ")) <= MOST_WORDS, text
         assert "e+" not in text
 
@@ -63,8 +72,10 @@ def test_the_first_three_have_the_numbers_of_the_level_of_the_answers(table):
 def test_nearly_equal_plr_with_the_widest_gap_is_named():
     points = [point("a", 0.10, 0.9), point("b", 0.11, 0.6), point("c", 0.119, 0.2)]
     points.append(point("d", 0.5, 0.0))
-    assert takeaways.unequal_pair(points) == (
-        "At nearly equal PLR, re-identification differs by up to 70 points: a against c."
+    assert (
+        takeaways.unequal_pair(points)
+        == "At nearly equal PLR, re-identification differs by up to 70 points: a"
+        " against c."
     )
     assert takeaways.unequal_pair(points[2:]).startswith("No two levels")
 
@@ -73,15 +84,21 @@ def test_levels_within_the_limit_are_counted_and_the_cheapest_is_named():
     points = [point("a", 0.1, 0.9), point("b", 0.3, 0.4), point("c", 0.2, 0.45)]
     text = takeaways.within_limit(points, 0.5)
     assert (
-        text == "2 of 3 levels keep PLR after attack below 50 %; of these, c costs the robot least."
+        text
+        == "2 of 3 levels keep PLR after attack below 50 %; of these, c costs the robot"
+        " least."
     )
     text = takeaways.within_limit(points[:1], 0.5)
-    assert text == "No level keeps PLR after attack below 50 %; the lowest is 90 % with a."
+    assert (
+        text == "No level keeps PLR after attack below 50 %; the lowest is 90 % with a."
+    )
 
 
 def test_levels_on_the_front_are_counted():
     points = [point("a", 0.1, 0.9), point("b", 0.3, 0.4), point("c", 0.4, 0.45)]
-    assert takeaways.on_the_front(points, "PLR").startswith("2 of 3 levels are on the front")
+    assert takeaways.on_the_front(points, "PLR").startswith(
+        "2 of 3 levels are on the front"
+    )
     assert takeaways.on_the_front(points[:2], "PLR").startswith("All 2 levels")
 
 
@@ -90,7 +107,9 @@ class TestLabels:
 
     def curves(self, *labels, height=50.0):
         x, y = np.array([1.0, 2.0]), np.full((3, 2), height)
-        return [Curve(Look(n), f"{n}", x, y + n, label) for n, label in enumerate(labels)]
+        return [
+            Curve(Look(n), f"{n}", x, y + n, label) for n, label in enumerate(labels)
+        ]
 
     def test_they_stand_behind_the_axis_and_never_on_each_other(self):
         curves = self.curves("one thing", "another", "third", height=1.0)

@@ -17,7 +17,12 @@ KEYS = ["dataset", "mechanism", "level", "consumer", "knowledge", "metric"]
 
 
 def asked(walks, out, **changes):
-    usual = {"mechanisms": LEVELS, "predictors": ("kalman_cv",), "attacks": None, "tasks": None}
+    usual = {
+        "mechanisms": LEVELS,
+        "predictors": ("kalman_cv",),
+        "attacks": None,
+        "tasks": None,
+    }
     return smoke(walks, out, stages=HORIZON, **usual | changes)
 
 
@@ -33,7 +38,9 @@ def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("candidates")
     walks = write_walks(folder / "walks.csv", n_people=40)
     few = {"attacks": ("radial_rts", "kinematic"), "tasks": ("handover-1s",)}
-    without, tried = (replace(PRESETS["smoke"], breakers=some, **few) for some in ((), BREAKERS))
+    without, tried = (
+        replace(PRESETS["smoke"], breakers=some, **few) for some in ((), BREAKERS)
+    )
     found = {}
     with one_process(), pytest.MonkeyPatch.context() as patch:
         for name, preset, out in (
@@ -43,11 +50,19 @@ def made(tmp_path_factory):
         ):
             patch.setitem(PRESETS, "smoke", preset)
             found[name] = evaluation.run(asked(walks, folder / out), pictures=False)
-        files = {path.name: path.read_bytes() for path in (folder / "tried" / FOLDER).iterdir()}
+        files = {
+            path.name: path.read_bytes()
+            for path in (folder / "tried" / FOLDER).iterdir()
+        }
         found["again"] = evaluation.run(asked(walks, folder / "tried"), pictures=False)
-        after = {path.name: path.read_bytes() for path in (folder / "tried" / FOLDER).iterdir()}
+        after = {
+            path.name: path.read_bytes()
+            for path in (folder / "tried" / FOLDER).iterdir()
+        }
         named = {"attacks": ("ou_rts",), "tasks": (), "adversaries": BREAKERS}
-        found["named"] = evaluation.run(asked(walks, folder / "named", **named), pictures=False)
+        found["named"] = evaluation.run(
+            asked(walks, folder / "named", **named), pictures=False
+        )
     return folder, found, (files, after)
 
 
@@ -83,7 +98,9 @@ def test_it_is_the_same_whether_at_once_or_later_or_again(made):
 def test_it_is_what_naming_the_adversaries_computes(made):
     _, found, _ = made
     tried, named = (
-        found[name].summary[found[name].summary["knowledge"].isin(BREAKERS)].set_index(KEYS)
+        found[name]
+        .summary[found[name].summary["knowledge"].isin(BREAKERS)]
+        .set_index(KEYS)
         for name in ("tried", "named")
     )
     pd.testing.assert_frame_equal(tried, named.loc[tried.index])

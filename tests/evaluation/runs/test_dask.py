@@ -28,7 +28,13 @@ from evaluation.experiment.plan import plan
 from evaluation.experiment.settings import Settings
 from evaluation.runs import dask as on_cluster
 from evaluation.runs.execute import FailedCellsWarning
-from evaluation.runs.pieces import Failures, cells_of, cut_for_cluster, pieces_of, place_of
+from evaluation.runs.pieces import (
+    Failures,
+    cells_of,
+    cut_for_cluster,
+    pieces_of,
+    place_of,
+)
 from isac_track import plugins
 from isac_track.errors import SettingsError
 
@@ -65,7 +71,9 @@ class Cluster:
 
     def count(self, question):
         """Ask the scheduler."""
-        with distributed.Client(self.address, set_as_default=False, timeout=10) as client:
+        with distributed.Client(
+            self.address, set_as_default=False, timeout=10
+        ) as client:
             return client.run_on_scheduler(question)
 
 
@@ -100,12 +108,16 @@ def started(folder, *, threads=(1, 2), options=("--no-nanny",), modules=None):
     file = mine / "scheduler.json"
     try:
         words = ["--host=127.0.0.1", "--port=0", "--dashboard-address=127.0.0.1:0"]
-        scheduler = start("dask_scheduler", *words, "--no-dashboard", "--scheduler-file", str(file))
+        scheduler = start(
+            "dask_scheduler", *words, "--no-dashboard", "--scheduler-file", str(file)
+        )
         workers = [start_worker(n) for n in threads]
         wait_for(lambda: file.is_file() and file.stat().st_size > 0, most_s=30)
         address = json.loads(file.read_text(encoding="utf-8"))["address"]
         if workers:
-            with distributed.Client(address, set_as_default=False, timeout=10) as client:
+            with distributed.Client(
+                address, set_as_default=False, timeout=10
+            ) as client:
                 client.wait_for_workers(len(workers), timeout=30)
         yield Cluster(address, scheduler, workers, start_worker)
     finally:
@@ -157,12 +169,18 @@ def cells(run):
 
 
 def assert_same_bits(run, other):
-    assert (run.out / "summary.csv").read_bytes() == (other.out / "summary.csv").read_bytes()
+    assert (run.out / "summary.csv").read_bytes() == (
+        other.out / "summary.csv"
+    ).read_bytes()
     names = [path.name for path in cells(run)]
     assert names == [path.name for path in cells(other)]
     assert names
-    for name in names:  # as tables: how they are compressed is not the same in two local runs
-        one, two = (pd.read_parquet(where.out / "cells" / name) for where in (run, other))
+    for (
+        name
+    ) in names:  # as tables: how they are compressed is not the same in two local runs
+        one, two = (
+            pd.read_parquet(where.out / "cells" / name) for where in (run, other)
+        )
         pd.testing.assert_frame_equal(one, two, check_exact=True, obj=name)
 
 
@@ -184,7 +202,11 @@ class TestResults:
         with pytest.warns(FailedCellsWarning, match=f"{spec!r} failed: .*no luck"):
             results = evaluation.run(changed, pictures=False)
         assert set(results.failed["spec"]) == {spec}
-        assert set(results.failed["consumer"]) == {"shared", "least_squares", "kalman_cv"}
+        assert set(results.failed["consumer"]) == {
+            "shared",
+            "least_squares",
+            "kalman_cv",
+        }
         assert set(results.summary["mechanism"]) == {"raw"}
 
 
@@ -210,10 +232,18 @@ class TestWhatIsKilled:
         assert_same_bits(there, slow)
 
     @pytest.mark.slow
-    def test_the_driver_leaves_the_cluster_running(self, slow, folder, cluster, tmp_path):
+    def test_the_driver_leaves_the_cluster_running(
+        self, slow, folder, cluster, tmp_path
+    ):
         there = replace(slow, jobs=None, out=tmp_path / "there")
         words = [*MATRIX, "--preset=smoke", "--dataset", slow.dataset, "--scenes=300"]
-        words += ["--mechanism", SLOW, "--predictor=none", "--attack=none", "--task=none"]
+        words += [
+            "--mechanism",
+            SLOW,
+            "--predictor=none",
+            "--attack=none",
+            "--task=none",
+        ]
         words += ["--executor=dask", "--scheduler", cluster.address, "--out", there.out]
         with start(tmp_path, *words, changed={"PYTHONPATH": path_of(folder)}) as run:
             wait_for(lambda: len(cells(there)) > 2, most_s=40)
@@ -231,7 +261,11 @@ class TestWhatIsKilled:
         [
             ("workers", signal.SIGKILL, "has had no worker for 1 s; finished ce"),
             ("scheduler", signal.SIGSTOP, "is gone; finished cells"),
-            ("scheduler", signal.SIGKILL, "is gone; finished cells are kept; start it and run the"),
+            (
+                "scheduler",
+                signal.SIGKILL,
+                "is gone; finished cells are kept; start it and run the",
+            ),
         ],
     )
     def test_all_workers_or_the_scheduler_end_the_run_and_the_same_settings_continue(
@@ -281,36 +315,57 @@ class TestWhatIsRefused:
     def test_an_address_where_nobody_answers(self, settings, monkeypatch, capsys):
         monkeypatch.setattr(on_cluster, "_CONNECT_S", 0.5)
         for address in ("tcp://127.0.0.1:1", "nonsense:1", "carrier-pigeon://a:1"):
-            words = ["--dataset", settings.dataset, "--out", str(settings.out), "--mechanism=raw"]
+            words = [
+                "--dataset",
+                settings.dataset,
+                "--out",
+                str(settings.out),
+                "--mechanism=raw",
+            ]
             words += ["--predictor=none", "--attack=none", "--task=none"]
             words += ["--executor", "dask", "--scheduler", address]
             assert matrix.main(words) == 2
             error = capsys.readouterr().err.splitlines()[-1]
-            assert error.startswith(f"error: no Dask scheduler answers at {address!r} (")
-            assert "start one with `dask scheduler`, and workers with `dask worker" in error
+            assert error.startswith(
+                f"error: no Dask scheduler answers at {address!r} ("
+            )
+            assert (
+                "start one with `dask scheduler`, and workers with `dask worker"
+                in error
+            )
 
     def test_a_scheduler_without_workers_and_workers_without_the_package(
         self, settings, folder, monkeypatch, tmp_path
     ):
-        (tmp_path / "evaluation.py").write_text("raise ImportError('not here')", encoding="utf-8")
+        (tmp_path / "evaluation.py").write_text(
+            "raise ImportError('not here')", encoding="utf-8"
+        )
         monkeypatch.setattr(on_cluster, "_FIRST_WORKER_S", 0.2)
         with started(folder, threads=()) as own:
             there = sent(settings, own)
-            with pytest.raises(SettingsError, match=f"{own.address} has no workers; .*dask worker"):
+            with pytest.raises(
+                SettingsError, match=f"{own.address} has no workers; .*dask worker"
+            ):
                 evaluation.run(there)
             monkeypatch.setattr(on_cluster, "_FIRST_WORKER_S", 30.0)
             own.start_worker(1, modules=tmp_path)
             with pytest.raises(SettingsError, match="lacks this isac-track"):
                 evaluation.run(there)
 
-    def test_a_plugin_that_workers_cannot_import(self, settings, cluster, tmp_path, monkeypatch):
+    def test_a_plugin_that_workers_cannot_import(
+        self, settings, cluster, tmp_path, monkeypatch
+    ):
         (tmp_path / "here_alone.py").write_text(PLUGINS, encoding="utf-8")
         monkeypatch.syspath_prepend(str(tmp_path))
         there = sent(settings, cluster, mechanisms=("here_alone:Slow:0.5",))
-        with pytest.raises(SettingsError, match=r"cannot import 'here_alone' .*on every worker"):
+        with pytest.raises(
+            SettingsError, match=r"cannot import 'here_alone' .*on every worker"
+        ):
             evaluation.run(there)
 
-    def test_a_plugin_that_workers_have_as_it_was(self, settings, cluster, folder, monkeypatch):
+    def test_a_plugin_that_workers_have_as_it_was(
+        self, settings, cluster, folder, monkeypatch
+    ):
         source = folder / "edited_plugin.py"
         source.write_text(PLUGINS, encoding="utf-8")
         monkeypatch.syspath_prepend(str(folder))
@@ -318,13 +373,18 @@ class TestWhatIsRefused:
         evaluation.run(there, pictures=False)
         source.write_text(PLUGINS + "# better now\n", encoding="utf-8")
         with pytest.raises(
-            SettingsError, match=r"worker tcp://.* not compute the same: module edited_plugin \w+"
+            SettingsError,
+            match=r"worker tcp://.* not compute the same: module edited_plugin \w+",
         ):
             evaluation.run(there, pictures=False)
 
     @pytest.mark.slow
-    def test_a_worker_with_another_plugin_that_joins_later(self, slow, folder, tmp_path):
-        (tmp_path / "cluster_plugins.py").write_text(PLUGINS + "# other\n", encoding="utf-8")
+    def test_a_worker_with_another_plugin_that_joins_later(
+        self, slow, folder, tmp_path
+    ):
+        (tmp_path / "cluster_plugins.py").write_text(
+            PLUGINS + "# other\n", encoding="utf-8"
+        )
         with started(folder, threads=(1,)) as own:
             there = sent(slow, own, scenes=1500, out=tmp_path / "there")
 
@@ -341,7 +401,10 @@ class TestWhatIsRefused:
             ({"executor": "dask"}, "needs --scheduler ADDRESS"),
             ({"scheduler": "tcp://a:1"}, "goes with --executor dask"),
             ({"executor": "slurm"}, "local or dask, got 'slurm'"),
-            ({"executor": "dask", "scheduler": "tcp://a:1", "jobs": 2}, "--jobs is for"),
+            (
+                {"executor": "dask", "scheduler": "tcp://a:1", "jobs": 2},
+                "--jobs is for",
+            ),
             (
                 {"executor": "dask", "scheduler": "tcp://a:1", "cell_timeout_s": 2},
                 "--cell-timeout is for",
@@ -361,7 +424,9 @@ class TestADeathAtAnUnknownPlace:
         (predictor,) = plugins.parse("predictors", "least_squares")
         consumers = (Consumer("shared"), Consumer("predictor", predictor))
         levels = tuple((mechanism, consumers) for mechanism in mechanisms)
-        return Block(number=3, first_scene=0, order=np.zeros((1, 1), int), levels=levels)
+        return Block(
+            number=3, first_scene=0, order=np.zeros((1, 1), int), levels=levels
+        )
 
     def test_ends_at_the_cell_that_kills(self):
         failures, finished, tries = Failures(), [], 0
@@ -371,7 +436,9 @@ class TestADeathAtAnUnknownPlace:
             names = [place_of(cell) for cell in cells_of(work)]
             if (3, "fixed:0.5", "least_squares") in names:
                 tries += 1
-                works.extend(failures.rest(work, Failed((), "died", died=True), finished=set()))
+                works.extend(
+                    failures.rest(work, Failed((), "died", died=True), finished=set())
+                )
             else:
                 finished += names
         ((cell, why),) = failures.cells
@@ -380,9 +447,15 @@ class TestADeathAtAnUnknownPlace:
         assert tries == 2  # the work, the cell
 
 
-def test_a_piece_for_a_cluster_is_behind_one_reconstruction_and_no_cell_is_lost(tmp_path):
+def test_a_piece_for_a_cluster_is_behind_one_reconstruction_and_no_cell_is_lost(
+    tmp_path,
+):
     attacks = ("shape", "shape@kalman_rts", "kalman_rts")
-    axes = {"attacks": attacks, "tasks": ("rerelease",), "mechanisms": ("raw", "fixed:0.7")}
+    axes = {
+        "attacks": attacks,
+        "tasks": ("rerelease",),
+        "mechanisms": ("raw", "fixed:0.7"),
+    }
     walks = write_walks(tmp_path / "walks.csv")
     ready = plan(smoke(walks, tmp_path / "run", **axes))
     works = deque(pieces_of(ready.units, ready))
@@ -397,4 +470,6 @@ def test_a_piece_for_a_cluster_is_behind_one_reconstruction_and_no_cell_is_lost(
     every = set().union(*seen)
     assert [len(one) for one in seen] == [1] * len(every)
     assert len({spec for spec, *_ in every}) == 3
-    assert len({one[1:] for one in every}) >= 4  # As it is, and what three adversaries smooth.
+    assert (
+        len({one[1:] for one in every}) >= 4
+    )  # As it is, and what three adversaries smooth.

@@ -54,8 +54,12 @@ def tiny(tmp_path_factory):
 @pytest.fixture(scope="module")
 def options(tiny):
     """The same for the command."""
-    words = f"--dataset={tiny.dataset} --preset=smoke --scenes=8 --mechanism=raw --jobs=1"
-    words += " --mechanism=fixed:0.7 --predictor=least_squares --attack=none --task=none"
+    words = (
+        f"--dataset={tiny.dataset} --preset=smoke --scenes=8 --mechanism=raw --jobs=1"
+    )
+    words += (
+        " --mechanism=fixed:0.7 --predictor=least_squares --attack=none --task=none"
+    )
     words += " --set=conflict.horizons_s=none"
     return words.split()
 
@@ -93,7 +97,9 @@ class TestWhereTheFolderCannotBeUsed:
             ("run\udcff", ""),
         ],
     )
-    def test_it_is_said_before_anything_is_announced(self, dry, name, said, tmp_path, ran, options):
+    def test_it_is_said_before_anything_is_announced(
+        self, dry, name, said, tmp_path, ran, options
+    ):
         (tmp_path / "file").touch()
         ended = ran(matrix, *options, "--out", tmp_path / name, *["--dry-run"] * dry)
         if name == "/proc/run" and not dry:  # what cannot be made is told when it is
@@ -103,28 +109,42 @@ class TestWhereTheFolderCannotBeUsed:
         assert len(ended.err.splitlines()) == 1
 
     @pytest.mark.parametrize("dry", [True, False])
-    def test_a_name_that_no_folder_can_have_is_one_line(self, dry, tmp_path, ran, options):
+    def test_a_name_that_no_folder_can_have_is_one_line(
+        self, dry, tmp_path, ran, options
+    ):
         config = tmp_path / "run.toml"
         config.write_text(r'out = "a\u0000b"')
         ended = ran(matrix, *options, "--config", config, *["--dry-run"] * dry)
-        assert_refused(ended, r"'a\x00b' cannot be the name of a folder; choose another")
+        assert_refused(
+            ended, r"'a\x00b' cannot be the name of a folder; choose another"
+        )
 
     def test_somebody_elses_folder_is_named(self, tmp_path, tiny):
         out = tmp_path / "run"
         ready = plan(replace(tiny, out=out))
         with forbidden(tmp_path):
-            for look in (lambda: [*plan_lines(ready)], lambda: evaluation.run(ready=ready)):
-                with pytest.raises(SettingsError, match="Permission denied; choose another"):
+            for look in (
+                lambda: [*plan_lines(ready)],
+                lambda: evaluation.run(ready=ready),
+            ):
+                with pytest.raises(
+                    SettingsError, match="Permission denied; choose another"
+                ):
                     look()
             with pytest.raises(DataError, match=f"{out}.*Permission denied"):
                 read_manifest(out)
 
     @pytest.mark.parametrize("name", ["cells", "SHA256SUMS", "."])
-    def test_what_may_not_be_read_in_a_run_is_named(self, name, finished, everybodys, tiny):
+    def test_what_may_not_be_read_in_a_run_is_named(
+        self, name, finished, everybodys, tiny
+    ):
         out = Path(shutil.copytree(finished, everybodys / "run"))
         ready = plan(replace(tiny, out=out))
         with forbidden(out, name):
-            for look in (lambda: [*plan_lines(ready)], lambda: evaluation.run(ready=ready)):
+            for look in (
+                lambda: [*plan_lines(ready)],
+                lambda: evaluation.run(ready=ready),
+            ):
                 with pytest.raises(IsacTrackError, match=f"{out}.*Permission denied"):
                     look()
 
@@ -138,7 +158,9 @@ class TestWhereTheFolderCannotBeUsed:
             ("SHA256SUMS", "matrix", "{path} cannot be read: Is a directory"),
         ],
     )
-    def test_what_is_in_place_of_another_is_named(self, out, name, command, said, ran, options):
+    def test_what_is_in_place_of_another_is_named(
+        self, out, name, command, said, ran, options
+    ):
         path = min(out.glob(name), default=out / name)
         if name == "cells":
             shutil.rmtree(path)
@@ -146,23 +168,33 @@ class TestWhereTheFolderCannotBeUsed:
         else:
             path.unlink(missing_ok=True)
             path.mkdir()
-        ended = ran(report, out) if command == "report" else ran(matrix, *options, "--out", out)
+        ended = (
+            ran(report, out)
+            if command == "report"
+            else ran(matrix, *options, "--out", out)
+        )
         assert_refused(ended, said.format(path=path))
         assert path.is_dir() is (name != "cells")
 
-    def test_where_nothing_can_be_locked_a_run_is_refused(self, out, ran, monkeypatch, options):
+    def test_where_nothing_can_be_locked_a_run_is_refused(
+        self, out, ran, monkeypatch, options
+    ):
         def refuse(*_):
             raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
         monkeypatch.setattr("evaluation.runs.files.fcntl.flock", refuse)
         ended = ran(matrix, *options, "--out", out)
-        assert_refused(ended, f"error: cannot lock {out / '.lock'}: No locks available; ")
+        assert_refused(
+            ended, f"error: cannot lock {out / '.lock'}: No locks available; "
+        )
 
     def test_a_folder_that_may_not_be_written_has_no_lock(self, finished, everybodys):
         out = Path(shutil.copytree(finished, everybodys / "run"))
         with (
             forbidden(out, mode=0o500),
-            pytest.raises(SettingsError, match=r"run/\.lock: Permission denied; make the"),
+            pytest.raises(
+                SettingsError, match=r"run/\.lock: Permission denied; make the"
+            ),
             locked(out),
         ):
             raise AssertionError("it is locked")
@@ -193,32 +225,44 @@ class TestManifest:
                 else:
                     holder[last] = change
                 (tmp_path / "manifest.json").write_text(json.dumps(manifest))
-                with pytest.raises(DataError, match=r"is damaged; run|is not the manifest"):
+                with pytest.raises(
+                    DataError, match=r"is damaged; run|is not the manifest"
+                ):
                     read_manifest(tmp_path)
 
-    @pytest.mark.parametrize("name", ["../manifest.json", "raw_00000_0.parquet", "/etc/passwd"])
+    @pytest.mark.parametrize(
+        "name", ["../manifest.json", "raw_00000_0.parquet", "/etc/passwd"]
+    )
     def test_that_names_a_file_elsewhere_is_refused_whoever_sealed_it(self, name, out):
         edit_manifest(out, lambda one: one["cells"][0].update(files=[name]))
         with pytest.raises(DataError, match="is damaged"):
             store.open_run(out, identity={}, fresh=False)
 
-    def test_that_is_damaged_is_replaced_by_fresh_and_nothing_else(self, out, ran, tiny, options):
+    def test_that_is_damaged_is_replaced_by_fresh_and_nothing_else(
+        self, out, ran, tiny, options
+    ):
         (out / "manifest.json").write_text('{"identity": {}, "cells": []}')
         (out / "notes.txt").write_text("mine")
         told = f"{out} was written by another version, or its manifest.json is damaged"
         assert_refused(ran(report, out), told)
-        assert_refused(ran(matrix, *options, "--out", out), "run the matrix again with --fresh")
+        assert_refused(
+            ran(matrix, *options, "--out", out), "run the matrix again with --fresh"
+        )
         evaluation.run(replace(tiny, out=out, fresh=True), pictures=False)
         assert len(list((out / "cells").iterdir())) == 2
         assert (out / "notes.txt").read_text() == "mine"
 
-    @pytest.mark.parametrize("held", [b"", b"[]", b'{"cells": 1}', b"\xff\xfe", b"[" * 100_000])
+    @pytest.mark.parametrize(
+        "held", [b"", b"[]", b'{"cells": 1}', b"\xff\xfe", b"[" * 100_000]
+    )
     def test_that_nothing_can_be_made_of_is_one_line(self, held, out, ran, options):
         (path := out / "manifest.json").write_bytes(held)
         assert_refused(ran(report, out), f"{path} ")
         assert_refused(ran(matrix, *options, "--out", out), str(path))
 
-    def test_of_a_run_that_never_began_is_continued_but_has_no_report(self, tmp_path, ran, tiny):
+    def test_of_a_run_that_never_began_is_continued_but_has_no_report(
+        self, tmp_path, ran, tiny
+    ):
         out = tmp_path / "run"
         ready = plan(replace(tiny, out=out))
         manifest, _, _ = store.open_run(out, identity=ready.identity, fresh=False)
@@ -228,11 +272,17 @@ class TestManifest:
 
     def test_of_a_run_without_a_finished_cell_has_no_report(self, out, ran):
         edit_manifest(out, lambda one: one.update(cells=[]))
-        assert_refused(ran(report, out), f"{out} holds no finished cell; run the matrix again")
+        assert_refused(
+            ran(report, out), f"{out} holds no finished cell; run the matrix again"
+        )
 
-    def test_that_takes_one_kind_of_cell_for_another_is_told_by_its_columns(self, out, ran):
+    def test_that_takes_one_kind_of_cell_for_another_is_told_by_its_columns(
+        self, out, ran
+    ):
         edit_manifest(out, lambda one: one["cells"][0].update(kind="predictor"))
-        assert_refused(ran(report, out), "has no column conflict: it is no cell of the kind")
+        assert_refused(
+            ran(report, out), "has no column conflict: it is no cell of the kind"
+        )
 
 
 class TestChecksums:
@@ -253,8 +303,10 @@ class TestChecksums:
         assert after == {path.name for path in (out / "cells").iterdir()}
         assert after.isdisjoint(before)
 
-    def test_stay_as_they_were_where_they_cannot_be_written_anew(self, out, monkeypatch, tiny):
-        (cell, *_) = sorted((out / "cells").iterdir())
+    def test_stay_as_they_were_where_they_cannot_be_written_anew(
+        self, out, monkeypatch, tiny
+    ):
+        cell, *_ = sorted((out / "cells").iterdir())
         cell.unlink()
         before = (out / "SHA256SUMS").read_bytes()
 

@@ -13,9 +13,18 @@ from isac_track.errors import DataError
 
 LIMITS = {
     "memory of Python": (MemoryError(), "not enough memory"),
-    "memory of Arrow": (pa.ArrowMemoryError("malloc of size 9 failed"), "not enough memory"),
-    "memory of the system": (OSError(errno.ENOMEM, os.strerror(errno.ENOMEM)), "enough memory"),
-    "threads": (pa.ArrowException("thread: Resource temporarily unavailable"), "ulimit -u and -v"),
+    "memory of Arrow": (
+        pa.ArrowMemoryError("malloc of size 9 failed"),
+        "not enough memory",
+    ),
+    "memory of the system": (
+        OSError(errno.ENOMEM, os.strerror(errno.ENOMEM)),
+        "enough memory",
+    ),
+    "threads": (
+        pa.ArrowException("thread: Resource temporarily unavailable"),
+        "ulimit -u and -v",
+    ),
     "open files": (OSError(errno.EMFILE, os.strerror(errno.EMFILE)), "ulimit -n"),
 }
 
@@ -29,7 +38,9 @@ def out(tmp_path):
 
 
 @pytest.mark.parametrize("limit", LIMITS)
-def test_a_limit_of_the_machine_is_not_blamed_on_a_file(limit, out, monkeypatch, capsys):
+def test_a_limit_of_the_machine_is_not_blamed_on_a_file(
+    limit, out, monkeypatch, capsys
+):
     fault, says = LIMITS[limit]
 
     def fails(*_, **__):
@@ -45,5 +56,7 @@ def test_a_limit_of_the_machine_is_not_blamed_on_a_file(limit, out, monkeypatch,
 @pytest.mark.parametrize("content", [b"", b"PAR1", b"PAR1" * 99])
 def test_a_file_that_is_damaged_is_named(content, out):
     (out / cell_files.GALLERY).write_bytes(content)
-    with pytest.raises(DataError, match=r"gallery.parquet cannot be read .*; delete it"):
+    with pytest.raises(
+        DataError, match=r"gallery.parquet cannot be read .*; delete it"
+    ):
         read_gallery(out)

@@ -32,7 +32,10 @@ def test_a_call_is_made_by_a_worker_if_one_waits_and_here_if_it_dies(n_workers):
         for _ in range(2):  # the worker goes on waiting
             with aside(partial(process_unless, 0)) as answer:
                 assert (answer() != os.getpid()) == bool(n_workers)
-        with pytest.raises(LookupError), aside(partial(process_unless, 0, raises=True)) as answer:
+        with (
+            pytest.raises(LookupError),
+            aside(partial(process_unless, 0, raises=True)) as answer,
+        ):
             answer()
         with aside(partial(process_unless, os.getpid())) as answer:
             assert answer() == os.getpid()
@@ -43,7 +46,10 @@ def test_what_a_worker_finds_comes_back_as_it_was():
     grid = np.arange(12.0).reshape(3, 4)
     found = {"whole": grid, "columns": np.asfortranarray(grid), "some": grid[:, ::2]}
     found |= {"none": np.zeros((0, 3)), "objects": np.array(["a", None], dtype=object)}
-    with ahead(1), aside(partial(dict, **found, table=table, frame=pd.DataFrame(grid))) as answer:
+    with (
+        ahead(1),
+        aside(partial(dict, **found, table=table, frame=pd.DataFrame(grid))) as answer,
+    ):
         back = answer()
     assert back.pop("table").equals(table)
     pd.testing.assert_frame_equal(back.pop("frame"), pd.DataFrame(grid))

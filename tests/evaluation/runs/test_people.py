@@ -25,7 +25,15 @@ from evaluation.runs.people import (
 )
 from isac_track.errors import DataError, SettingsError
 
-NUMBERS = ("summary", "frontier", "matched", "linkability", "gallery", "decisions", "curves")
+NUMBERS = (
+    "summary",
+    "frontier",
+    "matched",
+    "linkability",
+    "gallery",
+    "decisions",
+    "curves",
+)
 AXES = {
     "mechanisms": ("raw", "fixed:0.7"),
     "predictors": ("least_squares",),
@@ -41,11 +49,15 @@ def runs(tmp_path_factory):
     write_walks(folder / "walks.csv", n_people=40)
     rows = pd.read_csv(folder / "walks.csv")
     rows["id"] = [f"Citizen{who}" for who in rows["id"]]
-    lone = rows.tail(1).assign(id="CitizenLone")  # both are repairs, which the files of a run tell
+    lone = rows.tail(1).assign(
+        id="CitizenLone"
+    )  # both are repairs, which the files of a run tell
     rows = pd.concat([rows.drop(index=rows.index[20]), lone])
     rows.to_csv(folder / "walks.csv", index=False)
     for name in ("run", "kept"):
-        settings = smoke(folder / "walks.csv", folder / name, **AXES, keep_ids=name == "kept")
+        settings = smoke(
+            folder / "walks.csv", folder / name, **AXES, keep_ids=name == "kept"
+        )
         evaluation.run(settings, progress=False, pictures=name == "run")
     return folder
 
@@ -72,7 +84,9 @@ def test_what_was_mended_is_told_without_the_folder(runs):
     repairs = read_manifest(runs / "run")["dataset"]["repairs"]
     told = {repair["kind"]: repair["detail"] for repair in repairs}
     assert {"gap", "one-point"} <= {*told}
-    assert all(told[kind].startswith("walks.csv: line ") for kind in ("gap", "one-point"))
+    assert all(
+        told[kind].startswith("walks.csv: line ") for kind in ("gap", "one-point")
+    )
 
 
 @pytest.mark.parametrize(
@@ -90,7 +104,9 @@ def test_what_was_mended_is_told_without_the_folder(runs):
 def test_a_text_about_a_recording_names_no_folder(text, told, monkeypatch):
     monkeypatch.setenv("ISAC_TRACK_DATA", "/srv/anna/data")
     monkeypatch.setenv("ISAC_TRACK_CACHE", "/home/anna b/.cache")
-    data = SimpleNamespace(path="/home/anna b/rec", sessions=("/home/anna b/rec/a.csv",))
+    data = SimpleNamespace(
+        path="/home/anna b/rec", sessions=("/home/anna b/rec/a.csv",)
+    )
     assert without_folders(text, data).removeprefix("ISAC_TRACK_DATA is ") == told
 
 
@@ -111,7 +127,9 @@ def test_two_keys_give_two_names_and_one_key_one():
     first, second = "00" * 32, "ff" * 32
     assert pseudonym("7", first) == pseudonym("7", first) != pseudonym("7", second)
     # RFC 4231, test case 2, whose key is text.
-    assert pseudonym("what do ya want for nothing?", b"Jefe".hex()) == "5bdcc146bf60754e"
+    assert (
+        pseudonym("what do ya want for nothing?", b"Jefe".hex()) == "5bdcc146bf60754e"
+    )
 
 
 def test_labels_sort_as_ids_do_and_carry_the_half_of_the_people(runs):
@@ -119,7 +137,9 @@ def test_labels_sort_as_ids_do_and_carry_the_half_of_the_people(runs):
     assert sorted(ids) == sorted(ids, key=ids.__getitem__)
     for name, label in ids.items():
         assert in_first_half(label) == in_first_half(name)
-        assert in_first_half(name) == (hashlib.sha256(name.encode()).digest()[0] % 2 == 0)
+        assert in_first_half(name) == (
+            hashlib.sha256(name.encode()).digest()[0] % 2 == 0
+        )
     assert [*label_of_written(runs / "run").values()] == [*ids.values()]
     groups = read_manifest(runs / "run")["groups"]
     assert groups == sorted(groups) == read_manifest(runs / "kept")["groups"]
@@ -131,8 +151,12 @@ def test_a_run_that_lost_a_cell_continues_to_the_same_bytes(runs, tmp_path):
     before = {path.name: path.read_bytes() for path in (out / "cells").iterdir()}
     (out / "cells" / min(before)).unlink()
     (out / "gallery.parquet").unlink()
-    evaluation.run(smoke(runs / "walks.csv", out, **AXES), progress=False, pictures=False)
-    assert {path.name: path.read_bytes() for path in (out / "cells").iterdir()} == before
+    evaluation.run(
+        smoke(runs / "walks.csv", out, **AXES), progress=False, pictures=False
+    )
+    assert {
+        path.name: path.read_bytes() for path in (out / "cells").iterdir()
+    } == before
     for name in ("gallery.parquet", "people.json"):
         assert (out / name).read_bytes() == (runs / "run" / name).read_bytes()
 
@@ -160,7 +184,9 @@ def test_a_published_copy_tells_the_same_and_nothing_private(runs, ran, tmp_path
     assert (ended.code, ended.err) == (0, "")
     for text in ("Citizen", "home-of-anna", "true walks of real people"):
         assert holding(to, text) == []
-    assert not {"private.json", "gallery.parquet"} & {path.name for path in to.iterdir()}
+    assert not {"private.json", "gallery.parquet"} & {
+        path.name for path in to.iterdir()
+    }
     assert "<section id=gallery" not in (to / "report.html").read_text()
     before = (to / "summary.csv").read_bytes()
     assert before == (runs / "run" / "summary.csv").read_bytes()
@@ -169,7 +195,9 @@ def test_a_published_copy_tells_the_same_and_nothing_private(runs, ran, tmp_path
 
 
 def test_what_cannot_be_published_is_one_line(runs, ran, tmp_path):
-    assert_refused(ran(publish, runs / "kept", "--to", tmp_path / "a"), "without --keep-ids")
+    assert_refused(
+        ran(publish, runs / "kept", "--to", tmp_path / "a"), "without --keep-ids"
+    )
     assert_refused(ran(publish, tmp_path / "nothing"), "holds no run")
     (tmp_path / "there").mkdir()
     assert_refused(ran(publish, runs / "run", "--to", tmp_path / "there"), "exists")
@@ -181,14 +209,33 @@ def test_the_page_says_that_it_shows_real_walks(runs):
 
 
 def test_without_pictures_no_walks_are_kept(runs, ran, tmp_path):
-    words = ["--preset", "smoke", "--scenes", 8, "--jobs", 1, "--dataset", runs / "walks.csv"]
-    words += ["--attack", "none", "--task", "none", "--mechanism", "raw", "--no-pictures"]
+    words = [
+        "--preset",
+        "smoke",
+        "--scenes",
+        8,
+        "--jobs",
+        1,
+        "--dataset",
+        runs / "walks.csv",
+    ]
+    words += [
+        "--attack",
+        "none",
+        "--task",
+        "none",
+        "--mechanism",
+        "raw",
+        "--no-pictures",
+    ]
     assert ran(matrix, *words, "--out", tmp_path / "run").code == 0
     left = {path.name for path in (tmp_path / "run").iterdir()}
     assert left & {"gallery.parquet", "report.html", "figures"} == set()
 
 
-def test_a_recording_that_must_not_be_passed_on_draws_no_walks(runs, monkeypatch, tmp_path):
+def test_a_recording_that_must_not_be_passed_on_draws_no_walks(
+    runs, monkeypatch, tmp_path
+):
     monkeypatch.setattr("evaluation.runs.execute.NOT_PASSED_ON", "")  # in every licence
     few = AXES | {"attacks": ("radial_rts",), "tasks": ()}
     settings = smoke(runs / "walks.csv", tmp_path / "run", **few)
@@ -200,6 +247,12 @@ def test_paths_are_told_below_the_working_folder_or_by_name(tmp_path, monkeypatc
     monkeypatch.chdir(tmp_path)
     assert shown_path(tmp_path / "data" / "walks.csv") == "data/walks.csv"
     assert shown_path("/home/anna/walks.csv") == "walks.csv"
-    given = ["/opt/bin/matrix.py", "--dataset=/home/anna/w.csv", "--out", "../../anna/run", "raw"]
+    given = [
+        "/opt/bin/matrix.py",
+        "--dataset=/home/anna/w.csv",
+        "--out",
+        "../../anna/run",
+        "raw",
+    ]
     assert shown_words(given) == ["matrix.py", "--dataset=w.csv", "--out", "run", "raw"]
     assert shown_words([]) == [""]

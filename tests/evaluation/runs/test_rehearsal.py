@@ -71,7 +71,9 @@ def test_a_folder_of_another_run_is_refused(here, dry, ran):
     done = ran(matrix, *words, "--scenes", "8", "--no-pictures", "--out", "run")
     assert done.code == 0
     before = everything_in(here)
-    assert_refused(ran(matrix, *dry, "--out", "run"), "holds another run (scenes 8 -> 40)")
+    assert_refused(
+        ran(matrix, *dry, "--out", "run"), "holds another run (scenes 8 -> 40)"
+    )
     assert ran(matrix, *dry, "--out", "run", "--fresh").code == 0
     assert everything_in(here) == before
 
@@ -84,14 +86,25 @@ def test_a_place_where_nothing_can_be_written_is_refused(dry, ran):
 def test_a_plugin_that_fails_is_refused(here, walks, ran, monkeypatch):
     monkeypatch.syspath_prepend(here)
     (here / "broken_in_fit.py").write_text(BROKEN, encoding="utf-8")
-    words = ["--preset", "smoke", "--dataset", walks, "--task", "none", "--mechanism", "raw"]
+    words = [
+        "--preset",
+        "smoke",
+        "--dataset",
+        walks,
+        "--task",
+        "none",
+        "--mechanism",
+        "raw",
+    ]
     words += ["--attack", "broken_in_fit:Broken", "--dry-run"]
     ended = ran(matrix, *words)
     assert_refused(ended, "it never worked", "found by a call on a few made-up people")
     names = everything_in(here)
-    assert [name for name in names if "__pycache__" not in name and not name.endswith(".pyc")] == [
-        "broken_in_fit.py"
-    ]
+    assert [
+        name
+        for name in names
+        if "__pycache__" not in name and not name.endswith(".pyc")
+    ] == ["broken_in_fit.py"]
 
 
 @pytest.mark.usefixtures("here")
@@ -110,7 +123,11 @@ def test_what_the_recording_cannot_do_is_refused(walks, ran, words, says):
 
 class TestHowLong:
     def test_every_built_in_consumer_of_a_small_run_has_a_rate(self, usual):
-        names = {name_of(consumer) for unit in usual.units for consumer in unit.consumers.values()}
+        names = {
+            name_of(consumer)
+            for unit in usual.units
+            for consumer in unit.consumers.values()
+        }
         assert names <= measured_rates().keys()
         assert all(rate > 0 for rate in measured_rates().values())
 

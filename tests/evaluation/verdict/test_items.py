@@ -14,7 +14,12 @@ def of(value, drawn, *, n=200, effective=np.nan):
 
 
 def draft(effect, *, parted_at=0.0, unit="fraction", **more):
-    words = {"above": rules.REVERSED, "below": rules.HOLDS, "unit": unit, "sentences": {"": "{}."}}
+    words = {
+        "above": rules.REVERSED,
+        "below": rules.HOLDS,
+        "unit": unit,
+        "sentences": {"": "{}."},
+    }
     return Draft(adding="linear", effect=effect, parted_at=parted_at, **words, **more)
 
 
@@ -24,7 +29,9 @@ def test_the_quantile_is_that_of_the_largest_of_independent_normal_numbers(n_ite
     found = critical([of(0.0, one) for one in drawn], 0.95)
     assert found == pytest.approx(norm.ppf((1 + 0.95 ** (1 / n_items)) / 2), abs=0.05)
     # Ten times the same item is one item.
-    assert critical([of(0.0, drawn[0])] * 10) == pytest.approx(critical([of(7.0, drawn[0])]))
+    assert critical([of(0.0, drawn[0])] * 10) == pytest.approx(
+        critical([of(7.0, drawn[0])])
+    )
 
 
 def test_an_item_with_wild_replicates_does_not_widen_the_others():
@@ -69,7 +76,9 @@ def test_a_ratio_is_tested_as_logarithm_and_told_as_it_is():
     drawn = 0.1 * np.random.default_rng(3).standard_normal(2000)
     (item,) = decided(rules.INFLATION, [draft(of(np.log(1.5), drawn), unit="ratio")])
     assert item["effect"] == pytest.approx(1.5)
-    assert item["effect"] / item["ci_low"] == pytest.approx(item["ci_high"] / item["effect"])
+    assert item["effect"] / item["ci_low"] == pytest.approx(
+        item["ci_high"] / item["effect"]
+    )
     assert item["sentence"].startswith("1.50 times [1.2")
 
 
@@ -88,7 +97,9 @@ GAPS = np.where(np.arange(1000) < 30, np.nan, NOISE)
         (of(9.0, NOISE), {"untestable": "nobody is linked"}, "nobody is linked", True),
     ],
 )
-def test_what_cannot_be_tested_says_why_and_is_in_no_band(effect, more, why, has_interval):
+def test_what_cannot_be_tested_says_why_and_is_in_no_band(
+    effect, more, why, has_interval
+):
     sure = draft(of(9.0, NOISE))
     items = decided(rules.CLAIM, [draft(effect, **more), sure])
     assert items[0]["decision"] == "not testable"

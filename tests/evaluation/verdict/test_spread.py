@@ -28,7 +28,8 @@ def contrasts(gaps, errors, *, rng=None, n_drawn=4000, **changed):
         people=np.full(k, 100),
         discordant=np.full((3, k), 50.0),
         decides=np.full(k, True),
-        fall=np.full(1 + n_drawn, 0.5) + 0.01 * np.append(0.0, rng.normal(size=n_drawn)),
+        fall=np.full(1 + n_drawn, 0.5)
+        + 0.01 * np.append(0.0, rng.normal(size=n_drawn)),
         span=np.full(1 + n_drawn, 1.0),
         fall_error=0.01,
         span_error=0.01,
@@ -53,7 +54,9 @@ class TestParts:
         se = x.std(ddof=1) / np.sqrt(12)
         assert spread.standard_error(np.zeros((5, 1)), left_out) == pytest.approx([se])
         drawn = np.array([[-9.0], [9.0]])  # replicates that show more
-        assert spread.standard_error(drawn, left_out) == pytest.approx(drawn.std(ddof=1))
+        assert spread.standard_error(drawn, left_out) == pytest.approx(
+            drawn.std(ddof=1)
+        )
 
     @pytest.mark.parametrize(("more", "fewer"), [(0, 0), (3, 0), (2, 5), (60, 0)])
     def test_exact_ends_are_those_of_two_binomials(self, more, fewer):
@@ -90,7 +93,9 @@ class TestEnds:
         assert low == pytest.approx(0.2 - 0.02 * q, abs=0.002)
         assert high == pytest.approx(0.2 + 0.02 * half)
 
-    def test_where_all_are_equal_half_are_shown_as_zero_and_the_page_errs_in_2_5_pct(self):
+    def test_where_all_are_equal_half_are_shown_as_zero_and_the_page_errs_in_2_5_pct(
+        self,
+    ):
         rng, errors = np.random.default_rng(1), np.full(8, 0.02)
         one = contrasts(np.zeros(8), errors)
         shown, lower = [], []
@@ -105,14 +110,22 @@ class TestEnds:
         few = np.array([[50.0, 0.0], [50.0, 0.0], [50.0, 0.0]])
         one = contrasts([0.0, 0.0], [0.01, 1e-12], degrees=[99.0, 99.0], discordant=few)
         assert one.furthest == pytest.approx(np.abs(one.gaps[1:, 0]) / 0.01)
-        assert spread.widths(one, one.furthest).up[1] == pytest.approx(1 - 0.0125 ** (1 / 100))
+        assert spread.widths(one, one.furthest).up[1] == pytest.approx(
+            1 - 0.0125 ** (1 / 100)
+        )
         expected = [stdtrit(99.0, 0.975) * 0.01, 1 - 0.0125 ** (1 / 100)]
         for ends, sign in zip(spread.intervals(one), (-1.0, 1.0), strict=True):
             assert sign * ends == pytest.approx(np.array(expected))
 
-    def test_where_only_counts_are_left_the_error_of_the_descriptor_still_widens_them(self):
+    def test_where_only_counts_are_left_the_error_of_the_descriptor_still_widens_them(
+        self,
+    ):
         """The counts speak of who is linked, the standard error of where the curve is read, too."""
-        few = {"degrees": [21.0], "discordant": [[0.19], [0.0], [4.0]], "fall_degrees": 21.0}
+        few = {
+            "degrees": [21.0],
+            "discordant": [[0.19], [0.0], [4.0]],
+            "fall_degrees": 21.0,
+        }
         answer, low, _ = decision(contrasts([0.19], [0.01], **few))
         assert (answer, low > rules.SUCCESS_MARGIN) == (rules.DOES_NOT, True)
         answer, low, _ = decision(contrasts([0.19], [0.23], **few))
@@ -137,7 +150,11 @@ class TestDecision:
             ([0.01, 0.01], {"fall": [0.15] * 4001}, rules.NOT_TESTABLE),
             ([0.01, 0.20], {"fall": [0.15] * 4001}, rules.DOES_NOT),
             ([0.01, 0.01], {"span": [0.05] * 4001}, rules.DOES_NOT),
-            ([0.01, 0.01], {"span": [0.05] * 4001, "fall": [0.05] * 4001}, rules.NOT_TESTABLE),
+            (
+                [0.01, 0.01],
+                {"span": [0.05] * 4001, "fall": [0.05] * 4001},
+                rules.NOT_TESTABLE,
+            ),
             ([0.01, 0.20], {"fall_degrees": 18.0}, rules.NOT_TESTABLE),
             ([0.01, 0.20], {"fall_error": 0.0}, rules.NOT_TESTABLE),
         ],
@@ -167,11 +184,14 @@ class TestPower:
         assert table[spread.EQUAL][rules.TRACKS] == pytest.approx(0.8, abs=0.02)
 
     @pytest.mark.parametrize(
-        "changed", [{"is_whole": False}, {"fall": [0.2] * 4001}, {"side": [BOTH, ONLY_MORE]}]
+        "changed",
+        [{"is_whole": False}, {"fall": [0.2] * 4001}, {"side": [BOTH, ONLY_MORE]}],
     )
     def test_no_number_helps_where_equality_cannot_be_tested(self, changed):
         one = contrasts([0.0, 0.0], [0.01, 0.01], **changed)
-        assert spread.clusters_needed(one, spread.widths(one, one.furthest), 100) is None
+        assert (
+            spread.clusters_needed(one, spread.widths(one, one.furthest), 100) is None
+        )
 
 
 class TestPredictionError:
@@ -184,16 +204,24 @@ class TestPredictionError:
         return np.vstack([reached, around])
 
     def test_is_the_distance_of_a_kind_from_the_others_curve(self):
-        reached = self.AT + 0.1 * (self.AT == 0.4)  # offset is read at 0.4 between 0.3 and 0.5
+        reached = self.AT + 0.1 * (
+            self.AT == 0.4
+        )  # offset is read at 0.4 between 0.3 and 0.5
         shows = np.tile(self.AT, (401, 1))
         error, null = prediction_errors(shows, self.drawn(reached, 1e-6), self.KINDS)
-        curve = [reached[self.AT == 0.8], reached[self.AT == 0.2], reached[self.AT == 0.4]]
+        curve = [
+            reached[self.AT == 0.8],
+            reached[self.AT == 0.2],
+            reached[self.AT == 0.4],
+        ]
         assert min(curve) > 0
         # white from thin and offset: flat beyond 0.2 and 0.8, and 0.1 too high between
         others = np.interp([0.1, 0.3, 0.5, 0.7, 0.9], [0.2, 0.4, 0.8], [0.2, 0.5, 0.8])
         white = np.mean((reached[:5] - others) ** 2)
         thin = np.mean((np.array([0.2, 0.8]) - [0.2, 0.8]) ** 2)
-        assert error.roots[0] ** 2 == pytest.approx((white + thin + 0.1**2) / 3, rel=1e-3)
+        assert error.roots[0] ** 2 == pytest.approx(
+            (white + thin + 0.1**2) / 3, rel=1e-3
+        )
         assert null.roots[0] > error.roots[0]
 
     def test_what_sampling_alone_gives_is_taken_off(self):
@@ -202,8 +230,12 @@ class TestPredictionError:
         found = []
         for _ in range(40):
             reached = self.AT + 0.05 * rng.normal(size=self.AT.size)
-            found.append(prediction_errors(shows, self.drawn(reached, 0.05), self.KINDS)[0])
-        flat = np.mean([one.drawn[0] for one in found])  # beyond 0.2 and 0.8 the curve is flat
+            found.append(
+                prediction_errors(shows, self.drawn(reached, 0.05), self.KINDS)[0]
+            )
+        flat = np.mean(
+            [one.drawn[0] for one in found]
+        )  # beyond 0.2 and 0.8 the curve is flat
         assert flat == pytest.approx(2 / 5 * 0.1**2 / 3, abs=0.0012)
         assert all(one.ends[0] <= one.ends[1] for one in found)
 

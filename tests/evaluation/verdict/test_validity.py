@@ -91,7 +91,8 @@ def test_every_item_carries_what_it_promises(worlds, equal):
     [
         ("correlated", -0.4, rules.DOES_NOT, [ATTACKS]),
         ("correlated", 0.4, rules.DOES_NOT, [SHOWN]),
-        # The frame is hidden in this task: that a moved walk is linked as well is no news.
+        # The frame is hidden in this task: that a moved walk is linked as well is no
+        # news.
         ("offset", 0.4, rules.BETWEEN, []),
     ],
 )
@@ -123,7 +124,10 @@ def test_a_mechanism_of_somebody_elses_is_beside_the_panel(worlds, equal):
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        (lambda level: level.mechanism != "correlated", "lacks correlated 0.75 of the panel"),
+        (
+            lambda level: level.mechanism != "correlated",
+            "lacks correlated 0.75 of the panel",
+        ),
         (lambda level: level.mechanism != "fid", "lacks a sweep of fid"),
     ],
 )
@@ -151,7 +155,9 @@ def test_what_rests_on_few_or_on_nobody_is_not_testable(worlds, equal):
     found = item(said_of(worlds, changed(equal, descriptors=few)))
     assert found["n"] == 7
     assert "7 people" in found["why"]
-    nobody = item(said_of(worlds, changed(equal, success=lambda one: 0.02 * one.probes)))
+    nobody = item(
+        said_of(worlds, changed(equal, success=lambda one: 0.02 * one.probes))
+    )
     still = item(said_of(worlds, changed(equal, success=lambda one: one.probes)))
     assert nobody["decision"] == still["decision"] == rules.NOT_TESTABLE
     assert "alike" in nobody["why"]
@@ -174,5 +180,7 @@ def test_beyond_the_sweep_one_direction_can_be_shown(worlds, equal):
 
 
 def test_without_fixed_noise_there_is_nothing_to_compare_with(worlds, equal):
-    task = replace(equal, levels=tuple(one for one in equal.levels if "fixed" not in one.mechanism))
+    task = replace(
+        equal, levels=tuple(one for one in equal.levels if "fixed" not in one.mechanism)
+    )
     assert said_of(worlds, task) == {"items": [], "controls": [], "on_trial": []}

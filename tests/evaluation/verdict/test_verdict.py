@@ -15,7 +15,11 @@ from evaluation.verdict.sections import to_bytes
 
 @pytest.fixture(scope="module")
 def planted():
-    return {kind: run(World(kind, n_people=3000), seed=0) for kind in KINDS if kind != "empty"}
+    return {
+        kind: run(World(kind, n_people=3000), seed=0)
+        for kind in KINDS
+        if kind != "empty"
+    }
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +29,9 @@ def said():
 
 @pytest.fixture(scope="module")
 def strangers():
-    found, levels = simulated(World("valid", stranger=True), rng=np.random.default_rng(13))
+    found, levels = simulated(
+        World("valid", stranger=True), rng=np.random.default_rng(13)
+    )
     return said_of(found, {TASK: levels})
 
 
@@ -79,11 +85,15 @@ class TestVerdict:
     def test_every_item_is_whole_and_plain_under_either_rule(self, said):
         names = [one["id"] for one in said["items"]]
         assert len(names) == len(set(names))
-        assert {"validity/linear/plr/rerelease", "claim/independent/missed/as-shared/mel"} < {
-            *names
-        }
+        assert {
+            "validity/linear/plr/rerelease",
+            "claim/independent/missed/as-shared/mel",
+        } < {*names}
         for one in said["items"]:
-            assert one["ci_low"] <= one["effect"] <= one["ci_high"] or one["section"] == "claim"
+            assert (
+                one["ci_low"] <= one["effect"] <= one["ci_high"]
+                or one["section"] == "claim"
+            )
             assert one["n"] == 200
             assert one["sentence"].endswith(".")
             assert bool(one["why"]) == (not one["sign"])
@@ -105,15 +115,23 @@ class TestVerdict:
         ids = {one["id"] for one in items_of(strangers, "claim")}
         assert names == {f"{one}/mine:Ou" for one in ids - names}
         assert all("under mine:Ou" in one["sentence"] for one in items if one["sign"])
-        inflated = [one["id"] for one in strangers["items"] if one["id"].endswith("mine:Ou/plr")]
-        assert inflated == [f"inflation/{rule}/mine:Ou/plr" for rule in ("linear", "independent")]
-        assert {one["levels"] for one in items_of(strangers, "within")} == {1 + 4 + 3 + 4}
+        inflated = [
+            one["id"] for one in strangers["items"] if one["id"].endswith("mine:Ou/plr")
+        ]
+        assert inflated == [
+            f"inflation/{rule}/mine:Ou/plr" for rule in ("linear", "independent")
+        ]
+        assert {one["levels"] for one in items_of(strangers, "within")} == {
+            1 + 4 + 3 + 4
+        }
         for one in items_of(strangers, "validity"):
             assert "mine:Ou" in {gap["mechanism"] for gap in one["contrasts"]}
 
     def test_a_run_without_linkage_or_attack_says_so(self):
         found, _ = simulated(World("valid"), rng=np.random.default_rng(12))
-        said = said_of({key: one for key, one in found.items() if not key.knowledge}, {})
+        said = said_of(
+            {key: one for key, one in found.items() if not key.knowledge}, {}
+        )
         assert {one["section"] for one in said["items"]} == {"claim"}
         empty = said_of({}, {})
         assert empty["items"] == []

@@ -63,7 +63,9 @@ class TestControls:
         assert names(asked((RAW, GOOD, control)).proposals) == [AT]
 
     def test_cannot_be_asked_for(self):
-        with pytest.raises(SettingsError, match="--family offset: the run has no such family"):
+        with pytest.raises(
+            SettingsError, match="--family offset: the run has no such family"
+        ):
             asked(USUAL, only=("offset",))
 
 
@@ -72,7 +74,11 @@ class TestEachLimit:
 
     def test_holds_with_the_usual_numbers(self):
         answer = asked((RAW, GOOD))
-        assert (names(answer.proposals), answer.nearest, answer.missing) == ([AT], None, ())
+        assert (names(answer.proposals), answer.nearest, answer.missing) == (
+            [AT],
+            None,
+            (),
+        )
         assert set(statuses(answer.proposals[0]).values()) == {"met"}
 
     def test_of_plr_at_epsilon(self):
@@ -80,7 +86,8 @@ class TestEachLimit:
         assert failing((RAW, changed(plr=0.6, wide=0.7))) == expected
 
     def test_of_plr_beyond_epsilon(self):
-        # Errors parked at 1.1 epsilon: nothing leaks at epsilon, everything at 4/3 of it.
+        # Errors parked at 1.1 epsilon: nothing leaks at epsilon, everything at 4/3 of
+        # it.
         parked = changed(plr=0.05, wide=0.98, median=0.33)
         assert failing((RAW, parked)) == {("plr_wide", "not met")}
 
@@ -98,15 +105,23 @@ class TestEachLimit:
     @pytest.mark.parametrize("name", ["repeats", "anchor"])
     def test_of_an_adversary_that_was_asked_for(self, name):
         broken = changed(beyond={"repeats": 0.40, "anchor": 0.35, name: 0.70})
-        assert asked((RAW, broken)).met  # He was not asked for; it is said that he breaks it.
-        (side,) = [one for one in asked((RAW, broken)).proposals[0].beyond if one.adversary == name]
+        assert asked(
+            (RAW, broken)
+        ).met  # He was not asked for; it is said that he breaks it.
+        (side,) = [
+            one
+            for one in asked((RAW, broken)).proposals[0].beyond
+            if one.adversary == name
+        ]
         assert side.breaks(0.5)
         expected = {("plr", "not met"), ("plr_wide", "not met")}
         assert failing((RAW, broken), against=(name,)) == expected
         assert asked((RAW, GOOD), against=("repeats", "anchor")).met
 
     def test_beyond_epsilon_counts_for_an_adversary_too(self):
-        near = changed(beyond={"anchor": 0.46})  # 0.46 + 0.02 holds, 0.51 + 0.02 does not
+        near = changed(
+            beyond={"anchor": 0.46}
+        )  # 0.46 + 0.02 holds, 0.51 + 0.02 does not
         assert failing((RAW, near), against=("anchor",)) == {("plr_wide", "not met")}
 
     def test_of_what_was_not_tried_cannot_be_said(self):
@@ -123,22 +138,34 @@ class TestEachLimit:
         }
         assert failing((RAW, GOOD), limits=limits) == expected
         limits = {**LIMITS, "ael": 1.02, "rank1": 0.33, "false_alarm": 0.13}
-        assert asked((RAW, GOOD), limits=limits).met  # simulated people at 99 % do not count
+        assert asked(
+            (RAW, GOOD), limits=limits
+        ).met  # simulated people at 99 % do not count
 
     def test_as_shared_is_about_what_was_shared(self):
         leaking = changed(plr=0.9, wide=0.95)
         assert asked((RAW, leaking), as_shared=True).met
-        assert not asked((RAW, leaking), as_shared=True, limits={**LIMITS, "plr": 0.26}).met
+        assert not asked(
+            (RAW, leaking), as_shared=True, limits={**LIMITS, "plr": 0.26}
+        ).met
 
 
 class TestUnknown:
     def test_horizon(self):
         answer = asked((RAW, GOOD), criterion=Criterion("missed", 2.0))
-        assert (answer.met, answer.missing, answer.robot) == (False, ("no horizon",), "")
+        assert (answer.met, answer.missing, answer.robot) == (
+            False,
+            ("no horizon",),
+            "",
+        )
 
     def test_handover(self):
         answer = asked((changed(RAW, task=""), changed(task="")))
-        assert (answer.met, answer.missing, answer.task) == (False, ("no handover",), "")
+        assert (answer.met, answer.missing, answer.task) == (
+            False,
+            ("no handover",),
+            "",
+        )
         # Who does not ask for it has an answer.
         assert asked((changed(RAW, task=""), changed(task="")), limits={"plr": 0.5}).met
         re_release = tuple(changed(one, task="rerelease") for one in (RAW, GOOD))
@@ -188,7 +215,9 @@ class TestSet:
             front = [
                 at
                 for at, mine in enumerate(numbers)
-                if not any((other <= mine).all() and (other < mine).any() for other in numbers)
+                if not any(
+                    (other <= mine).all() and (other < mine).any() for other in numbers
+                )
                 and not any((other == mine).all() for other in numbers[:at])
             ]
             front.sort(key=lambda at: tuple(numbers[at]))
@@ -204,12 +233,17 @@ class TestSet:
         near = changed(level=0.2, share=0.55)
         far = changed(level=0.3, share=0.9)
         both = changed(level=0.1, share=0.53, plr=0.55, wide=0.6)
-        assert names(asked((RAW, far, both, near, BAD)).refused)[:2] == [("ou", 0.2), ("ou", 0.3)]
+        assert names(asked((RAW, far, both, near, BAD)).refused)[:2] == [
+            ("ou", 0.2),
+            ("ou", 0.3),
+        ]
 
     def test_candidates_are_what_would_be_proposed_or_the_nearest(self):
         assert names(asked(USUAL).candidates) == [AT]
         assert names(asked((RAW, BAD)).candidates) == [(BAD.mechanism, 1.0)]
-        untried = asked((changed(RAW, task=""), changed(task=""), changed(BAD, task="")))
+        untried = asked(
+            (changed(RAW, task=""), changed(task=""), changed(BAD, task=""))
+        )
         assert names(untried.candidates) == [AT]
 
 
@@ -218,15 +252,24 @@ class TestRobot:
         answer = asked((RAW, GOOD))
         assert (answer.robot, answer.proposals[0].cost.value) == (ROBOT, 0.20)
         other = asked((RAW, GOOD), robot=OTHER_ROBOT)
-        assert (other.robot, other.proposals[0].cost.value) == (OTHER_ROBOT, pytest.approx(0.40))
+        assert (other.robot, other.proposals[0].cost.value) == (
+            OTHER_ROBOT,
+            pytest.approx(0.40),
+        )
 
     def test_has_its_cross_fitted_number_and_says_which_robot_either_half_chose(self):
         levels = tuple(
-            changed(level, chosen=(ROBOT, OTHER_ROBOT), extra=0.03) for level in (RAW, GOOD)
+            changed(level, chosen=(ROBOT, OTHER_ROBOT), extra=0.03)
+            for level in (RAW, GOOD)
         )
         answer = asked(levels, limits={**LIMITS, "missed": 0.24})
-        assert (answer.robots, answer.robot) == ((ROBOT, OTHER_ROBOT), f"{ROBOT} or {OTHER_ROBOT}")
-        (check,) = answer.nearest.failing  # 0.23 + 0.02, though the better robot has 0.20 + 0.02
+        assert (answer.robots, answer.robot) == (
+            (ROBOT, OTHER_ROBOT),
+            f"{ROBOT} or {OTHER_ROBOT}",
+        )
+        (check,) = (
+            answer.nearest.failing
+        )  # 0.23 + 0.02, though the better robot has 0.20 + 0.02
         assert (check.name, check.measured.value) == ("missed", pytest.approx(0.23))
         assert answer.nearest.robots.keys() == {ROBOT, OTHER_ROBOT}
         # The robot that is named keeps its own number.
@@ -241,21 +284,29 @@ class TestRobot:
         assert Criterion("missed", None).metric == ALL
 
     def test_that_is_not_there_is_refused(self):
-        with pytest.raises(SettingsError, match="--predictor nobody: the run has kalman_cv, "):
+        with pytest.raises(
+            SettingsError, match="--predictor nobody: the run has kalman_cv, "
+        ):
             asked((RAW, GOOD), robot="nobody")
 
 
 class TestRules:
     LINEAR = changed(mechanism="mine", family="mine", adding="linear")
     INDEPENDENT = changed(
-        mechanism="mine:adding=independent", family="mine", adding="independent", missed=0.1
+        mechanism="mine:adding=independent",
+        family="mine",
+        adding="independent",
+        missed=0.1,
     )
     BOTH = ("linear", "independent")
 
     def test_all_that_are_asked_for_must_hold(self):
         both = asked((RAW, self.LINEAR, self.INDEPENDENT), adding=self.BOTH)
         # Cheaper, and no worse: it is no use to who cannot add so.
-        assert names(both.proposals) == [("mine:adding=independent", 0.4), ("mine", 0.4)]
+        assert names(both.proposals) == [
+            ("mine:adding=independent", 0.4),
+            ("mine", 0.4),
+        ]
         fails = changed(self.LINEAR, share=0.9)
         alone = asked((RAW, fails, self.INDEPENDENT), adding=self.BOTH)
         assert (alone.met, alone.nearest.lacks_rule) == (False, "linear")
@@ -283,7 +334,9 @@ def test_limits_that_make_no_sense_are_refused(name, limit, message):
 
 
 def test_an_unknown_adversary_is_refused():
-    with pytest.raises(SettingsError, match=r"--against anchr: .*did you mean 'anchor'"):
+    with pytest.raises(
+        SettingsError, match=r"--against anchr: .*did you mean 'anchor'"
+    ):
         Question(against=("anchr",))
 
 
@@ -298,7 +351,9 @@ def test_an_unknown_adversary_is_refused():
     ],
 )
 def test_a_limit_missed_within_the_interval_asks_for_more(limit, half, times, asks):
-    check = Check("missed", limit, Estimate(0.20, 0.20 - half, 0.20 + half), scenes=2000)
+    check = Check(
+        "missed", limit, Estimate(0.20, 0.20 - half, 0.20 + half), scenes=2000
+    )
     assert check.status == "not met"
     assert check.times_more == pytest.approx(times, nan_ok=True)
     assert check.asks == asks
@@ -307,6 +362,10 @@ def test_a_limit_missed_within_the_interval_asks_for_more(limit, half, times, as
 def test_a_table_in_another_order_says_the_same():
     rows = table((RAW, GOOD, BAD, SHIFTED))
     mixed = rows.sample(frac=1.0, random_state=3, ignore_index=True)
-    for question in (Question(adding=rules) for rules in product(("linear", "independent"))):
-        first, second = (recommend(one, question, dataset="walks") for one in (rows, mixed))
+    for question in (
+        Question(adding=rules) for rules in product(("linear", "independent"))
+    ):
+        first, second = (
+            recommend(one, question, dataset="walks") for one in (rows, mixed)
+        )
         assert names(first.proposals) == names(second.proposals)

@@ -29,7 +29,9 @@ def test_equals_the_residual_correlation_of_a_plain_regression():
     descriptor, hit, covariate, cluster = draw(rng, own=1.0)
 
     def ranks(values):
-        order = np.array([(values < one).mean() + (values == one).mean() / 2 for one in values])
+        order = np.array(
+            [(values < one).mean() + (values == one).mean() / 2 for one in values]
+        )
         return (order - 0.5) * 2
 
     x = np.column_stack([ranks(column) for column in covariate.T])

@@ -16,13 +16,19 @@ def test_the_table_lines_up(width, empty_machine, monkeypatch, capsys):
     table = lines[: lines.index("")]
     assert {len(line) for line in table} == {len(table[0])}
     assert len(table[0]) <= width
-    assert " ".join(table[0].split()) == "data set tracks >=12 s >=21.6 s median s m/s zero frozen"
+    assert (
+        " ".join(table[0].split())
+        == "data set tracks >=12 s >=21.6 s median s m/s zero frozen"
+    )
     assert "…" not in "".join(table)
     names = [line.split()[0] for line in table[1:]]
     assert names == [*registry.KNOWN]
     assert table[1].split()[1:] == ["-"] * 7
     # Columns end where their headers end.
-    assert table[-1].rindex("0", 0, table[0].index("frozen") + 6) == table[0].index("frozen") + 5
+    assert (
+        table[-1].rindex("0", 0, table[0].index("frozen") + 6)
+        == table[0].index("frozen") + 5
+    )
     assert "not here; `python -m isac_track.datasets fetch zara01`" in "\n".join(lines)
 
 
@@ -30,7 +36,16 @@ def test_the_list_of_what_is_here(ucy, capsys):
     assert main(["list"]) == 0
     out = capsys.readouterr().out
     row = next(line for line in out.splitlines() if line.startswith("students03 "))
-    assert row.split() == ["students03", "428", "276", "106", "14.8", "0.80", "18.7%", "5"]
+    assert row.split() == [
+        "students03",
+        "428",
+        "276",
+        "106",
+        "14.8",
+        "0.80",
+        "18.7%",
+        "5",
+    ]
     assert str(ucy / "students03" / "obsmat.txt") in out
 
 
@@ -55,8 +70,12 @@ def test_show_with_repairs(tmp_path, capsys):
     assert f"1 unsorted       {path}: line 3: earlier" in out
     assert f"1 duplicate      {path}: line 4: the same id" in out
     assert f"1 one-point      {path}: line 6: a single sample" in out
-    steps = next(line for line in out.splitlines() if line.startswith("steps of no length"))
-    assert steps.split()[-5:] == [c for c in steps.split() if c not in "steps of no length │"]
+    steps = next(
+        line for line in out.splitlines() if line.startswith("steps of no length")
+    )
+    assert steps.split()[-5:] == [
+        c for c in steps.split() if c not in "steps of no length │"
+    ]
 
 
 def test_show_takes_format_and_fps(tmp_path, capsys):
@@ -69,8 +88,14 @@ def test_show_takes_format_and_fps(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["show", "student03"], "'student03' is neither a known data set nor a file; did you"),
-        (["fetch", "student03"], "'student03' is neither a known data set nor a file; did you"),
+        (
+            ["show", "student03"],
+            "'student03' is neither a known data set nor a file; did you",
+        ),
+        (
+            ["fetch", "student03"],
+            "'student03' is neither a known data set nor a file; did you",
+        ),
         (["fetch", "zara01"], "http://127.0.0.1:1/zara01/obsmat.txt: no connection"),
         (["nonsense"], "--help"),
         (["show"], "--help"),
@@ -88,7 +113,9 @@ def test_a_mistake_is_one_line_and_2(arguments, message, empty_machine, capsys):
 
 
 def test_fetch(mirror, empty_machine, monkeypatch, capsys):
-    small = registry.Known("small", sha256={"obsmat.txt": hashlib.sha256(b"1 2").hexdigest()})
+    small = registry.Known(
+        "small", sha256={"obsmat.txt": hashlib.sha256(b"1 2").hexdigest()}
+    )
     monkeypatch.setattr(registry, "KNOWN", registry.KNOWN | {"small": small})
     mirror.files["/base/small/obsmat.txt"] = b"1 2"
     target = empty_machine / "small" / "obsmat.txt"

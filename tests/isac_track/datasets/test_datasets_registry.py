@@ -29,11 +29,13 @@ def put(folder, name, *sources, **contents):
 
 def test_a_plain_import_and_the_help_stay_light():
     code = (
-        "import sys; from isac_track.datasets.__main__ import _parser; _parser().format_help();"
-        "print(*{'pandas', 'pooch', 'rich', 'pyarrow', 'scipy', 'requests', 'matplotlib'}"
-        " & set(sys.modules))"
+        "import sys; from isac_track.datasets.__main__ import _parser;"
+        " _parser().format_help();print(*{'pandas', 'pooch', 'rich', 'pyarrow',"
+        " 'scipy', 'requests', 'matplotlib'} & set(sys.modules))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     assert done.stdout.strip() == ""
 
 
@@ -41,7 +43,9 @@ def test_the_default_is_the_bundled_crowd_with_a_notice(mirror, monkeypatch, tmp
     loaded = load()
     assert (loaded.name, loaded.simulated, loaded.repairs) == ("plaza", True, ())
     assert loaded.path == "isac_track/datasets/plaza.npz"
-    assert "students03 is not here (ISAC_TRACK_DATA is not set; cache is" in loaded.notice
+    assert (
+        "students03 is not here (ISAC_TRACK_DATA is not set; cache is" in loaded.notice
+    )
     assert "python -m isac_track.datasets fetch students03" in loaded.notice
     monkeypatch.setenv("ISAC_TRACK_DATA", str(tmp_path / "typo"))
     assert "typo, which is no folder" in load().notice
@@ -79,10 +83,14 @@ def test_a_wrong_file_is_an_error_with_both_hashes(name, ucy, data_folder):
     assert load(path, format="obsmat", fps=25).tracks.t.size == 2
 
 
-def test_students03_without_its_groups_is_an_error_not_other_intervals(ucy, data_folder):
+def test_students03_without_its_groups_is_an_error_not_other_intervals(
+    ucy, data_folder
+):
     put(data_folder, "students03", ucy / "students03" / "obsmat.txt")
     for name in (None, "students03"):
-        with pytest.raises(DataError, match=r"students03: groups.txt not found; .*obsmat.txt is "):
+        with pytest.raises(
+            DataError, match=r"students03: groups.txt not found; .*obsmat.txt is "
+        ):
             load(name, download=False)
 
 
@@ -98,7 +106,9 @@ def test_students03_without_its_groups_is_an_error_not_other_intervals(ucy, data
         ("x" * 5000 + ".csv", r"cannot be read .File name too long"),
     ],
 )
-def test_what_is_neither_a_name_nor_a_file(empty_machine, name, message, tmp_path, monkeypatch):
+def test_what_is_neither_a_name_nor_a_file(
+    empty_machine, name, message, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     os.mkfifo("pipe.csv")
     with pytest.raises(DataError, match=message):
@@ -116,18 +126,25 @@ def test_a_known_data_set_takes_no_format_and_is_only_downloaded_if_it_may_be(mi
 
 def test_a_named_data_set_is_downloaded_once(ucy, mirror):
     for name in ("obsmat.txt", "groups.txt"):
-        mirror.files[f"/base/students03/{name}"] = (ucy / "students03" / name).read_bytes()
+        mirror.files[f"/base/students03/{name}"] = (
+            ucy / "students03" / name
+        ).read_bytes()
     first = load("students03")
     assert (len(first.tracks), first.notice) == (428, None)
     assert load("students03").path == first.path
     assert load().name == "students03"  # and is the default from now on
-    assert mirror.asked == ["/base/students03/obsmat.txt", "/base/students03/groups.txt"]
+    assert mirror.asked == [
+        "/base/students03/obsmat.txt",
+        "/base/students03/groups.txt",
+    ]
 
 
 @pytest.mark.parametrize(
     "what", [one for one in FAILS if one != "a slow header"]
 )  # leaves a thread behind
-def test_a_failed_download_is_one_line_and_leaves_nothing(what, mirror, empty_machine, monkeypatch):
+def test_a_failed_download_is_one_line_and_leaves_nothing(
+    what, mirror, empty_machine, monkeypatch
+):
     answer, message = FAILS[what]
     monkeypatch.setattr(registry, "READ_TIMEOUT_S", 0.4)
     monkeypatch.setattr(registry, "LEAST_S", 2.0)
@@ -143,24 +160,32 @@ def test_a_failed_download_is_one_line_and_leaves_nothing(what, mirror, empty_ma
     assert files_in(empty_machine) == []
 
 
-def test_what_a_killed_download_left_goes_and_that_of_another_process_stays(mirror, empty_machine):
+def test_what_a_killed_download_left_goes_and_that_of_another_process_stays(
+    mirror, empty_machine
+):
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
     put(empty_machine, "small")
     left, others = (
-        empty_machine / "small" / f".obsmat.txt.{pid}" for pid in (ended.pid, os.getppid())
+        empty_machine / "small" / f".obsmat.txt.{pid}"
+        for pid in (ended.pid, os.getppid())
     )
     left.write_bytes(b"half")
     others.write_bytes(b"half")
     mirror.files["/base/small/obsmat.txt"] = WALK
     fetch(SMALL)
-    assert {one.name for one in (empty_machine / "small").iterdir()} == {"obsmat.txt", others.name}
+    assert {one.name for one in (empty_machine / "small").iterdir()} == {
+        "obsmat.txt",
+        others.name,
+    }
 
 
 def test_what_was_fetched_earlier_stays_and_a_damaged_file_is_replaced_by_a_good_one_alone(
     mirror, empty_machine
 ):
-    two = replace(SMALL, sha256={**SMALL.sha256, "groups.txt": hashlib.sha256(b"1 2").hexdigest()})
+    two = replace(
+        SMALL, sha256={**SMALL.sha256, "groups.txt": hashlib.sha256(b"1 2").hexdigest()}
+    )
     put(empty_machine, "small", groups=OTHER)
     damaged = empty_machine / "small" / "groups.txt"
     mirror.files["/base/small/obsmat.txt"] = WALK
@@ -188,7 +213,10 @@ PROXY = {"http_proxy": "http://127.0.0.1:1", "NO_PROXY": "", "no_proxy": ""}
         ({"ISAC_TRACK_MIRROR": "nonsense"}, "cannot be downloaded"),
         ({"ISAC_TRACK_MIRROR": "http://"}, "cannot be downloaded"),
         (PROXY, "the proxy refuses the connection. Way out"),
-        ({"ISAC_TRACK_CACHE": __file__}, r"obsmat.txt: cannot be written \(Not a directory\)"),
+        (
+            {"ISAC_TRACK_CACHE": __file__},
+            r"obsmat.txt: cannot be written \(Not a directory\)",
+        ),
     ],
 )
 def test_a_machine_that_is_not_set_up(mirror, monkeypatch, variables, message):

@@ -28,7 +28,9 @@ def test_by_hand():
 
 def test_per_track_and_no_step_from_one_track_to_the_next():
     walking, frozen, slow = 1.3 * np.arange(11), [0.0] * 10 + [0.3], 0.1 * np.arange(6)
-    tracks = tracks_of(*(along(*one) for one in (walking, frozen, slow, [0.0])), frame_s=1.0)
+    tracks = tracks_of(
+        *(along(*one) for one in (walking, frozen, slow, [0.0])), frame_s=1.0
+    )
     summary = summarise(tracks)
     np.testing.assert_allclose(summary.speed_mean_mps, [1.3, 0.03, 0.1, np.nan])
     np.testing.assert_allclose(summary.slow_share, [0, 0.9, 1, np.nan])
@@ -39,7 +41,9 @@ def test_per_track_and_no_step_from_one_track_to_the_next():
 
 def test_lasting_forgives_the_rounding_of_the_clock():
     end = 0.4 + 21.6  # a little short of 22 s behind the start, in floating point
-    assert n_lasting(summarise(one_walk([0.4, np.nextafter(end, 0)], [0, 1])), 21.6) == 1
+    assert (
+        n_lasting(summarise(one_walk([0.4, np.nextafter(end, 0)], [0, 1])), 21.6) == 1
+    )
     assert n_lasting(summarise(one_walk([0.4, end - 0.04], [0, 1])), 21.6) == 0
 
 

@@ -97,7 +97,9 @@ def test_the_truth_is_cut_not_invented(data, expected, n_tracks, n_clusters):
     assert kinds(repairs) == expected
     assert (len(tracks), len(set(tracks.group))) == (n_tracks, n_clusters)
     assert all((np.diff(track.t) > 0).all() for track in tracks)
-    steps = [np.hypot(*np.diff(track.xy, axis=0).T) / np.diff(track.t) for track in tracks]
+    steps = [
+        np.hypot(*np.diff(track.xy, axis=0).T) / np.diff(track.t) for track in tracks
+    ]
     assert np.concatenate(steps).max() < 4.0
 
 
@@ -121,7 +123,9 @@ def test_frozen_stretches_are_dropped_on_request(tmp_path):
 def test_two_places_at_one_time(tmp_path, how, x):
     both = np.column_stack([X, X + 0.1]).ravel()
     data = table(np.repeat(T, 2), both, np.repeat(Y, 2))
-    with pytest.raises(DataError, match=rf"{N} such rows\); --on-duplicate first or mean"):
+    with pytest.raises(
+        DataError, match=rf"{N} such rows\); --on-duplicate first or mean"
+    ):
         loaded(data, tmp_path)
     found = loaded(data, tmp_path, on_duplicate=how)
     assert kinds(found.repairs) == {"same-time": N}
@@ -131,13 +135,17 @@ def test_two_places_at_one_time(tmp_path, how, x):
 def test_what_are_not_copies_stays_to_the_bit_when_others_are_averaged():
     t, x = np.append(T, T[-1]), np.append(X, X[-1] + 0.1)
     data = table(t, x, np.append(Y, Y[-1]))
-    averaged, _ = read(data=data, path="f", format="csv", reading=Reading(on_duplicate="mean"))
+    averaged, _ = read(
+        data=data, path="f", format="csv", reading=Reading(on_duplicate="mean")
+    )
     plain, _ = read_walk(table(), "csv")
     assert np.array_equal(averaged.xy[:-1], plain.xy[:-1])
 
 
 START = datetime(2026, 1, 1, 11, tzinfo=UTC)
-ISO = [(START + timedelta(seconds=float(t))).isoformat(timespec="milliseconds") for t in T]
+ISO = [
+    (START + timedelta(seconds=float(t))).isoformat(timespec="milliseconds") for t in T
+]
 
 
 @pytest.mark.parametrize(
@@ -176,7 +184,9 @@ def test_a_file_is_read_as_its_writer_meant_it(tmp_path, data, options):
 def test_time_stamps_of_parquet(tmp_path, unit, zone):
     per_s = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[unit]
     t = np.arange(10)
-    stamps = pa.array((1_700_000_000 + t) * per_s, pa.int64()).cast(pa.timestamp(unit, zone))
+    stamps = pa.array((1_700_000_000 + t) * per_s, pa.int64()).cast(
+        pa.timestamp(unit, zone)
+    )
     data = packed(t=stamps, id=["a"] * 10, x=1.0 * t, y=0.0 * t)
     assert np.array_equal(loaded(data, tmp_path, "f.parquet").tracks.t, t)
 
@@ -224,7 +234,8 @@ def test_what_cannot_be_meant_is_named_with_the_way_out(tmp_path, data, message)
 
 
 @pytest.mark.parametrize(
-    ("name", "way"), [("f.xlsx", "read_excel"), ("f.json", "read_json"), ("f.geojson", "geopandas")]
+    ("name", "way"),
+    [("f.xlsx", "read_excel"), ("f.json", "read_json"), ("f.geojson", "geopandas")],
 )
 def test_files_that_are_no_table_say_how_they_become_one(tmp_path, name, way):
     with pytest.raises(DataError, match=way):
@@ -288,12 +299,18 @@ def test_swapped_degrees_say_so_and_how_to_swap_them(tmp_path, longitude, is_rea
         ({"columns": "x=x,y=X"}, "takes x for x and for another"),
         ({"columns": ["t"]}, r"--columns takes t=NAME.*, got \['t'\]"),
         ({"columns": "t=t[0 fps]"}, "--columns t: 0 fps: 0 frames per second"),
-        ({"columns": "x=x[0.1]"}, r"unknown unit '0.1' \(known: m, cm, mm, ft, yd, in, km\)"),
+        (
+            {"columns": "x=x[0.1]"},
+            r"unknown unit '0.1' \(known: m, cm, mm, ft, yd, in, km\)",
+        ),
         ({"columns": "group=team"}, "no column team"),
         ({"fps": 10.0}, r"leave --fps out; of frames: --columns 't=frame\[25 fps\]'"),
         ({"fps": [10]}, r"--fps: the framerate '\[10\]' is not a number"),
         ({"format": 5}, "unknown format 5"),
-        ({"unit": -1}, "--unit must be one of m, cm, mm, ft, or metres a unit, got '-1'"),
+        (
+            {"unit": -1},
+            "--unit must be one of m, cm, mm, ft, or metres a unit, got '-1'",
+        ),
         ({"drop_frozen": "2"}, "--drop-frozen takes seconds above 0, got '2'"),
         ({"on_duplicate": "last"}, "--on-duplicate must be one of"),
         ({"crs": "utm"}, "--crs must be degrees"),
@@ -315,9 +332,13 @@ UNITS = [
 
 
 @pytest.mark.parametrize(("header", "unit", "metres"), UNITS)
-def test_a_unit_of_the_header_and_the_option_agree_or_are_refused(tmp_path, header, unit, metres):
+def test_a_unit_of_the_header_and_the_option_agree_or_are_refused(
+    tmp_path, header, unit, metres
+):
     scale = 0.01 if isinstance(metres, str) else metres
-    data = table(x=X / scale, y=Y / scale, names=f"t,id,{header},{header.replace('x', 'y')}")
+    data = table(
+        x=X / scale, y=Y / scale, names=f"t,id,{header},{header.replace('x', 'y')}"
+    )
     if isinstance(metres, str):
         with pytest.raises(DataError, match=metres):
             loaded(data, tmp_path, unit=unit)
@@ -333,15 +354,21 @@ def test_x_and_y_may_have_two_units_and_degrees_have_none_of_a_header(tmp_path):
     (note,) = [repair for repair in found.repairs if repair.kind == "unit"]
     assert "x in ft and y in m; converted to m" in note.detail
     data = table(x=7 + X / 7e4, y=51 + Y / 111e3, names="t,id,x/m,y/m")
-    with pytest.raises(DataError, match="--crs degrees contradicts the header or --columns"):
+    with pytest.raises(
+        DataError, match="--crs degrees contradicts the header or --columns"
+    ):
         loaded(data, tmp_path, crs="degrees")
 
 
-@pytest.mark.parametrize(("rate", "columns"), [("25 fps", None), ("12.5fps", "t=t [12.5fps]")])
+@pytest.mark.parametrize(
+    ("rate", "columns"), [("25 fps", None), ("12.5fps", "t=t [12.5fps]")]
+)
 def test_a_table_may_count_frames(tmp_path, rate, columns):
     fps = float(rate.removesuffix("fps"))
     name = "t" if columns else f"t [{rate}]"
-    found = loaded(table(np.arange(N) + 7, names=f"{name},id [-],x,y"), tmp_path, columns=columns)
+    found = loaded(
+        table(np.arange(N) + 7, names=f"{name},id [-],x,y"), tmp_path, columns=columns
+    )
     assert np.allclose(found.tracks.t, np.arange(N) / fps)
 
 
@@ -350,7 +377,11 @@ def test_a_table_may_count_frames(tmp_path, rate, columns):
     [("group", None), ("GROUP", None), ("Group (name)", None), ("team", "group=team")],
 )
 def test_a_group_is_found_as_other_columns_are(tmp_path, header, columns):
-    walkers = [f"{t},{who},{x},{3 * who},a" for who in (1, 2) for t, x in zip(T, X, strict=True)]
+    walkers = [
+        f"{t},{who},{x},{3 * who},a"
+        for who in (1, 2)
+        for t, x in zip(T, X, strict=True)
+    ]
     data = "\n".join([f"t,id,x,y,{header}", *walkers]).encode()
     found = loaded(data, tmp_path, columns=columns)
     assert set(found.tracks.group) == {"group:a"}
@@ -379,7 +410,10 @@ FRAME = pd.DataFrame({"t": T, "id": 1, "x": X, "y": Y})
         {"x": pd.Series(X).astype("category"), "t": pd.Series(T).astype("category")},
         {"x": pd.arrays.SparseArray(X), "id": pd.arrays.SparseArray([1] * N)},
         {"x": pd.Series(X).astype("Float64"), "id": pd.Series([1] * N).astype("Int8")},
-        {"y": pd.Series(Y).astype(object), "id": pd.Series([True] * N).astype("UInt64")},
+        {
+            "y": pd.Series(Y).astype(object),
+            "id": pd.Series([True] * N).astype("UInt64"),
+        },
     ],
 )
 def test_a_frame_of_odd_types_is_read(changed):
@@ -391,7 +425,10 @@ def test_a_frame_of_odd_types_is_read(changed):
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"id": [1, "1"] * (N // 2)}, "column id cannot be read .* convert it first, all to"),
+        (
+            {"id": [1, "1"] * (N // 2)},
+            "column id cannot be read .* convert it first, all to",
+        ),
         ({"id": [10**30] * N}, "column id cannot be read"),
         ({"x": X + 0j}, "column x cannot be read"),
         ({"x": [str(x) for x in X]}, "column x holds .*string, not numbers of metres"),
@@ -423,7 +460,9 @@ def test_a_frame_is_a_recording_and_its_content_its_hash():
     assert np.allclose(lasting.tracks.t, T)
     with pytest.raises(DataError, match="not list"):
         load([1, 2])
-    with pytest.raises(DataError, match="t holds string, not numbers of seconds; convert"):
+    with pytest.raises(
+        DataError, match="t holds string, not numbers of seconds; convert"
+    ):
         load(frame.assign(t="0.1 s"))
     with pytest.raises(DataError, match="no column y"):
         load(frame.drop(columns="y"))
@@ -435,7 +474,8 @@ def test_a_frame_of_polars():
     found = load(frame)
     assert found.sha256 == load(frame.to_pandas()).sha256
     assert (
-        load(frame.with_columns(polars.col("id").cast(polars.Categorical))).sha256 == found.sha256
+        load(frame.with_columns(polars.col("id").cast(polars.Categorical))).sha256
+        == found.sha256
     )
     with pytest.raises(DataError, match=r"pass frame.collect\(\)"):
         load(frame.lazy())
@@ -486,7 +526,9 @@ def jupedsim(tmp_path):
     with sqlite3.connect(tmp_path / "j.sqlite") as base:
         base.execute("CREATE TABLE metadata(key TEXT, value TEXT)")
         base.execute("INSERT INTO metadata VALUES ('fps', '10.0')")
-        base.execute("CREATE TABLE trajectory_data(frame INT, id INT, pos_x REAL, pos_y REAL)")
+        base.execute(
+            "CREATE TABLE trajectory_data(frame INT, id INT, pos_x REAL, pos_y REAL)"
+        )
         rows = [(n, 1, X[n], Y[n]) for n in range(N)]
         base.executemany("INSERT INTO trajectory_data VALUES (?, ?, ?, ?)", rows)
     base.close()
@@ -548,21 +590,35 @@ def test_hdf5_of_the_archive(tmp_path, fps):
     assert np.allclose(found.tracks.xy, np.column_stack([X, Y]))
 
 
-@pytest.mark.parametrize("name", ["jupedsim", "hdf5", "vadere", "mot", "sdd", "viswalk"])
-@pytest.mark.parametrize("data", [b"", b"\0\1\2", b"a b c\n1 2 3\n", b'"', b"$PED:\n1;2\n"])
+@pytest.mark.parametrize(
+    "name", ["jupedsim", "hdf5", "vadere", "mot", "sdd", "viswalk"]
+)
+@pytest.mark.parametrize(
+    "data", [b"", b"\0\1\2", b"a b c\n1 2 3\n", b'"', b"$PED:\n1;2\n"]
+)
 def test_no_neighbour_lets_another_error_out(name, data):
     with pytest.raises(DataError):
-        read(data=data, path="f", format=name, fps=None if name in {"vadere", "viswalk"} else 10)
+        read(
+            data=data,
+            path="f",
+            format=name,
+            fps=None if name in {"vadere", "viswalk"} else 10,
+        )
 
 
 @settings(derandomize=True, max_examples=40, deadline=timedelta(seconds=5))
-@given(name=st.sampled_from([*TOOLS]), data=st.binary(max_size=60) | st.text(max_size=60))
+@given(
+    name=st.sampled_from([*TOOLS]), data=st.binary(max_size=60) | st.text(max_size=60)
+)
 def test_any_bytes_are_tracks_or_refused_in_one_line(name, data):
     data = data.encode() if isinstance(data, str) else data
     tracks, refusal = None, "f"
     try:
         tracks, _ = read(
-            data=data, path="f", format=name, fps=None if name in {"vadere", "viswalk"} else 10
+            data=data,
+            path="f",
+            format=name,
+            fps=None if name in {"vadere", "viswalk"} else 10,
         )
     except DataError as error:
         refusal = str(error)

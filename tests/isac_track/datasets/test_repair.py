@@ -58,7 +58,9 @@ def test_what_is_mended_is_counted_and_says_where(rows, expected, detail):
 
 
 def test_copies_with_a_contradiction_among_them_are_an_error():
-    with pytest.raises(DataError, match=r"f, line 4: id a is somewhere else at the same time in"):
+    with pytest.raises(
+        DataError, match=r"f, line 4: id a is somewhere else at the same time in"
+    ):
         recording((0, "a", 0.0), (0, "a", 0.0), (0, "a", 0.1), (1, "a", 0.4))
 
 
@@ -86,7 +88,10 @@ def test_groups_are_transitive_whatever_the_order():
 
 
 def test_a_group_is_never_called_like_another_person():
-    assert walking_groups(ids=("a", "group:a"), members=[("a", "a")]) == ("groupgroup:a", "group:a")
+    assert walking_groups(ids=("a", "group:a"), members=[("a", "a")]) == (
+        "groupgroup:a",
+        "group:a",
+    )
 
 
 def test_students03_is_kept_whole(ucy):
@@ -95,10 +100,13 @@ def test_students03_is_kept_whole(ucy):
     assert (len(tracks), tracks.t.size) == (428, 21846)
     assert np.diff(tracks.offsets)[tracks.source.index("408")] == 2
     assert kinds(loaded.repairs) == {"gap": 1}  # id 207
-    gap_line = (ucy / "students03" / "obsmat.txt").read_text().splitlines()[20435 - 1].split()
+    gap_line = (
+        (ucy / "students03" / "obsmat.txt").read_text().splitlines()[20435 - 1].split()
+    )
     assert "line 20435: behind a gap (longest 0.8 s" in loaded.repairs[0].detail
     assert float(gap_line[1]) == 207
-    # 421 and 422 are in two lines of groups.txt, 103 walks with 72, 120 and 123 with 121.
+    # 421 and 422 are in two lines of groups.txt, 103 walks with 72, 120 and 123 with
+    # 121.
     group = dict(zip(tracks.source, tracks.group, strict=True))
     assert len({group[name] for name in ("6", "18", "421", "422", "423", "425")}) == 1
     assert group["103"] == group["72"]

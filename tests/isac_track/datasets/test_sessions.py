@@ -24,8 +24,17 @@ def walk(who, *, marker=None, unit="m", step=10):
 
 def petrack(path, people, *, marked=True, unit="m", rate=25, step=10):
     names = f"# id frame x/{unit} y/{unit} z/{unit}" + " markerID" * marked
-    rows = [row for who, marker in people for row in walk(who, marker=marker, unit=unit, step=step)]
-    lines = [f"# framerate: {rate}", f"# {path.stem}", names, *rows]  # no two files are alike
+    rows = [
+        row
+        for who, marker in people
+        for row in walk(who, marker=marker, unit=unit, step=step)
+    ]
+    lines = [
+        f"# framerate: {rate}",
+        f"# {path.stem}",
+        names,
+        *rows,
+    ]  # no two files are alike
     path.write_text("\n".join(lines) + "\n")
     return path
 
@@ -65,7 +74,9 @@ def test_who_wears_no_marker_is_nobody_whom_another_session_knows(tmp_path):
     assert len(set(tracks.person)) == len(set(tracks.group)) == 4
 
 
-def test_ids_are_other_people_in_another_file_unless_it_is_said_that_they_last(tmp_path):
+def test_ids_are_other_people_in_another_file_unless_it_is_said_that_they_last(
+    tmp_path,
+):
     files = [csv(tmp_path / "a.csv", (1, 2)), csv(tmp_path / "b.csv", (2, 3))]
     apart, same = (load(sessions=files, persistent_ids=one) for one in (False, True))
     assert (apart.tracks.person, len(set(apart.tracks.group))) == (None, 4)
@@ -80,14 +91,28 @@ def test_ids_are_other_people_in_another_file_unless_it_is_said_that_they_last(t
     [
         ({"unit": "cm"}, [], "sessions a and b are in m and cm"),
         ({"rate": 50}, [], "have a sample every 0.4 and 0.2 s"),
-        ({"marked": False}, [], "names a markerID in the first alone, so that ids clash"),
-        ({"people": [(1, 701), (2, 701)]}, [], "id 701 is somewhere else at the same time"),
-        ({}, ["--task", "cross_session"], "2 people walk for 12 s in two sessions, but it takes 8"),
+        (
+            {"marked": False},
+            [],
+            "names a markerID in the first alone, so that ids clash",
+        ),
+        (
+            {"people": [(1, 701), (2, 701)]},
+            [],
+            "id 701 is somewhere else at the same time",
+        ),
+        (
+            {},
+            ["--task", "cross_session"],
+            "2 people walk for 12 s in two sessions, but it takes 8",
+        ),
         ({"name": "a.csv"}, [], "two sessions are called a"),
         (None, ["--persistent-ids"], "--persistent-ids is of sessions"),
     ],
 )
-def test_sessions_that_do_not_fit_are_one_line_and_2(second, options, message, tmp_path, capsys):
+def test_sessions_that_do_not_fit_are_one_line_and_2(
+    second, options, message, tmp_path, capsys
+):
     people = [(1, 701), (2, 702)]
     first = petrack(tmp_path / "a.txt", people)
     words = ["--dataset", str(first)]
@@ -99,7 +124,9 @@ def test_sessions_that_do_not_fit_are_one_line_and_2(second, options, message, t
         else:
             marked = second.get("marked", True)
             unmarked = [(who, None) for who, _ in people]
-            petrack(tmp_path / name, **({"people": people if marked else unmarked} | second))
+            petrack(
+                tmp_path / name, **({"people": people if marked else unmarked} | second)
+            )
     assert main([*words, *options, "--out", str(tmp_path / "out"), "--jobs", "1"]) == 2
     said = capsys.readouterr().err
     error = said[said.index("error:") :]
@@ -110,10 +137,14 @@ def test_sessions_that_do_not_fit_are_one_line_and_2(second, options, message, t
 def test_what_is_no_set_of_sessions(tmp_path):
     one = csv(tmp_path / "a.csv", (1,))
     for given in ({"sessions": [one]}, {"name": "plaza", "sessions": [one, one]}):
-        with pytest.raises(DataError, match="two files or more, and the place of --dataset"):
+        with pytest.raises(
+            DataError, match="two files or more, and the place of --dataset"
+        ):
             load(**given)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(DataError, match=r"this is a folder, and holds no session \(.csv"):
+    with pytest.raises(
+        DataError, match=r"this is a folder, and holds no session \(.csv"
+    ):
         load(tmp_path / "empty")
 
 
@@ -122,19 +153,29 @@ def test_single_file_experiments_and_a_further_run_of_theirs(single_file, data_f
         (data_folder / "singlefile").mkdir(exist_ok=True)
         (data_folder / "singlefile" / path.name).symlink_to(path)
     found = load("singlefile")
-    assert (len(found.tracks), len(set(found.tracks.person)), found.notice) == (48, 20, None)
+    assert (len(found.tracks), len(set(found.tracks.person)), found.notice) == (
+        48,
+        20,
+        None,
+    )
     text = (single_file / "croma_female_04_1.txt").read_text()
     further = data_folder / "singlefile" / "croma_female_24_1.txt"
     further.write_text(text + "\n")
-    assert load("singlefile").notice == "singlefile: no known hash: croma_female_24_1.txt"
+    assert (
+        load("singlefile").notice == "singlefile: no known hash: croma_female_24_1.txt"
+    )
     further.rename(data_folder / "singlefile" / "croma_female_04_1.txt")
     (data_folder / "singlefile" / "croma_female_04_1.txt").write_text(text + "\n\n")
-    with pytest.raises(DataError, match=r"is not the croma_female_04_1.txt of singlefile"):
+    with pytest.raises(
+        DataError, match=r"is not the croma_female_04_1.txt of singlefile"
+    ):
         load("singlefile")
 
 
 def test_a_copy_is_no_session(tmp_path):
-    rows = "".join(f"{0.4 * i},{who},{i},{who}\n" for who in range(3) for i in range(60))
+    rows = "".join(
+        f"{0.4 * i},{who},{i},{who}\n" for who in range(3) for i in range(60)
+    )
     paths = [tmp_path / name for name in ("monday.csv", "tuesday.csv", "copy.csv")]
     for path, more in zip(paths, ("", "30.0,9,1,1\n30.4,9,1,2\n", ""), strict=True):
         path.write_text(f"t,id,x,y\n{rows}{more}")
@@ -149,7 +190,9 @@ def test_the_bytes_of_a_known_recording_under_another_rate_get_a_notice(tmp_path
     ).is_file():
         pytest.skip("needs zara01 in the folder that ISAC_TRACK_DATA names")
     copy = tmp_path / "street.txt"
-    copy.write_bytes((Path(os.environ["ISAC_TRACK_DATA"]) / "zara01" / "obsmat.txt").read_bytes())
+    copy.write_bytes(
+        (Path(os.environ["ISAC_TRACK_DATA"]) / "zara01" / "obsmat.txt").read_bytes()
+    )
     found = load(copy, format="obsmat", fps=50.0)
     assert "the bytes of zara01, recorded at 25 frames/s, read at 50" in found.notice
     assert load(copy, format="obsmat", fps=25.0).notice is None

@@ -12,11 +12,17 @@ from isac_track.kalman.slow_errors import SlowError, smooth_tracks
 MOODS = kalman.Moods((0.05, 4.0), (2.5, 1.25))
 LINEAR = {
     "last cv": lambda case, q=Q, **options: kalman.kalman_last(case, q=q, **options),
-    "last ca": lambda case, q=Q: kalman.kalman_last(replace(case, prior_std=PRIOR_STD), q=q),
-    "positions": lambda case, q=Q, **options: kalman.smooth_positions(case, q=q, **options),
+    "last ca": lambda case, q=Q: kalman.kalman_last(
+        replace(case, prior_std=PRIOR_STD), q=q
+    ),
+    "positions": lambda case, q=Q, **options: kalman.smooth_positions(
+        case, q=q, **options
+    ),
 }
 FRONTS = LINEAR | {
-    "positions, 5 passes": lambda case: kalman.smooth_positions(case, q=Q, passes=5, anneal=0.15),
+    "positions, 5 passes": lambda case: kalman.smooth_positions(
+        case, q=Q, passes=5, anneal=0.15
+    ),
     "slow error": lambda case: smooth_tracks(case, SlowError(0.7, 2.0), q=Q, passes=3),
     "imm, last": lambda case, **options: kalman.imm_last(case, MOODS, **options),
     "imm, smoothed": lambda case: kalman.imm_smoother(case, MOODS),
@@ -35,7 +41,9 @@ def front(request):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_no_bit_depends_on_the_order_of_the_tracks_or_on_which_others_are_there(front, seed):
+def test_no_bit_depends_on_the_order_of_the_tracks_or_on_which_others_are_there(
+    front, seed
+):
     sizes = (1, 2, 3, 7, 7, 7, 7, 7, 7, 7, 30)  # ties across eight lanes
     case = batch(sizes=sizes, seed=seed)
     alone = [front(some_tracks(case, [i])) for i in range(len(sizes))]
@@ -62,7 +70,9 @@ def test_inputs_stay_as_they_are_and_may_be_read_only_strided_or_narrow(front):
 
 
 def test_no_track_at_all(front):
-    for values, empty in zip(front(batch()), front(some_tracks(batch(), [])), strict=True):
+    for values, empty in zip(
+        front(batch()), front(some_tracks(batch(), [])), strict=True
+    ):
         assert empty.shape == (0, *values.shape[1:])
 
 
@@ -98,7 +108,10 @@ def test_wrong_batches_are_named(name, change, message):
         ("last cv", {"gate": np.nan}, "gate must be positive"),
         ("imm, last", {"gate": 0.0}, "gate must be positive"),
         ("positions", {"passes": 0}, "passes >= 1"),
-        *(("positions", {"anneal": one}, "0 <= anneal < 1") for one in (1.0, -0.1, np.nan)),
+        *(
+            ("positions", {"anneal": one}, "0 <= anneal < 1")
+            for one in (1.0, -0.1, np.nan)
+        ),
     ],
 )
 def test_settings_that_cannot_be_are_named(front, options, message):
@@ -106,7 +119,9 @@ def test_settings_that_cannot_be_are_named(front, options, message):
         FRONTS[front](batch(), **options)
 
 
-@pytest.mark.parametrize("front", ["last cv", "positions", "imm, last", "imm, smoothed"])
+@pytest.mark.parametrize(
+    "front", ["last cv", "positions", "imm, last", "imm, smoothed"]
+)
 def test_a_prior_of_another_model_is_named(front):
     with pytest.raises(ValueError, match="prior_std must have two"):
         FRONTS[front](replace(batch(), prior_std=(1.0,)))

@@ -1,6 +1,7 @@
 """IMM filter and smoother against an independent textbook cycle and every mode path.
 
-Against filterpy the filter is tested as a predictor, in `tests/predictors/test_kalman.py`.
+Against filterpy the filter is tested as a predictor, in
+`tests/predictors/test_kalman.py`.
 """
 
 from dataclasses import replace
@@ -24,14 +25,19 @@ def batch(*, sizes=(30, 1, 6), seed=0):
     """Walks with irregular steps and noise, that now and then dart off."""
     case = walks(sizes=sizes, seed=seed, variance=(0.01, 0.3))
     rng = stream(seed, "test", "darts")
-    darts = (rng.uniform(size=(len(case.t), 1)) < 0.2) * rng.normal(0, 1.0, case.xy.shape)
+    darts = (rng.uniform(size=(len(case.t), 1)) < 0.2) * rng.normal(
+        0, 1.0, case.xy.shape
+    )
     return replace(case, xy=case.xy + darts.cumsum(0))
 
 
 def tracks(case, moods=MOODS):
     """The samples of each track, and what the oracles are called with."""
     rates = 1.0 / np.array(moods.stay_s)
-    chain = {"rates": np.diag(rates) @ [[-1, 1], [1, -1]], "probability": moods.probability}
+    chain = {
+        "rates": np.diag(rates) @ [[-1, 1], [1, -1]],
+        "probability": moods.probability,
+    }
     return one_by_one(case, q=moods.q, **chain)
 
 
@@ -58,7 +64,9 @@ class TestAgainstTheTextbook:
         ((_, track),) = tracks(case)
         expected = oracle.imm_track(**track)["probability"]
         assert expected[6, 1] > 0.999999  # only the restless mode can have done that
-        close(result.probability, expected)  # filterpy's likelihoods underflow to one floor
+        close(
+            result.probability, expected
+        )  # filterpy's likelihoods underflow to one floor
 
     @pytest.mark.parametrize("gate", [np.inf, 4.0])
     def test_every_state_of_the_filter(self, gate):
@@ -121,7 +129,9 @@ def test_transitions_are_the_matrix_exponential(stay_s, step_s):
     close(matrix, expm(np.array([[-leave, leave], [come, -come]]) * step_s), limit)
     close(matrix.sum(axis=1), 1.0, 1e-15)
     assert (matrix >= 0).all()
-    close(moods.probability @ matrix, moods.probability, 1e-12)  # the chain's law in the long run
+    close(
+        moods.probability @ matrix, moods.probability, 1e-12
+    )  # the chain's law in the long run
 
 
 @reproducible

@@ -48,7 +48,10 @@ def test_every_state_is_filterpy_s_and_the_likelihood_that_of_the_samples_used(d
     rejected = 0
     for rows, track in one_by_one(case):
         used = accepted(result.log_likelihood[rows])
-        close(result.log_likelihood[rows][-1], oracle.precise_states(**track, used=used)[2])
+        close(
+            result.log_likelihood[rows][-1],
+            oracle.precise_states(**track, used=used)[2],
+        )
         rejected += (~used).sum()
     assert (rejected > 0) == (gate < np.inf)
 
@@ -85,7 +88,11 @@ class TestGate:
         assert accepted(result.log_likelihood).tolist() == [True, False, True]
         close(result.mean[:, 0, 0], 3.0, 1e-6)
         close(result.cov[:, 0, 0], [1 / 2, 1 / 2, 1 / 3], 1e-6)
-        close(result.log_likelihood[-1], -np.log(2 * np.pi * 2) - np.log(2 * np.pi * 1.5), 1e-6)
+        close(
+            result.log_likelihood[-1],
+            -np.log(2 * np.pi * 2) - np.log(2 * np.pi * 1.5),
+            1e-6,
+        )
 
     def test_the_threshold_itself_is_accepted(self):
         x = np.array([0.0, np.sqrt(18.0)])
@@ -97,9 +104,18 @@ class TestGate:
 
     def test_a_track_is_never_lost(self):
         # The fourth sample in a row that is far away is believed.
-        result = self.run([0.0, 31.0, 32.0, 33.0, 34.0, 35.0], q=1.0, speed_std=1.0, gate=1e-3)
+        result = self.run(
+            [0.0, 31.0, 32.0, 33.0, 34.0, 35.0], q=1.0, speed_std=1.0, gate=1e-3
+        )
         assert kalman.MAX_REJECTIONS == 3
-        assert accepted(result.log_likelihood).tolist() == [True, False, False, False, True, False]
+        assert accepted(result.log_likelihood).tolist() == [
+            True,
+            False,
+            False,
+            False,
+            True,
+            False,
+        ]
         assert result.mean[4, 0, 0] > 25
 
 
@@ -117,12 +133,16 @@ class TestNumerics:
             scale = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
             # Errors in units of the standard deviation that goes with them
             close((result.mean[rows] - mean) / scale[:, None], 0, 1e-6)
-            close((result.cov[rows] - cov) / (scale[:, :, None] * scale[:, None]), 0, 1e-6)
+            close(
+                (result.cov[rows] - cov) / (scale[:, :, None] * scale[:, None]), 0, 1e-6
+            )
 
     @reproducible
     @given(hard=hard_tracks(n_tracks=3, gap=1e4))
     def test_sound_over_gaps_of_a_day(self, d, hard):
-        result = after_every_sample(replace(hard[0], prior_std=VAGUE_STD[:d]), q=hard[1])
+        result = after_every_sample(
+            replace(hard[0], prior_std=VAGUE_STD[:d]), q=hard[1]
+        )
         sound(result.mean, result.cov)
 
     def test_a_long_likelihood_neither_overflows_nor_underflows(self, d):

@@ -29,7 +29,8 @@ def walk_covariance(t, q, tau_s, prior_std):
     if np.isinf(tau_s):
         driven = q * early**2 * (3 * late - early) / 6
         return start + prior_std[1] ** 2 * np.outer(t, t) + driven
-    # Uhlenbeck and Ornstein 1930, the velocity in its stationary law of variance q tau / 2.
+    # Uhlenbeck and Ornstein 1930, the velocity in its stationary law of variance q tau
+    # / 2.
     fall = np.exp(-t / tau_s)
     ends = fall[:, None] + fall - np.exp(-(late - early) / tau_s) - 1.0
     return start + q * tau_s / 2 * (2 * tau_s * early + tau_s**2 * ends)
@@ -38,7 +39,10 @@ def walk_covariance(t, q, tau_s, prior_std):
 def dense(case, error, motions):
     """Positions and variances of each motion, (K, M, 2) and (K, M), and log densities, (N, K)."""
     n_motions = len(motions)
-    place, spread = np.empty((n_motions, *case.xy.shape)), np.empty((n_motions, case.t.size))
+    place, spread = (
+        np.empty((n_motions, *case.xy.shape)),
+        np.empty((n_motions, case.t.size)),
+    )
     density = np.empty((len(case), n_motions))
     for row, (lo, hi) in enumerate(pairwise(case.offsets)):
         t, start = case.t[lo:hi] - case.t[lo], case.xy[lo]
@@ -89,14 +93,18 @@ def test_a_single_motion_of_constant_velocity_is_the_usual_smoother(passes):
         for one, expected in zip(ours, theirs, strict=True):
             np.testing.assert_allclose(one, expected, atol=1e-8)
     last, _ = filter_tracks(case, ERRORS[1], q=Q)
-    alone = motion_log_likelihoods(case, ERRORS[1], Motions(np.array([Q]), np.array([np.inf])))
+    alone = motion_log_likelihoods(
+        case, ERRORS[1], Motions(np.array([Q]), np.array([np.inf]))
+    )
     np.testing.assert_allclose(alone[:, 0], last.log_likelihood, atol=1e-8)
 
 
 def test_each_track_is_smoothed_by_its_own_motion():
     case, error = batch(prior_std=(3.0, 2.0)), ERRORS[1]
     motions = Motions(np.array([0.01, 0.1, 1.0]), np.full(3, np.inf))
-    position, variance = smooth_mixture(case, error, motions, np.eye(3)[[0, 1, 2, 1]], passes=3)
+    position, variance = smooth_mixture(
+        case, error, motions, np.eye(3)[[0, 1, 2, 1]], passes=3
+    )
     for row, q in enumerate((0.01, 0.1, 1.0, 0.1)):
         own = slice(*case.offsets[row : row + 2])
         alone = smooth_tracks(case, error, q=q, passes=3)
@@ -130,7 +138,12 @@ def test_speeds_and_times_are_q_and_tau():
 
 
 def test_what_cannot_be_is_named():
-    for wrong in (([0.1, 0.2], [1.0]), ([0.0], [1.0]), ([0.1], [-1.0]), ([np.inf], [1.0])):
+    for wrong in (
+        ([0.1, 0.2], [1.0]),
+        ([0.0], [1.0]),
+        ([0.1], [-1.0]),
+        ([np.inf], [1.0]),
+    ):
         with pytest.raises(ValueError, match=r"as many|must be positive"):
             Motions(*map(np.array, wrong))
     case = batch()

@@ -42,16 +42,15 @@ def run(code, *, user=None, cwd=None, **environment):
     )
 
 
-def test_numba_is_not_imported_before_it_is_needed_and_prepare_brings_in_all_loops(tmp_path):
+def test_numba_is_not_imported_before_it_is_needed_and_prepare_brings_in_all_loops(
+    tmp_path,
+):
     code = (
-        "import sys\n"
-        "from isac_track import kalman\n"
-        "early = sys.modules.keys() & {'numba', 'filterpy', 'scipy'}\n"
-        "import isac_track.linkability\n"
-        "early |= sys.modules.keys() & {'numba'}\n"
-        "kalman.prepare()\n"
-        "loops = {f'isac_track.kalman._{name}_loops' for name in ('linear', 'imm', 'error')}\n"
-        "print(early, loops <= sys.modules.keys())"
+        "import sys\nfrom isac_track import kalman\nearly = sys.modules.keys() &"
+        " {'numba', 'filterpy', 'scipy'}\nimport isac_track.linkability\nearly |="
+        " sys.modules.keys() & {'numba'}\nkalman.prepare()\nloops ="
+        " {f'isac_track.kalman._{name}_loops' for name in ('linear', 'imm',"
+        " 'error')}\nprint(early, loops <= sys.modules.keys())"
     )
     done = run(code, HOME=str(tmp_path))
     assert done.stdout == "set() True\n", done.stdout + done.stderr
@@ -101,7 +100,9 @@ def ordinary_user():
 
 
 @pytest.mark.slow
-def test_a_read_only_installation_compiles_in_every_process_and_says_so(read_only_copy, tmp_path):
+def test_a_read_only_installation_compiles_in_every_process_and_says_so(
+    read_only_copy, tmp_path
+):
     code = f"import sys; sys.path.insert(0, {str(read_only_copy)!r})\n" + USE
     code += "import isac_track; print(isac_track.__file__)"
     done = run(code, user=ordinary_user(), cwd="/", HOME="/nonexistent")
@@ -110,7 +111,8 @@ def test_a_read_only_installation_compiles_in_every_process_and_says_so(read_onl
     assert estimate == run(USE, HOME=str(tmp_path)).stdout.strip()
     assert origin.startswith(str(read_only_copy))
     assert re.fullmatch(
-        r"isac-track: compiling filters, .* on every start: no cache can be written .*\n",
+        r"isac-track: compiling filters, .* on every start: no cache can be written"
+        r" .*\n",
         done.stderr,
     )
     assert not list(read_only_copy.rglob("*.nbi"))

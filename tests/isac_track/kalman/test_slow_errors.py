@@ -8,13 +8,23 @@ from helpers.kalman_cases import Q, batch
 from scipy.stats import multivariate_normal
 
 from isac_track.kalman import kalman_last, smooth_positions
-from isac_track.kalman.slow_errors import SlowError, added_error, filter_tracks, smooth_tracks
+from isac_track.kalman.slow_errors import (
+    SlowError,
+    added_error,
+    filter_tracks,
+    smooth_tracks,
+)
 from isac_track.noise import innovation_variance_m2
 from isac_track.plugins import parse
 from isac_track.rng import stream
 from isac_track.sharing_controls import correlated_errors
 
-ERRORS = [SlowError(0.7, 2.0), SlowError(0.3, 0.05), SlowError(1.5, np.inf), SlowError(0.5, 0.0)]
+ERRORS = [
+    SlowError(0.7, 2.0),
+    SlowError(0.3, 0.05),
+    SlowError(1.5, np.inf),
+    SlowError(0.5, 0.0),
+]
 
 
 LONG = 100
@@ -59,7 +69,9 @@ def test_both_are_the_dense_posterior(error, vague):
 
 
 def test_a_long_walk_with_a_small_noise_is_the_dense_posterior_too():
-    case = batch(sizes=(400,), step_s=(0.05, 0.12), variance=(1e-3, 0.02), prior_std=(10.0, 2.0))
+    case = batch(
+        sizes=(400,), step_s=(0.05, 0.12), variance=(1e-3, 0.02), prior_std=(10.0, 2.0)
+    )
     for error in ERRORS:
         position, spread, _ = dense(case, error, q=0.057)
         smoothed, variance = smooth_tracks(case, error, q=0.057)
@@ -81,7 +93,10 @@ def test_an_amplitude_for_every_sample_and_exact_places_among_them():
 
 def test_without_an_error_they_are_those_of_a_walk_alone():
     case, none = batch(prior_std=(100.0, 10.0)), SlowError(0.0, 5.0)
-    last, wanted = filter_tracks(case, none, q=Q, gate=9.0)[0], kalman_last(case, q=Q, gate=9.0)
+    last, wanted = (
+        filter_tracks(case, none, q=Q, gate=9.0)[0],
+        kalman_last(case, q=Q, gate=9.0),
+    )
     np.testing.assert_allclose(last.mean[:, :, :2], wanted.mean, atol=1e-9)
     np.testing.assert_allclose(last.cov[:, :2, :2], wanted.cov, atol=1e-9)
     np.testing.assert_allclose(last.log_likelihood, wanted.log_likelihood, atol=1e-9)
@@ -99,7 +114,9 @@ def test_innovations_take_their_share_of_a_slow_error_for_noise(tau_s):
     t = rng.uniform(0.05, 0.12, offsets[-1]).cumsum()
     unit = rng.standard_normal((t.size, 2))
     if tau_s:
-        unit = correlated_errors(t=t, offsets=offsets, law="isotropic", tau_s=tau_s, rng=rng)
+        unit = correlated_errors(
+            t=t, offsets=offsets, law="isotropic", tau_s=tau_s, rng=rng
+        )
     found = innovation_variance_m2(t=t, xy=0.6 * unit, offsets=offsets).mean()
     share = SlowError(0.6, tau_s).innovation_share(t=t, offsets=offsets).mean()
     assert found == pytest.approx(0.36 * share, rel=0.05)
@@ -120,7 +137,9 @@ def test_what_a_mechanism_says_of_its_error(spec, wanted):
     assert added_error(parse("mechanisms", spec)[0].instance) == pytest.approx(wanted)
 
 
-@pytest.mark.parametrize("wrong", [(-0.1, 5.0), (np.nan, 5.0), (1.0, -1.0), (1.0, np.nan)])
+@pytest.mark.parametrize(
+    "wrong", [(-0.1, 5.0), (np.nan, 5.0), (1.0, -1.0), (1.0, np.nan)]
+)
 def test_errors_that_cannot_be_are_named(wrong):
     with pytest.raises(ValueError, match="must"):
         SlowError(*wrong)

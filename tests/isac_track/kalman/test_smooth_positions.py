@@ -59,7 +59,9 @@ class TestSeveralPasses:
     @pytest.mark.parametrize("anneal", [0.0, 0.15, 0.7])
     def test_are_the_documented_iteration(self, passes, anneal):
         case = batch(sizes=(10, 1, 4, 2))
-        position, variance = kalman.smooth_positions(case, q=Q, passes=passes, anneal=anneal)
+        position, variance = kalman.smooth_positions(
+            case, q=Q, passes=passes, anneal=anneal
+        )
         for rows, track in one_by_one(case):
             expected, spread = reweighted(**track, passes=passes, anneal=anneal)
             np.testing.assert_allclose(position[rows], expected, rtol=0, atol=1e-9)
@@ -75,7 +77,9 @@ class TestSeveralPasses:
     anneal=st.floats(0.0, 0.95),
     seed=st.integers(0, 9),
 )
-def test_any_noise_and_step_give_a_sound_result(sizes, log_sigma, log_step, passes, anneal, seed):
+def test_any_noise_and_step_give_a_sound_result(
+    sizes, log_sigma, log_step, passes, anneal, seed
+):
     square, step_s = 10.0 ** (2 * log_sigma), 10.0**log_step
     case = batch(
         sizes=sizes,
@@ -84,9 +88,12 @@ def test_any_noise_and_step_give_a_sound_result(sizes, log_sigma, log_step, pass
         step_s=(0.1 * step_s, step_s),
         variance=(0.01 * square, square),
     )
-    position, variance = kalman.smooth_positions(case, q=Q, passes=passes, anneal=anneal)
+    position, variance = kalman.smooth_positions(
+        case, q=Q, passes=passes, anneal=anneal
+    )
     assert np.isfinite(position).all()
     assert (variance > 0).all()
-    # A sample's weight is at least 1 / sigma^2 per axis in every pass, 2 / sigma^2 in the first.
+    # A sample's weight is at least 1 / sigma^2 per axis in every pass, 2 / sigma^2 in
+    # the first.
     bound = case.variance * (1.0 if passes == 1 else 2.0)
     assert (variance <= bound * (1 + 1e-9)).all()

@@ -25,7 +25,8 @@ def test_variances_are_those_of_the_riccati_equation(std_m, q, dt_s):
     later = solve_discrete_lyapunov(gain, now - gain @ ahead @ gain.T)
     found = {"variance_m2": r, "dt_s": dt_s, "q": q}
     assert steady.smoothed_variance_m2(**found) == pytest.approx(later[0, 0], rel=1e-5)
-    # The limit of frequent samples lacks the newest one: dt over the filter's own time constant.
+    # The limit of frequent samples lacks the newest one: dt over the filter's own time
+    # constant.
     lag = dt_s * (q / (r * dt_s)) ** 0.25 / np.sqrt(2.0)
     over = steady.filtered_variance_m2(**found) / now[0, 0] - 1.0
     assert over == pytest.approx(lag, rel=0.1)
@@ -45,7 +46,9 @@ def test_the_smoother_is_that_of_a_long_track(std_m):
 def test_the_variance_that_leaves_a_plr_leaves_it(plr):
     rest = {"dt_s": DT_S, "q": Q, "epsilon_m": EPSILON_M}
     needed = steady.variance_for(plr=plr, **rest)
-    assert steady.attacked_plr(variance_m2=needed, **rest) == pytest.approx(plr, abs=1e-12)
+    assert steady.attacked_plr(variance_m2=needed, **rest) == pytest.approx(
+        plr, abs=1e-12
+    )
 
 
 @pytest.mark.parametrize("plr", [0.0, 1.0, -0.1, float("nan")])
@@ -74,7 +77,11 @@ def estimates(attack, *, shared, truth, t, tau_s):
     error = shared - shape
     if attack == "mean":
         return shape + error.mean(axis=1, keepdims=True)
-    cov = np.exp(-np.abs(t[:, None] - t) / tau_s) if np.isfinite(tau_s) else np.ones((t.size,) * 2)
+    cov = (
+        np.exp(-np.abs(t[:, None] - t) / tau_s)
+        if np.isfinite(tau_s)
+        else np.ones((t.size,) * 2)
+    )
     weight = np.linalg.solve(cov + 1e-9 * np.eye(t.size), np.ones(t.size))
     weight /= weight.sum()
     return shape + np.einsum("m,nmd->nd", weight, error)[:, None]
@@ -95,8 +102,12 @@ def test_no_attack_beats_the_bound_without_motion_on_average(motion, tau_s):
     )
     best = 0.0
     for attack in ("as shared", "mean", "best"):
-        told = estimates(attack, shared=truth + std_m * errors, truth=truth, t=t, tau_s=tau_s)
+        told = estimates(
+            attack, shared=truth + std_m * errors, truth=truth, t=t, tau_s=tau_s
+        )
         known = (np.hypot(*np.moveaxis(told - truth, 2, 0)) <= EPSILON_M).mean(axis=1)
         assert known.mean() <= bound + 4.0 * known.std() / np.sqrt(n_walks)
         best = max(best, known.mean())
-    assert best >= bound - 0.03  # who knows the shape of every walk comes close: it is not idle
+    assert (
+        best >= bound - 0.03
+    )  # who knows the shape of every walk comes close: it is not idle

@@ -12,7 +12,9 @@ def test_the_law_is_found_again_through_two_of_its_rates(a, b):
     def rank1(gallery):
         return np.array([(1.0 + (gallery - 1) / b) ** -a])
 
-    found = predicted_rank1(small=rank1(100), large=rank1(1000), sizes=(100, 1000), gallery=7545)
+    found = predicted_rank1(
+        small=rank1(100), large=rank1(1000), sizes=(100, 1000), gallery=7545
+    )
     assert found == pytest.approx(rank1(7545), rel=1e-6)
 
 

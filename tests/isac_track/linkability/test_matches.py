@@ -17,7 +17,9 @@ def marginals(log_ratios, alone):
         for probes in combinations(range(n_probes), size):
             for columns in permutations(range(n_gallery), size):
                 at = list(probes), list(columns)
-                weight = np.exp(log_ratios[at].sum()) * alone ** (n_probes + n_gallery - 2 * size)
+                weight = np.exp(log_ratios[at].sum()) * alone ** (
+                    n_probes + n_gallery - 2 * size
+                )
                 total += weight
                 pairs[at] += weight
     return pairs / total
@@ -49,7 +51,9 @@ def test_who_fits_somebody_else_better_is_no_mate():
     scores = np.array([[4.0, 3.9], [4.0, 0.0]])
     pairs = open_matches(scores, n_links=2.0)
     assert most_probable(np.arange(2), pairs)[0].tolist() == [1, 0]
-    alone = most_probable(np.arange(2), open_matches(np.array([[9.0, 0.0], [0.0, 0.0]]), n_links=1))
+    alone = most_probable(
+        np.arange(2), open_matches(np.array([[9.0, 0.0], [0.0, 0.0]]), n_links=1)
+    )
     assert alone[1].tolist() == [False, True]
 
 

@@ -18,7 +18,10 @@ def test_what_ranks_tell_is_alike_and_all_else_refused(decimals, seed):
     searches = random_searches(stream(seed, "test", "searches"), decimals)
     weights = cluster_weights(n_clusters=6, n_replicates=20, seed=0)
     rng = stream(seed, "test", "shuffles")
-    ranks, whole = rank_scorecard(searches, weights=weights, rng=rng), card(searches, n_clusters=6)
+    ranks, whole = (
+        rank_scorecard(searches, weights=weights, rng=rng),
+        card(searches, n_clusters=6),
+    )
     assert ranks.estimates.keys() == whole.estimates.keys()
     for name, one in ranks.estimates.items():
         other = whole.estimates[name]

@@ -37,7 +37,9 @@ def test_ranks_are_means_over_the_orders_of_ties(levels):
         (log_rank, lambda rank: -math.log(rank / 9)),
     ):
         expected = oracles.over_mates(scores, mate, value)
-        assert function(scores=scores, mate=mate) == pytest.approx(expected, abs=1e-12, nan_ok=True)
+        assert function(scores=scores, mate=mate) == pytest.approx(
+            expected, abs=1e-12, nan_ok=True
+        )
 
 
 @pytest.mark.parametrize("levels", [2, 5, 100])
@@ -48,7 +50,10 @@ def test_rank1_among_is_the_mean_over_all_galleries_that_could_be_drawn(levels):
     for row in range(n):
         others = [column for column in range(n) if column != row]
         drawn = np.array([[row, *some] for some in combinations(others, gallery - 1)])
-        hits = [oracles.over_mates(scores[row, one][None], [0], lambda r: r == 1) for one in drawn]
+        hits = [
+            oracles.over_mates(scores[row, one][None], [0], lambda r: r == 1)
+            for one in drawn
+        ]
         expected.append(np.mean(hits))
     own = np.diag(scores)[:, None]
     counts = {"above": (scores > own).sum(axis=1), "tied": (scores == own).sum(axis=1)}
@@ -85,7 +90,9 @@ def test_assignments_are_the_best_of_all(shape, no_match_score):
         else:
             assert (scores[probes, assigned[probes]] > no_match_score).all()
             value += no_match_score * (shape[0] - probes.size)
-        assert value == pytest.approx(oracles.best_assignment(scores, no_match_score)[0])
+        assert value == pytest.approx(
+            oracles.best_assignment(scores, no_match_score)[0]
+        )
 
 
 @pytest.mark.parametrize("levels", [1, 2, 5, 10**6])
@@ -101,8 +108,12 @@ def test_assignments_are_scipys_also_among_ties(levels):
 
 def test_assignments_of_ties_are_at_chance():
     rng = stream(2, "test", "ties")
-    hits = [(assign(scores=np.zeros((8, 8)), rng=rng) == np.arange(8)).sum() for _ in range(2_000)]
-    # A random permutation has one fixed point in the mean, with variance 1: error 0.022.
+    hits = [
+        (assign(scores=np.zeros((8, 8)), rng=rng) == np.arange(8)).sum()
+        for _ in range(2_000)
+    ]
+    # A random permutation has one fixed point in the mean, with variance 1: error
+    # 0.022.
     assert np.mean(hits) == pytest.approx(1.0, abs=0.09)
 
 
@@ -143,8 +154,11 @@ def test_a_search_refuses(changes, message):
 
 
 class TestSoftMatches:
-    def test_it_is_the_one_scaling_of_the_scores_whose_rows_and_columns_sum_to_one(self):
-        # Sinkhorn: no other matrix has these sums and the same cross ratios as the scores.
+    def test_it_is_the_one_scaling_of_the_scores_whose_rows_and_columns_sum_to_one(
+        self,
+    ):
+        # Sinkhorn: no other matrix has these sums and the same cross ratios as the
+        # scores.
         scores = stream(0, "test", "soft").normal(0.0, 4.0, (9, 9))
         log_p = soft_matches(scores)
         for axis in (0, 1):
@@ -165,7 +179,9 @@ class TestSoftMatches:
                 break
         np.testing.assert_allclose(soft_matches(scores), log_p, rtol=1e-9, atol=1e-9)
 
-    def test_it_finds_more_mates_than_each_probe_by_itself_as_the_exact_marginals_do(self):
+    def test_it_finds_more_mates_than_each_probe_by_itself_as_the_exact_marginals_do(
+        self,
+    ):
         hits = np.zeros(3)
         for number in range(300):
             rng = stream(number, "test", "matches")
@@ -173,7 +189,9 @@ class TestSoftMatches:
             orders = np.array(list(permutations(range(6))))
             log_p = ratio[np.arange(6), orders].sum(axis=1)
             chance = np.exp(log_p - log_p.max())
-            exact = np.stack([chance @ (orders == column) for column in range(6)], axis=1)
+            exact = np.stack(
+                [chance @ (orders == column) for column in range(6)], axis=1
+            )
             for place, found in enumerate((ratio, soft_matches(ratio), exact)):
                 hits[place] += (found.argmax(axis=1) == np.arange(6)).sum()
         alone, softly, exactly = hits / 1800
@@ -191,4 +209,6 @@ class TestSoftMatches:
 def test_the_logarithm_of_a_sum_is_scipys(axis, scale):
     values = scale * np.random.default_rng(5).normal(size=(40, 30))
     expected = logsumexp(values, axis=axis, keepdims=True)
-    np.testing.assert_allclose(log_sum_exp(values, axis=axis), expected, rtol=1e-14, atol=1e-14)
+    np.testing.assert_allclose(
+        log_sum_exp(values, axis=axis), expected, rtol=1e-14, atol=1e-14
+    )

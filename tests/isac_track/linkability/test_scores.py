@@ -32,7 +32,9 @@ def test_score_metrics_are_brute_force(decimals):
         classes = {"mated": mated, "non_mated": non_mated}
         assert auc(**classes) == pytest.approx(oracles.auc(mated, non_mated), abs=1e-12)
         assert eer(**classes) == pytest.approx(oracles.eer(mated, non_mated), abs=1e-12)
-        assert cllr_min(**classes) == pytest.approx(oracles.cllr_min(mated, non_mated), abs=1e-9)
+        assert cllr_min(**classes) == pytest.approx(
+            oracles.cllr_min(mated, non_mated), abs=1e-9
+        )
         edges = oracles.histogram_edges(mated, non_mated)
         assert d_sys(**classes) == (
             pytest.approx(oracles.d_sys(mated, non_mated, edges), abs=1e-12),
@@ -70,7 +72,10 @@ def test_the_published_program_loses_half_of_either_outer_bin():
     classes = {"mated": np.full(40, 3.0), "non_mated": np.zeros(80)}
     assert d_sys(**classes) == (1.0, 4)
     assert d_sys_published(**classes) == 0.5
-    few = {"mated": np.full(19, 3.0), "non_mated": np.zeros(80)}  # one bin: no trapezium
+    few = {
+        "mated": np.full(19, 3.0),
+        "non_mated": np.zeros(80),
+    }  # one bin: no trapezium
     assert d_sys_published(**few) == 0.0
 
 
@@ -125,7 +130,9 @@ def test_calibration_of_scores_that_say_nothing_or_everything():
     assert separated.slope * 10 + separated.intercept > 3
 
 
-@pytest.mark.parametrize("function", [auc, eer, cllr_min, d_sys, d_sys_published, fit_calibration])
+@pytest.mark.parametrize(
+    "function", [auc, eer, cllr_min, d_sys, d_sys_published, fit_calibration]
+)
 def test_metrics_refuse_an_empty_class_and_infinity(function):
     for mated, non_mated in (([], [1.0]), ([1.0], []), ([[1.0]], [1.0])):
         with pytest.raises(ValueError, match="must have shape"):

@@ -9,7 +9,12 @@ from helpers import linkability_oracles as oracles
 from helpers.searches import CALIBRATION, card, gaussian, random_searches, search
 from scipy.stats import hypergeom, norm
 
-from isac_track.intervals import cluster_weights, exact_binomial, jackknife_interval, wilson
+from isac_track.intervals import (
+    cluster_weights,
+    exact_binomial,
+    jackknife_interval,
+    wilson,
+)
 from isac_track.linkability import (
     SCORE_REPLICATES,
     Calibration,
@@ -45,13 +50,20 @@ def card_by_brute_force(searches, *, n_clusters, n_replicates, seed=0):
     result = card(searches, **options, calibration=CALIBRATION)
     estimates = result.estimates
     found = {name: [one.value, *one.replicates] for name, one in estimates.items()}
-    found |= {name: [getattr(result, name)] for name in oracles.METRICS if name not in found}
+    found |= {
+        name: [getattr(result, name)] for name in oracles.METRICS if name not in found
+    }
     for row, weight in enumerate([np.ones(n_clusters), *cluster_weights(**options)]):
         for name, value in oracles.score_metrics(searches, weight, CALIBRATION).items():
             told = found[name][row : row + 1]  # what is realised has no replicates
-            assert told == pytest.approx([value] * len(told), abs=1e-9, nan_ok=True), (name, row)
+            assert told == pytest.approx([value] * len(told), abs=1e-9, nan_ok=True), (
+                name,
+                row,
+            )
         for name, function in (("rank1", rank1), ("mrr", reciprocal_rank)):
-            values = np.concatenate([function(scores=s.scores, mate=s.mate) for s in searches])
+            values = np.concatenate(
+                [function(scores=s.scores, mate=s.mate) for s in searches]
+            )
             has_mate = ~np.isnan(values)
             mass = np.concatenate([weight[s.probe_cluster] for s in searches])[has_mate]
             value = (mass @ values[has_mate]) / mass.sum() if mass.any() else np.nan
@@ -71,15 +83,20 @@ def test_clusters_may_be_drawn_often(most):
     """Products that fill 16 bits after some hundred pairs, or after one."""
     searches = random_searches(stream(3, "test", "searches"), 1)
     weights = np.array([[most, 1, 3, 0, 2, 1], [0, 0, 1, most, 2, 3]])
-    found = card(searches, n_clusters=6, weights=weights, calibration=CALIBRATION).estimates
+    found = card(
+        searches, n_clusters=6, weights=weights, calibration=CALIBRATION
+    ).estimates
     for row, weight in enumerate(weights):
         for name, value in oracles.score_metrics(searches, weight, CALIBRATION).items():
             if name in found:
-                assert found[name].replicates[row] == pytest.approx(value, abs=1e-9, nan_ok=True)
+                assert found[name].replicates[row] == pytest.approx(
+                    value, abs=1e-9, nan_ok=True
+                )
 
 
 @pytest.mark.parametrize(
-    ("shape", "refused"), [((174, 174), []), ((52, 59), ["01pct"]), ((52, 58), ["1pct", "01pct"])]
+    ("shape", "refused"),
+    [((174, 174), []), ((52, 59), ["01pct"]), ((52, 58), ["1pct", "01pct"])],
 )
 def test_so_is_the_tpr_unless_the_pairs_of_a_search_are_too_few(shape, refused):
     """30,102, 3,016 and 2,964 non-mated pairs in either half."""
@@ -89,7 +106,12 @@ def test_so_is_the_tpr_unless_the_pairs_of_a_search_are_too_few(shape, refused):
     result = card_by_brute_force(searches, n_clusters=shape[1], n_replicates=2)
     for rate in ("1pct", "01pct"):
         one = result.estimates[f"tpr_at_fpr_{rate}"]
-        numbers = [one.value, one.ci_low, one.ci_high, getattr(result, f"realised_fpr_{rate}")]
+        numbers = [
+            one.value,
+            one.ci_low,
+            one.ci_high,
+            getattr(result, f"realised_fpr_{rate}"),
+        ]
         assert np.isnan([*numbers, *one.replicates]).tolist() == [rate in refused] * 6
         assert one.n == shape[0]
 
@@ -99,17 +121,27 @@ def test_the_scorecard_says_what_its_parts_say(is_grouped):
     rng = stream(12, "test", "parts")
     one, two = gaussian(rng, 30, 1.5, decimals=1), gaussian(rng, 12, 1.5, decimals=1)
     if is_grouped:
-        one, two = (search(s.scores, cluster=rng.integers(0, 18, s.mate.size)) for s in (one, two))
+        one, two = (
+            search(s.scores, cluster=rng.integers(0, 18, s.mate.size))
+            for s in (one, two)
+        )
     rng = stream(13, "test", "draws")
     result = card([one, two], n_clusters=30, n_replicates=SCORE_REPLICATES + 5, rng=rng)
     rng = stream(13, "test", "draws")
     everything = np.concatenate([one.scores.ravel(), two.scores.ravel()])
     edges = np.linspace(everything.min(), everything.max(), 42 // 10 + 1)
-    assigned, hits, null, null_bins = [], [], np.zeros(999), np.zeros((4, 999), np.uint16)
+    assigned, hits, null, null_bins = (
+        [],
+        [],
+        np.zeros(999),
+        np.zeros((4, 999), np.uint16),
+    )
     for s in (one, two):
         assigned.append(assign(scores=s.scores, rng=rng) == s.mate)
         hits.append(rank1(scores=s.scores, mate=s.mate))
-        score_bin = np.searchsorted(edges[1:-1], s.scores, side="right").astype(np.uint8)
+        score_bin = np.searchsorted(edges[1:-1], s.scores, side="right").astype(
+            np.uint8
+        )
         mated, counts = mated_probes(people_of(s)), np.zeros((1, 2), dtype=int)
         ranked = rank_rows(s.scores, s.mate, np.empty(0), counts)[0]
         columns = shuffled_mates(mated, rng, 999)
@@ -120,10 +152,14 @@ def test_the_scorecard_says_what_its_parts_say(is_grouped):
     total = np.histogram(everything, edges)[0]
     mated, others = null_bins.T / 42, (total - null_bins.T) / (total.sum() - 42)
     with np.errstate(invalid="ignore"):  # D_sys: no score in a bin is no share of it
-        share = np.where(mated > others, mated * (mated - others) / (mated + others), 0.0)
+        share = np.where(
+            mated > others, mated * (mated - others) / (mated + others), 0.0
+        )
     estimates = result.estimates
     assert (result.p_value, result.p_value_low) == (p, p_low)
-    assert estimates["rank1_assigned"].value == pytest.approx(np.concatenate(assigned).mean())
+    assert estimates["rank1_assigned"].value == pytest.approx(
+        np.concatenate(assigned).mean()
+    )
     difference = estimates["d_sys"].value - estimates["d_sys_corrected"].value
     assert difference == pytest.approx(share.sum(axis=1).mean(), abs=1e-9)
     chances = np.repeat([1 / 30, 1 / 12], [30, 12])
@@ -151,16 +187,22 @@ def assert_alike(one, two, *, rtol=0.0):
     for name, estimate in one.estimates.items():
         for field in ("value", "ci_low", "ci_high", "n", "replicates"):
             found = getattr(two.estimates[name], field)
-            np.testing.assert_allclose(found, getattr(estimate, field), rtol=rtol, err_msg=name)
+            np.testing.assert_allclose(
+                found, getattr(estimate, field), rtol=rtol, err_msg=name
+            )
 
 
 def test_of_the_next_attack_on_the_same_people_it_is_the_same_whether_pairs_are_kept_or_not():
     first = random_searches(stream(24, "test", "kept"), 0)
-    scores = [stream(25, "kept", k).standard_normal(s.scores.shape) for k, s in enumerate(first)]
+    scores = [
+        stream(25, "kept", k).standard_normal(s.scores.shape)
+        for k, s in enumerate(first)
+    ]
     second = [replace(s, scores=other) for s, other in zip(first, scores, strict=True)]
     other_people = [replace(s, mate=np.roll(s.mate, 1)) for s in second]
     kept, others = (
-        read_only(cluster_weights(n_clusters=6, n_replicates=9, seed=seed)) for seed in (0, 1)
+        read_only(cluster_weights(n_clusters=6, n_replicates=9, seed=seed))
+        for seed in (0, 1)
     )
     hits = scales._weighed.cache_info().hits
     card(first, n_clusters=6, weights=kept)
@@ -177,10 +219,17 @@ def test_an_open_set_counts_who_is_linked_though_absent_by_the_search_s_own_scor
     linked = []
     for _ in range(20):
         searches = [
-            search(rng.standard_normal((4, 4)) + np.eye(4), mate=[0, 1, -1, -1], scale=scale)
+            search(
+                rng.standard_normal((4, 4)) + np.eye(4),
+                mate=[0, 1, -1, -1],
+                scale=scale,
+            )
             for scale in (0, 0, 1)
         ]
-        for least in (rng.permutation([-1.0, 0.5, 1.2]).tolist(), None):  # or nobody is left alone
+        for least in (
+            rng.permutation([-1.0, 0.5, 1.2]).tolist(),
+            None,
+        ):  # or nobody is left alone
             estimates = card(searches, n_clusters=4, no_match_score=least).estimates
             assigned = [
                 oracles.best_assignment(one.scores, x)[1]
@@ -198,7 +247,10 @@ def test_an_open_set_counts_who_is_linked_though_absent_by_the_search_s_own_scor
 @pytest.mark.parametrize(("n", "decimals"), [(130, 0), (130, 8), (100, 8)])
 def test_rank1_of_100_strangers_is_what_hypergeometric_draws_say(n, decimals):
     rng = stream(24, "test", "gallery", n, decimals)
-    cluster, mate = np.arange(n) // 2, np.append(rng.permutation(n)[: n - 20], np.full(20, -1))
+    cluster, mate = (
+        np.arange(n) // 2,
+        np.append(rng.permutation(n)[: n - 20], np.full(20, -1)),
+    )
     own = np.flatnonzero(mate >= 0)
     scores = rng.standard_normal((n, n)) + 2.0 * (mate[:, None] == np.arange(n))
     first = Search(np.round(scores, decimals), mate, cluster, rng.permutation(cluster))
@@ -209,7 +261,10 @@ def test_rank1_of_100_strangers_is_what_hypergeometric_draws_say(n, decimals):
             first.scores[row, theirs[theirs != mate[row]]], first.scores[row, mate[row]]
         )
         draws = [among.size - 1, 99]
-        chances = [hypergeom(draws[0], r - 1, draws[1]).pmf(0) for r in oracles.ranks(among, -1)]
+        chances = [
+            hypergeom(draws[0], r - 1, draws[1]).pmf(0)
+            for r in oracles.ranks(among, -1)
+        ]
         hits.append(np.mean(chances))
     one = card([first], n_clusters=n // 2).estimates["rank1_g100"]
     if n == 100:  # companions are no candidates: too few are left
@@ -217,14 +272,19 @@ def test_rank1_of_100_strangers_is_what_hypergeometric_draws_say(n, decimals):
         return
     assert one.value == pytest.approx(np.mean(hits), abs=1e-12)
     for weight, value in zip(
-        cluster_weights(n_clusters=n // 2, n_replicates=20, seed=0), one.replicates, strict=True
+        cluster_weights(n_clusters=n // 2, n_replicates=20, seed=0),
+        one.replicates,
+        strict=True,
     ):
-        assert value == pytest.approx(np.average(hits, weights=weight[cluster[own]]), abs=1e-12)
+        assert value == pytest.approx(
+            np.average(hits, weights=weight[cluster[own]]), abs=1e-12
+        )
 
 
 HARMONIC = (1 / np.arange(1, 61)).sum()
 EXTREMES = {
-    # Scores of 60 people: the metrics, p-values of either tail and of rank 1, whether inverted.
+    # Scores of 60 people: the metrics, p-values of either tail and of rank 1, whether
+    # inverted.
     "perfect": (
         5 * np.eye(60),
         {"rank1": 1, "mrr": 1, "auc": 1, "eer": 0, "cllr_min": 0, "d_sys": 1}
@@ -263,7 +323,9 @@ def test_what_does_not_vary_has_wilsons_interval():
         ends = (low, high) if value else (1 - high, 1 - low)
         if name == "residual_risk":
             ends = residual_risk(success=low, control=1 / 60), 1.0
-        assert (estimates[name].ci_low, estimates[name].ci_high) == pytest.approx(ends, abs=1e-12)
+        assert (estimates[name].ci_low, estimates[name].ci_high) == pytest.approx(
+            ends, abs=1e-12
+        )
     equal = card([search(np.ones((60, 60)))], n_clusters=60)
     area = equal.estimates["auc"]
     assert (area.ci_low, area.ci_high) == pytest.approx(wilson(hits=30, n=60))
@@ -281,7 +343,15 @@ def test_one_candidate_one_cluster_and_nobody_with_a_mate_say_little():
     alone = card([search([[3.0]])], **options)
     values = {name: one.value for name, one in alone.estimates.items()}
     assert (values["rank1"], values["chance"]) == (1.0, 1.0)
-    for name in ("residual_risk", "auc", "eer", "cllr", "cllr_min", "d_sys", "d_sys_corrected"):
+    for name in (
+        "residual_risk",
+        "auc",
+        "eer",
+        "cllr",
+        "cllr_min",
+        "d_sys",
+        "d_sys_corrected",
+    ):
         assert math.isnan(values[name]), name
     assert alone.minimum_detectable_rank1 == math.inf
     nobody = card([search(np.eye(4), mate=[-1] * 4)], **options)
@@ -293,7 +363,9 @@ def test_one_candidate_one_cluster_and_nobody_with_a_mate_say_little():
         assert not one.is_inverted
     # One cluster has values, and no interval.
     scores = stream(14, "test").standard_normal((8, 8))
-    for name, one in card([search(scores, cluster=np.zeros(8, int))], **options).estimates.items():
+    for name, one in card(
+        [search(scores, cluster=np.zeros(8, int))], **options
+    ).estimates.items():
         assert name.startswith(("tpr", "rank1_g")) or math.isfinite(one.value), name
         assert np.isnan([one.ci_low, one.ci_high]).all(), name
         assert one.n == 1
@@ -303,16 +375,22 @@ def test_of_few_clusters_score_metrics_have_the_jackknife_of_what_is_left_withou
     rng = stream(16, "test", "few")
     group = np.arange(40) // 2
     scores = rng.standard_normal((40, 40)) + np.diag(1.5 + rng.standard_normal(40))
-    found = card([search(scores, cluster=group)], n_clusters=20, n_replicates=30).estimates
+    found = card(
+        [search(scores, cluster=group)], n_clusters=20, n_replicates=30
+    ).estimates
 
     def without(left_out):
         there = group != left_out
         left = scores[np.ix_(there, there)]
-        return auc(mated=left.diagonal(), non_mated=left[~np.eye(len(left), dtype=bool)])
+        return auc(
+            mated=left.diagonal(), non_mated=left[~np.eye(len(left), dtype=bool)]
+        )
 
     values = np.array([without(one) for one in (-1, *range(20))])
     low, high = jackknife_interval(values, effective=20.0)
-    assert (found["auc"].ci_low, found["auc"].ci_high) == pytest.approx((low, high), abs=1e-6)
+    assert (found["auc"].ci_low, found["auc"].ci_high) == pytest.approx(
+        (low, high), abs=1e-6
+    )
     assert found["auc"].replicates.size == 30
     assert found["eer"].ci_low < found["eer"].value < found["eer"].ci_high <= 0.5
 
@@ -323,7 +401,9 @@ def people(rng, n_groups):
     for k in range(2):
         group = np.arange(40) // 2
         scores = rng.standard_normal((40, 40)) + 0.5 * rng.standard_normal(40)
-        scores += (0.5 * rng.standard_normal(40) + 0.4 * rng.standard_normal(20)[group])[:, None]
+        scores += (
+            0.5 * rng.standard_normal(40) + 0.4 * rng.standard_normal(20)[group]
+        )[:, None]
         scores += np.diag(1.5 + 0.7 * rng.standard_normal(40))
         searches.append(search(scores, cluster=group + k * n_groups // 2))
     return searches
@@ -362,12 +442,14 @@ MEASURED |= {"eer": 0.890, "cllr_min": 0.911}
 narrow, and the hull's bias is corrected only in part."""
 
 
-@pytest.mark.parametrize("n_repetitions", [300, pytest.param(2_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "n_repetitions", [300, pytest.param(2_000, marks=pytest.mark.slow)]
+)
 def test_intervals_cover_away_from_chance(n_repetitions):
     for name, share in coverage(n_repetitions).items():
         expected = MEASURED[name]
-        # Three standard deviations of 300 repetitions: 3 to 5 points. With more, other streams
-        # than those of the measurement may differ by 2 points.
+        # Three standard deviations of 300 repetitions: 3 to 5 points. With more, other
+        # streams than those of the measurement may differ by 2 points.
         tolerance = 3 * math.sqrt(expected * (1 - expected) / 300)
         tolerance = tolerance if n_repetitions == 300 else 0.02
         assert share == pytest.approx(expected, abs=tolerance), name
@@ -379,7 +461,9 @@ def test_near_chance_intervals_of_d_sys_hold_what_such_a_study_gives_on_average(
     for seed in range(30):
         rng = stream(seed, "test", "near chance")
         scores = rng.standard_normal((300, 300)) + link * np.eye(300)
-        rows.append(card([search(scores, cluster=people)], n_clusters=300, rng=rng).estimates)
+        rows.append(
+            card([search(scores, cluster=people)], n_clusters=300, rng=rng).estimates
+        )
     for name in ("d_sys", "d_sys_published", "d_sys_corrected"):
         value, low, high = np.array(
             [(row[name].value, row[name].ci_low, row[name].ci_high) for row in rows]
@@ -397,9 +481,15 @@ def test_near_chance_intervals_of_d_sys_hold_what_such_a_study_gives_on_average(
         ({"weights": np.ones(3)}, "weights must be"),
         ({"weights": np.full((5, 3), 256)}, "weights must be counts"),
         ({"weights": np.full((5, 3), 0.5)}, "weights must be counts"),
-        ({"calibration": {1: Calibration(1.0, 0.0)}}, r"calibration lacks the scales \[0\]"),
+        (
+            {"calibration": {1: Calibration(1.0, 0.0)}},
+            r"calibration lacks the scales \[0\]",
+        ),
         ({"no_match_score": []}, "no_match_score must be one a search, 1, got 0"),
-        ({"no_match_score": [0.0, 1.0]}, "no_match_score must be one a search, 1, got 2"),
+        (
+            {"no_match_score": [0.0, 1.0]},
+            "no_match_score must be one a search, 1, got 2",
+        ),
     ],
 )
 def test_a_scorecard_refuses(options, message):

@@ -56,10 +56,15 @@ def clustered(rng, sizes):
     mate, probes = np.full(n + 2, -1), rng.permutation(n + 2)[:n]
     mate[probes] = rng.permutation(n + 1)[:n]
     # Whoever has no mate belongs to somebody's cluster all the same.
-    probe_cluster, gallery_cluster = np.zeros(n + 2, dtype=int), np.zeros(n + 1, dtype=int)
+    probe_cluster, gallery_cluster = (
+        np.zeros(n + 2, dtype=int),
+        np.zeros(n + 1, dtype=int),
+    )
     probe_cluster[probes] = cluster
     gallery_cluster[mate[probes]] = cluster
-    return Search(rng.standard_normal((n + 2, n + 1)), mate, probe_cluster, gallery_cluster)
+    return Search(
+        rng.standard_normal((n + 2, n + 1)), mate, probe_cluster, gallery_cluster
+    )
 
 
 CLUSTERED = {
@@ -73,14 +78,18 @@ CLUSTERED = {
 """How many sets of mates the null allows: products of factorials."""
 
 
-def test_the_shuffles_are_those_of_all_rows_however_many_are_ranked_at_a_time(monkeypatch):
+def test_the_shuffles_are_those_of_all_rows_however_many_are_ranked_at_a_time(
+    monkeypatch,
+):
     one = gaussian(stream(15, "test", "rows"), 30, 0.5, decimals=1)
     mates = np.where(np.arange(30) % 3 > 0, one.mate, -1)
     clustered = replace(one, mate=mates, probe_cluster=np.arange(30) // 4)
     found = []
     for n_at_once in (1, 100, 10**6):
         monkeypatch.setattr("isac_track.linkability.significance._AT_ONCE", n_at_once)
-        found.append(shuffled_log_ranks([clustered, one], stream(0, "test", "shuffles"), 999))
+        found.append(
+            shuffled_log_ranks([clustered, one], stream(0, "test", "shuffles"), 999)
+        )
     for observed, null, standings in found[:2]:
         assert observed == pytest.approx(found[2][0], abs=1e-10)
         assert null == pytest.approx(found[2][1], abs=1e-10)
@@ -94,15 +103,21 @@ def test_the_null_is_the_law_over_all_possible_mates(sizes):
     score_bin = rng.integers(0, 3, one.scores.shape, dtype=np.uint8)
     mates = oracles.possible_mates(one)
     sums = [np.nansum(log_rank(scores=one.scores, mate=mate)) for mate in mates]
-    bins = [np.bincount(score_bin[mate >= 0, mate[mate >= 0]], minlength=3) for mate in mates]
+    bins = [
+        np.bincount(score_bin[mate >= 0, mate[mate >= 0]], minlength=3)
+        for mate in mates
+    ]
     n = 300 * len(mates)
     null, null_bins = np.zeros(n), np.zeros((3, n), np.uint16)
     mated, counts = mated_probes(people_of(one)), np.zeros((1, 2), dtype=int)
     ranked = rank_rows(one.scores, one.mate, np.empty(0), counts)[0]
     columns = shuffled_mates(mated, stream(17, "test", "law"), n)
     observed = add_shuffles(mated, columns, ranked, score_bin, null, null_bins)
-    assert observed == pytest.approx(np.nansum(log_rank(scores=one.scores, mate=one.mate)))
-    # Jointly: the bins are those of the same mates as the sum. Less than ten are in each.
+    assert observed == pytest.approx(
+        np.nansum(log_rank(scores=one.scores, mate=one.mate))
+    )
+    # Jointly: the bins are those of the same mates as the sum. Less than ten are in
+    # each.
     (expected, weight), (actual, counts) = (
         np.unique(np.round(rows, 9) + 1j * (held @ [1, 10, 100]), return_counts=True)
         for rows, held in ((sums, np.array(bins)), (null, null_bins.T))
@@ -120,7 +135,10 @@ def test_sums_and_bins_of_many_probes_are_those_of_the_mates_that_were_drawn():
     mated, n = mated_probes(people_of(one)), 25
     columns = shuffled_mates(mated, rng, n)
     assert (np.sort(columns.T, axis=1) == np.sort(mated.mate)).all()
-    ranks, score_bin = rng.random(one.scores.shape), rng.integers(0, 5, one.scores.shape)
+    ranks, score_bin = (
+        rng.random(one.scores.shape),
+        rng.integers(0, 5, one.scores.shape),
+    )
     null, null_bins = np.ones(n), np.ones((5, n), np.uint16)
     add_shuffles(mated, columns, ranks, score_bin.astype(np.uint8), null, null_bins)
     drawn = mated.probes, columns.T
@@ -142,7 +160,8 @@ def alike(rng, sizes):
     """Scores of people who resemble their group within a session, and nobody across sessions."""
     group = np.repeat(np.arange(len(sizes)), sizes)
     probes, gallery = (
-        rng.standard_normal((len(sizes), 3))[group] + 0.5 * rng.standard_normal((group.size, 3))
+        rng.standard_normal((len(sizes), 3))[group]
+        + 0.5 * rng.standard_normal((group.size, 3))
         for _ in range(2)
     )
     return search(-np.linalg.norm(probes[:, None] - gallery, axis=2), cluster=group)
@@ -162,11 +181,19 @@ def test_a_link_is_found_between_clusters_and_among_members_but_not_without_choi
     of_pair = (pairs[:, None] == pairs).astype(float)
     noise = 0.1 * rng.standard_normal((30, 30))
     together, apart = np.zeros(30, dtype=int), np.arange(30)
-    for scores, cluster in ((of_pair, pairs), (own, pairs), (own, together), (own, apart)):
+    for scores, cluster in (
+        (of_pair, pairs),
+        (own, pairs),
+        (own, together),
+        (own, apart),
+    ):
         one = search(scores + noise, cluster=cluster)
         assert permutation_p(searches=[one], rng=rng) == 1 / 1000
-        assert permutation_p(searches=[replace(one, scores=-one.scores)], rng=rng) > 0.99
-    # Two clusters of different sizes cannot be mistaken for each other: only members count.
+        assert (
+            permutation_p(searches=[replace(one, scores=-one.scores)], rng=rng) > 0.99
+        )
+    # Two clusters of different sizes cannot be mistaken for each other: only members
+    # count.
     sizes = np.repeat([0, 1], [10, 20])
     one = search((sizes[:, None] == sizes) + noise, cluster=sizes)
     assert permutation_p(searches=[one], rng=rng) > 0.05
@@ -192,7 +219,9 @@ def test_three_thirds_of_a_hit_are_a_hit():
 def test_the_minimum_detectable_rate_is_detected_as_often_as_promised(n, rate):
     least = minimum_detectable_rank1(n=n, chance=rate)
     hits = stream(9, "test", "power", n).binomial(n, least, 20_000)
-    p = np.array([rank1_p(hits=np.arange(n) < k, chance=np.full(n, rate)) for k in range(n + 1)])
+    p = np.array(
+        [rank1_p(hits=np.arange(n) < k, chance=np.full(n, rate)) for k in range(n + 1)]
+    )
     # The standard error is 0.0028.
     assert (p[hits] <= 0.05).mean() == pytest.approx(0.8, abs=0.01)
 
@@ -216,7 +245,11 @@ def test_outcomes():
         (rank1_p, {"hits": np.full(3, 2.0), "chance": np.ones(3)}, r"0\.\.1"),
         (minimum_detectable_rank1, {"n": -1, "chance": 0.1}, "n >= 0"),
         (outcome, {"p_value": 0.1, "ceiling_p_value": math.nan}, "p-value"),
-        (permutation_p, {"searches": [search(np.eye(2))], "n_shuffles": 10}, "at least 999"),
+        (
+            permutation_p,
+            {"searches": [search(np.eye(2))], "n_shuffles": 10},
+            "at least 999",
+        ),
     ],
 )
 def test_numbers_out_of_range_are_refused(function, values, message):
@@ -226,10 +259,18 @@ def test_numbers_out_of_range_are_refused(function, values, message):
 
 
 def test_holm_is_the_closed_test_by_bonferroni_of_what_is_known():
-    # A number differs if every set that it belongs to holds a difference, by Bonferroni.
+    # A number differs if every set that it belongs to holds a difference, by
+    # Bonferroni.
     p_values = np.random.default_rng(0).uniform(0, 0.4, 6)
-    sets = [list(one) for size in range(1, 7) for one in itertools.combinations(range(6), size)]
-    closed = [
-        max(min(1.0, len(of) * p_values[of].min()) for of in sets if n in of) for n in range(6)
+    sets = [
+        list(one)
+        for size in range(1, 7)
+        for one in itertools.combinations(range(6), size)
     ]
-    assert holm(np.array([*p_values, np.nan])) == pytest.approx([*closed, np.nan], nan_ok=True)
+    closed = [
+        max(min(1.0, len(of) * p_values[of].min()) for of in sets if n in of)
+        for n in range(6)
+    ]
+    assert holm(np.array([*p_values, np.nan])) == pytest.approx(
+        [*closed, np.nan], nan_ok=True
+    )

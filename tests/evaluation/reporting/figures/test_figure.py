@@ -30,8 +30,21 @@ BOTH = levels(swept=SWEPT)
 LINEAR = levels(swept=SWEPT, rules=("",), others=[])
 STRANGERS = [*LINEAR, *(("ou", at) for at in (0.2, 0.4, 0.8))]
 STRANGERS += [("mine", at) for at in (1.0, 10.0, 1000.0)]
-ODD_NAMES = ["<script>", "a_$b^{c}$ & \\d", "広場 & 'x'", "line\nbreak\x1b[31m", "x" * 300, ""]
-NAMES = ("fid_threshold", "fixed_error", "operating_points", "after_attack", "linkability")
+ODD_NAMES = [
+    "<script>",
+    "a_$b^{c}$ & \\d",
+    "広場 & 'x'",
+    "line\nbreak\x1b[31m",
+    "x" * 300,
+    "",
+]
+NAMES = (
+    "fid_threshold",
+    "fixed_error",
+    "operating_points",
+    "after_attack",
+    "linkability",
+)
 NAMES += ("by_speed",)
 
 
@@ -45,12 +58,17 @@ def values(places, chart, *, log):
     found = []
     for x, y in places:
         at = []
-        for place, ticks, is_log in ((x, chart.x_ticks, log[0]), (y, chart.y_ticks, log[1])):
+        for place, ticks, is_log in (
+            (x, chart.x_ticks, log[0]),
+            (y, chart.y_ticks, log[1]),
+        ):
             short = [one for one in ticks if one[1].isascii()]  # not 10⁴
             places, numbers = np.array(short, dtype=float).T
             numbers = np.log10(numbers) if is_log else numbers
             slope, start = np.polyfit(places, numbers, 1)
-            at.append(10 ** (start + slope * place) if is_log else start + slope * place)
+            at.append(
+                10 ** (start + slope * place) if is_log else start + slope * place
+            )
         found.append(at)
     return np.array(found)
 
@@ -61,15 +79,22 @@ def test_marks_bars_and_lines_stand_where_the_numbers_are(log):
     curve = Curve(Look(1), "mine", x, np.stack([y, 0.9 * y, 1.1 * y]))
     axes = Axis("level", log[0]), Axis("seen (%)", log[1])
     marked = [(Look(6), np.inf, 10.0, "paper")]
-    chart = curves_chart([curve], x=axes[0], y=axes[1], across=[("k6", 20.0)], marked=marked)
+    chart = curves_chart(
+        [curve], x=axes[0], y=axes[1], across=[("k6", 20.0)], marked=marked
+    )
     (_, marks, _), (_, paper, name) = chart.marks
     known, close = np.isfinite(y), {"rtol": 0.03, "atol": 0.4}
     np.testing.assert_allclose(
-        values(marks, chart, log=log), np.column_stack([x, y])[known], rtol=0.03, atol=2.0
+        values(marks, chart, log=log),
+        np.column_stack([x, y])[known],
+        rtol=0.03,
+        atol=2.0,
     )
     paths = dict(chart.lines)
     ends = [high for _, high in paths["bar k1"]]
-    np.testing.assert_allclose(values(ends, chart, log=log)[:, 1], 1.1 * y[known], **close)
+    np.testing.assert_allclose(
+        values(ends, chart, log=log)[:, 1], 1.1 * y[known], **close
+    )
     for places, value in ((paper, 10.0), (paths["across k6"][0], 20.0)):
         assert values(places, chart, log=log)[0, 1] == pytest.approx(value, rel=0.03)
     assert name == "paper"
@@ -81,7 +106,9 @@ def test_a_line_over_the_level_is_the_run_and_its_name_tells_the_ends():
     (_, path, name), *papers = chart.marks
     of = summary[(summary["mechanism"] == "fid") & (summary["consumer"] == "shared")]
     plr = 100.0 * of[of["metric"] == "plr"].sort_values("level")["value"].to_numpy()
-    np.testing.assert_allclose(values(path, chart, log=(True, False))[:, 1], plr, atol=0.5)
+    np.testing.assert_allclose(
+        values(path, chart, log=(True, False))[:, 1], plr, atol=0.5
+    )
     assert name == f"PLR: {plr[0]:.1f} % at eta 1 to {plr[-1]:.1f} % at eta 100000"
     assert sorted(told for *_, told in papers) == [
         "paper: PLR 18.4 % at eta 1", "paper: PLR 24 % at eta 1000", "paper: PLR 52.6 % at raw",
@@ -91,7 +118,9 @@ def test_a_line_over_the_level_is_the_run_and_its_name_tells_the_ends():
 def test_the_paper_is_marked_on_its_own_recording_under_linear_adding_only():
     def papers(dataset, name="fid_threshold", at=BOTH):
         one = drawn(dataset=dataset, summary=make_summary(at, dataset=dataset))[name]
-        return [sum("paper: " in mark[2] for mark in chart.marks) for _, chart in one.panels]
+        return [
+            sum("paper: " in mark[2] for mark in chart.marks) for _, chart in one.panels
+        ]
 
     assert papers("students03") == [3, 0, 3, 0, 4, 0]
     assert not any(papers("plaza") + papers("students03", "sweep-ou", STRANGERS))
@@ -108,8 +137,13 @@ def test_plr_over_speed_has_a_curve_a_level_under_its_rules():
             f"raw positions after radial_rts (informed): {ends}",
             f"FID noise, eta 1 after radial_rts (informed): {ends}",
         ]
-        assert [one.text for one in chart.labels] == ["raw positions", "FID noise, eta 1"]
-        of = speeds[(speeds["mechanism"] == f"fid{rule}") & (speeds["consumer"] != "shared")]
+        assert [one.text for one in chart.labels] == [
+            "raw positions",
+            "FID noise, eta 1",
+        ]
+        of = speeds[
+            (speeds["mechanism"] == f"fid{rule}") & (speeds["consumer"] != "shared")
+        ]
         expected = of[["speed_mps", "value"]].to_numpy() * [1.0, 100.0]
         found = values(chart.marks[1][1], chart, log=(False, False))
         np.testing.assert_allclose(found, expected, rtol=0.03, atol=0.4)
@@ -133,7 +167,9 @@ class TestFiles:
     def test_odd_names_are_drawn_as_they_are(self, tmp_path, name):
         frame = make_summary([("fid", 1.0), ("fid", 10.0)], dataset=name, attacks=())
         frame = frame[frame["metric"] == "plr"]
-        of = figures_of(make_run(dataset=name, **emptied(make_run()) | {"summary": frame}))
+        of = figures_of(
+            make_run(dataset=name, **emptied(make_run()) | {"summary": frame})
+        )
         write(of, folder=tmp_path, dataset=name, pdf=True)
         assert {path.name for path in tmp_path.iterdir()} == {
             "fid_threshold.pdf", "fid_threshold.svg",
@@ -142,10 +178,16 @@ class TestFiles:
         assert re.sub(r"[\n\x1b]", "?", name[:18]) in text
 
     def test_names_of_files_are_plain_and_each_is_there_once(self):
-        at = [("fid", 1.0), ("my.module:Mine,a=../x", 1.0), ("my.module:Mine,a=.._x", 2.0)]
+        at = [
+            ("fid", 1.0),
+            ("my.module:Mine,a=../x", 1.0),
+            ("my.module:Mine,a=.._x", 2.0),
+        ]
         names = [one.name for one in figures_of(make_run(at=at))]
         assert len(set(names)) == len(names)
-        assert all(Path(name).name == name and not name.startswith(".") for name in names)
+        assert all(
+            Path(name).name == name and not name.startswith(".") for name in names
+        )
         assert sum(name.startswith("sweep-my.module") for name in names) == 2
 
 
@@ -153,11 +195,18 @@ def test_each_mechanism_is_a_scheme_but_controls_and_its_rules_stand_together():
     names = [one.name for one in schemes(make_summary(levels()))]
     assert names == ["fid", "fid", "fixed", "fixed"]
     at = [("ou:tau=3", 1.0), ("ou:tau=3,adding=independent", 1.0), ("ou:tau=9", 1.0)]
-    assert [one.name for one in schemes(make_summary(at))] == ["ou:tau=3"] * 2 + ["ou:tau=9"]
+    assert [one.name for one in schemes(make_summary(at))] == ["ou:tau=3"] * 2 + [
+        "ou:tau=9"
+    ]
     few = make_summary([("ou", 0.2), ("ou", 0.4), *levels()])
-    assert {one.name for one in schemes(few)} == {"fid", "fixed"}  # beside three, two are no curve
+    assert {one.name for one in schemes(few)} == {
+        "fid",
+        "fixed",
+    }  # beside three, two are no curve
     assert {one.name for one in schemes(few, as_points=True)} == {"fid", "fixed", "ou"}
-    found = schemes(make_summary([*STRANGERS, *levels(rules=(INDEPENDENT,), others=[])]))
+    found = schemes(
+        make_summary([*STRANGERS, *levels(rules=(INDEPENDENT,), others=[])])
+    )
     assert [(one.mechanism, one.log, one.rule_text) for one in found] == [
         ("fid", True, "linear adding"),
         (f"fid{INDEPENDENT}", True, "independent adding"),
@@ -166,17 +215,35 @@ def test_each_mechanism_is_a_scheme_but_controls_and_its_rules_stand_together():
         ("ou", False, "any adding"),
         ("mine", True, "linear adding"),
     ]
-    assert found[4].rules == ("linear", "independent")  # without a rule it is shown under both
+    assert found[4].rules == (
+        "linear",
+        "independent",
+    )  # without a rule it is shown under both
 
 
 def test_the_frontier_is_drawn_beside_white_noise_and_who_knows_more_is_hollow():
-    usual = make_frontier().assign(criterion="missed_at_equal_false_alarms", robot="kalman_cv")
+    usual = make_frontier().assign(
+        criterion="missed_at_equal_false_alarms", robot="kalman_cv"
+    )
     white = usual[usual["mechanism"] == "fixed"].assign(mechanism=WHITE)
-    many = [white, *(usual.query("mechanism == 'fid'").assign(mechanism=f"m{n}") for n in range(7))]
-    knows = many[1][many[1]["metric"] == "plr"].assign(consumer="ou_rts", knowledge="anchor")
+    many = [
+        white,
+        *(
+            usual.query("mechanism == 'fid'").assign(mechanism=f"m{n}")
+            for n in range(7)
+        ),
+    ]
+    knows = many[1][many[1]["metric"] == "plr"].assign(
+        consumer="ou_rts", knowledge="anchor"
+    )
     told = pd.concat([*many, knows.assign(value=0.95)])
-    made = {one.name: one for one in figures_of(replace(make_run(), frontier=told))}["frontier"]
-    assert [heading for heading, _ in made.panels] == ["robot: Kalman, 1", "robot: Kalman, 2"]
+    made = {one.name: one for one in figures_of(replace(make_run(), frontier=told))}[
+        "frontier"
+    ]
+    assert [heading for heading, _ in made.panels] == [
+        "robot: Kalman, 1",
+        "robot: Kalman, 2",
+    ]
     chart = made.panels[0][1]
     assert not made.key
     assert {one.text for one in chart.labels} == {"white", *(f"m{n}" for n in range(6))}
@@ -188,6 +255,8 @@ def test_the_frontier_is_drawn_beside_white_noise_and_who_knows_more_is_hollow()
         np.array([[3.0, 95.0]]), abs=0.3
     )
     at = values(chart.marks[1][1], chart, log=(False, False))
-    assert at == pytest.approx(np.array([[3.0, 77.0], [5.0, 75.0], [7.5, 72.5]]), abs=0.4)
+    assert at == pytest.approx(
+        np.array([[3.0, 77.0], [5.0, 75.0], [7.5, 72.5]]), abs=0.4
+    )
     assert "frontier" not in drawn()  # none where alarms differ
     assert "frontier" not in drawn(frontier=usual.iloc[:0].astype(object))

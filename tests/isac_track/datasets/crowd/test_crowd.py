@@ -87,7 +87,9 @@ def test_anticipation_is_the_gradient_of_the_time_to_collision_energy():
     x = np.array([[0.0, 0.0], [4.0, 0.3]])
     step = 1e-6 * np.eye(2)
     first = np.array([[1.0], [0.0]])
-    slope = [(energy(x + first * shift) - energy(x - first * shift)) / 2e-6 for shift in step]
+    slope = [
+        (energy(x + first * shift) - energy(x - first * shift)) / 2e-6 for shift in step
+    ]
     force = model._avoidance(x, v, together=np.eye(2, dtype=bool))[0]
     assert np.allclose(force, -np.array(slope), rtol=1e-5)
 
@@ -131,7 +133,9 @@ def test_groups_walk_together(plaza):
     gaps, together = [], []
     for first, other in rows[rows.str.len() == 2]:
         one, two = plaza[first], plaza[other]
-        _, i, j = np.intersect1d(np.rint(one.t / 0.4), np.rint(two.t / 0.4), return_indices=True)
+        _, i, j = np.intersect1d(
+            np.rint(one.t / 0.4), np.rint(two.t / 0.4), return_indices=True
+        )
         together.append(i.size / max(one.t.size, two.t.size))
         gaps.append(np.median(np.hypot(*(one.xy[i] - two.xy[j]).T)))
     assert np.quantile(together, 0.05) > 0.7
@@ -141,7 +145,11 @@ def test_groups_walk_together(plaza):
 
 def test_company_is_new_in_the_second_session(plaza):
     both = [
-        set(pd.DataFrame({"who": one.source, "party": one.group}).groupby("party").who.agg(tuple))
+        set(
+            pd.DataFrame({"who": one.source, "party": one.group})
+            .groupby("party")
+            .who.agg(tuple)
+        )
         for one in (plaza, datasets.load("plaza-session2").tracks)
     ]
     assert sum(len(members) > 1 for members in both[0] & both[1]) <= 2
@@ -151,7 +159,9 @@ def documented(column):
     """A column of the table in the document."""
     text = (ROOT / "docs" / "plaza.md").read_text().partition("| statistic |")[2]
     text = text.partition("\n\n")[0]  # other tables follow
-    rows = [line.split("|")[1:-1] for line in text.splitlines()[2:] if line.startswith("| ")]
+    rows = [
+        line.split("|")[1:-1] for line in text.splitlines()[2:] if line.startswith("| ")
+    ]
     return {cells[0].strip(): float(cells[column]) for cells in rows}
 
 
@@ -175,18 +185,25 @@ def test_the_document_tells_students03(stats):
 def test_the_command_writes_both_sessions_and_a_file_gives_back_the_millimetres(
     tmp_path, monkeypatch, capsys
 ):
-    monkeypatch.setattr(__main__, "CrowdSettings", lambda **changes: replace(SHORT, **changes))
+    monkeypatch.setattr(
+        __main__, "CrowdSettings", lambda **changes: replace(SHORT, **changes)
+    )
     assert __main__.main(["--out", str(tmp_path / "new"), "--seed", "5"]) == 0
     for session, name in crowd.FILES.items():
         made = short(session=session)
         assert same(crowd.read_npz(tmp_path / "new" / name), made)
-        assert made.source == tuple(plan.person_id(row) for row in range(SHORT.n_people))
+        assert made.source == tuple(
+            plan.person_id(row) for row in range(SHORT.n_people)
+        )
     assert capsys.readouterr().out.count("70 tracks") == 2
 
 
 def test_the_statistics_by_hand(stats):
-    # 1 m/s east for 1.6 s, then north: one turn of 90 degrees, sampled across the corner.
-    corner = tracks_of([(0, 0), (0.4, 0), (0.8, 0), (0.8, 0.4), (0.8, 0.8)], [(5, 5)] * 2)
+    # 1 m/s east for 1.6 s, then north: one turn of 90 degrees, sampled across the
+    # corner.
+    corner = tracks_of(
+        [(0, 0), (0.4, 0), (0.8, 0), (0.8, 0.4), (0.8, 0.8)], [(5, 5)] * 2
+    )
     assert np.allclose(stats.step_speeds_mps(corner), [1, 1, 1, 1, 0])
     assert np.allclose(stats.turn_rates_dps(corner), 90 / 0.8)
     assert np.allclose(stats.moving_speeds_mps(corner), [1.0, np.nan], equal_nan=True)
@@ -195,7 +212,9 @@ def test_the_statistics_by_hand(stats):
     assert present.tolist() == [3, 2]
     assert np.allclose(sorted(nearest), [1, 1, 5, 5, np.hypot(6, 5)])
     t = 0.4 * np.arange(80)
-    straight, bent = (tracks_of(np.stack([x, -0.5 * t], axis=1)) for x in (t, 0.05 * t**2))
+    straight, bent = (
+        tracks_of(np.stack([x, -0.5 * t], axis=1)) for x in (t, 0.05 * t**2)
+    )
     assert stats.line_errors_m(straight) == pytest.approx([0.0], abs=1e-9)
     # x = a t^2 / 2: the line through a window of length w, at h past its end, errs by
     # a / 2 * (h^2 + h w + w^2 / 6) in the limit of many samples.
