@@ -151,14 +151,16 @@ def linkage_rows() -> Iterator[Row]:
     p, g = (motion_of(one, 1.0) for one in (probe, gallery))
     law = {"band": DTW().band, "penalty": 0.1, "floor": DTW().floor}
     yield (
-        *(f"warping of speed and turning, {each}", "dtaidistance"),
+        f"warping of speed and turning, {each}",
+        "dtaidistance",
         lambda: [warped_costs(p, g, **law)],
         lambda: [warped(p, g, **law)],
     )
     metric = np.diag(1.0 / np.array(list(FEATURES.values())) ** 2)
     a, b = features(probe), features(gallery)
     yield (
-        *(f"distances of features, {each}", "scipy"),
+        f"distances of features, {each}",
+        "scipy",
         lambda: [behaviour(probe, gallery)],
         lambda: [squared_distances(a, b, metric)],
     )
@@ -168,14 +170,16 @@ def linkage_rows() -> Iterator[Row]:
     ]
     c, d = (each.astype(np.float64) for each in counts)
     yield (
-        *("distances of histograms, 700 x 700", "scipy"),
+        "distances of histograms, 700 x 700",
+        "scipy",
         lambda: [one_source(c, d)],
         lambda: [divergences(c, d)],
     )
     weights = cluster_weights(n_clusters=N_PEOPLE, n_replicates=1000, seed=0)
     scores = shape(probe, gallery)
     yield (
-        *(f"scorecard, {N_PEOPLE} x {N_PEOPLE} scores", "scikit-learn"),
+        f"scorecard, {N_PEOPLE} x {N_PEOPLE} scores",
+        "scikit-learn",
         lambda: scored(scores, weights),
         lambda: plainly_scored(scores, weights),
     )
@@ -201,7 +205,7 @@ def scored(scores: Floats, weights: Floats) -> list[Floats]:
     everybody = np.arange(len(scores))
     search = linkability.Search(scores, everybody, everybody, everybody)
     card = linkability.scorecard(
-        *([search],),
+        [search],
         weights=weights,
         calibration=None,
         no_match_score=None,

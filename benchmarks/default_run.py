@@ -123,8 +123,17 @@ def _measure_all(options: argparse.Namespace) -> int:
                 file=sys.stderr,
             )
     columns = [
-        *("tree", "dataset", "wall_s", "cpu_s", "peak_mb", "files", "disk_mb"),
-        *("calibration_s", "ratio", "cpu_ratio", "load"),
+        "tree",
+        "dataset",
+        "wall_s",
+        "cpu_s",
+        "peak_mb",
+        "files",
+        "disk_mb",
+        "calibration_s",
+        "ratio",
+        "cpu_ratio",
+        "load",
     ]
     rows = [[_shown(result[name]) for name in columns] for result in results]
     print("\n".join(aligned([columns, *rows])))

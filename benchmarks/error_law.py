@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING
 
 import evaluation
 from attacks.reconstruction.kalman_rts import looks_radial
-from evaluation.analysis.keys import Key
-from evaluation.analysis.metrics import EXPOSURE
-from evaluation.analysis.summary import estimates
-from evaluation.cells import sharing
-from evaluation.cells.reconstruction import attacked_block
-from evaluation.experiment.axes import axes
-from evaluation.experiment.presets import SMOKE_LEVELS
+from evaluation.compute import sharing
+from evaluation.compute.reconstruction import attacked_block
+from evaluation.estimates.keys import Key
+from evaluation.estimates.metrics import EXPOSURE
+from evaluation.estimates.summary import estimates
+from evaluation.plan.axes import axes
+from evaluation.plan.presets import SMOKE_LEVELS
 from isac_track import datasets
 from isac_track.config import StageSettings
 from isac_track.intervals import percentile_interval

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.decisions import decisions
-from evaluation.analysis.families import families_in
-from evaluation.analysis.frontier import frontier
-from evaluation.analysis.matching import Sweeps
-from evaluation.analysis.summary import estimates
-from evaluation.runs.manifest import read_manifest
+from evaluation.estimates.decisions import decisions
+from evaluation.estimates.families import families_in
+from evaluation.estimates.frontier import frontier
+from evaluation.estimates.matching import Sweeps
+from evaluation.estimates.summary import estimates
+from evaluation.store.manifest import read_manifest
 from isac_track.intervals import Estimate
 
 ALL = slice(None)

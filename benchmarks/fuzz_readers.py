@@ -77,14 +77,19 @@ def _run(format_name: str, *, seconds: float, out: Path) -> int:
             (seeds / name).write_bytes((CORPUS / name).read_bytes())
         prefix = (out / f"{format_name}-").resolve()
         command = [
-            *(sys.executable, "-m", "benchmarks.fuzz_readers", "--format", format_name),
-            *("--in-process", str(seeds), f"-max_total_time={max(1, round(seconds))}"),
-            *(
-                f"-timeout={TIMEOUT_S}",
-                f"-rss_limit_mb={MEMORY_MB}",
-                f"-max_len={LARGEST_BYTES}",
-            ),
-            *(f"-artifact_prefix={prefix}", "-print_final_stats=1"),
+            sys.executable,
+            "-m",
+            "benchmarks.fuzz_readers",
+            "--format",
+            format_name,
+            "--in-process",
+            str(seeds),
+            f"-max_total_time={max(1, round(seconds))}",
+            f"-timeout={TIMEOUT_S}",
+            f"-rss_limit_mb={MEMORY_MB}",
+            f"-max_len={LARGEST_BYTES}",
+            f"-artifact_prefix={prefix}",
+            "-print_final_stats=1",
         ]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     inputs, memory = (

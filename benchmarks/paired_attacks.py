@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evaluation.cells.reconstruction import folds
-from evaluation.experiment.constants import MOST_SCENES
+from evaluation.compute.reconstruction import folds
+from evaluation.plan.constants import MOST_SCENES
 from isac_track import datasets, intervals, plugins, privacy
 from isac_track.command_line import DONE, Parser, exit_code
 from isac_track.config import StageSettings

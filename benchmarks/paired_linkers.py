@@ -11,11 +11,11 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from evaluation.analysis.keys import Key, level_text
-from evaluation.analysis.linkability import cards
-from evaluation.analysis.metrics import SUCCESS_OF_100
-from evaluation.analysis.summary import linkage_estimates
-from evaluation.runs.manifest import read_manifest
+from evaluation.estimates.keys import Key, level_text
+from evaluation.estimates.linkability import cards
+from evaluation.estimates.metrics import SUCCESS_OF_100
+from evaluation.estimates.summary import linkage_estimates
+from evaluation.store.manifest import read_manifest
 from isac_track.intervals import Estimate, difference
 
 

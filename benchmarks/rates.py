@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING
 
 from threadpoolctl import threadpool_limits
 
-from evaluation.cells.work import cells
-from evaluation.experiment.plan import Plan, plan
-from evaluation.experiment.settings import Settings
-from evaluation.runs.duration import (
+from evaluation.compute.work import cells
+from evaluation.plan.plan import Plan, plan
+from evaluation.plan.settings import Settings
+from evaluation.pool.duration import (
     cells_cpu_s,
     measured_rates,
     name_of,
@@ -29,7 +29,7 @@ from evaluation.runs.duration import (
     setup_of,
     size_of,
 )
-from evaluation.runs.pieces import pieces_of
+from evaluation.pool.pieces import pieces_of
 from isac_track.command_line import DONE, Parser, exit_code
 
 if TYPE_CHECKING:

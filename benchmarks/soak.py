@@ -44,7 +44,7 @@ from benchmarks.processes import (
     tree_rss_mb,
 )
 from benchmarks.scale import finite, positive
-from evaluation.experiment.presets import PRESETS
+from evaluation.plan.presets import PRESETS
 from evaluation.reporting.terminal import aligned
 from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
 
@@ -257,8 +257,16 @@ class _MallInfo(ctypes.Structure):
     _fields_ = tuple(
         (name, ctypes.c_size_t)
         for name in (
-            *("arena", "ordblks", "smblks", "hblks", "hblkhd"),
-            *("usmblks", "fsmblks", "uordblks", "fordblks", "keepcost"),
+            "arena",
+            "ordblks",
+            "smblks",
+            "hblks",
+            "hblkhd",
+            "usmblks",
+            "fsmblks",
+            "uordblks",
+            "fordblks",
+            "keepcost",
         )
     )
 
@@ -379,15 +387,17 @@ def _show(
     rows = [[*head, "fds", "threads", "native", "children", "files"]]
     rows += [
         [
-            *(
-                str(run),
-                f"{state.wall_s:.1f}",
-                f"{state.rss_mb:.1f}",
-                f"{state.tree_mb:.1f}",
-            ),
-            *(f"{state.heap_mb:.1f}", str(state.blocks)),
-            *(str(state.descriptors), str(state.python_threads), str(state.threads)),
-            *(str(state.children), str(state.files)),
+            str(run),
+            f"{state.wall_s:.1f}",
+            f"{state.rss_mb:.1f}",
+            f"{state.tree_mb:.1f}",
+            f"{state.heap_mb:.1f}",
+            str(state.blocks),
+            str(state.descriptors),
+            str(state.python_threads),
+            str(state.threads),
+            str(state.children),
+            str(state.files),
         ]
         for run, state in enumerate(states, start=1)
     ]

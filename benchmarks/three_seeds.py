@@ -18,14 +18,14 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from evaluation.analysis.families import CLEAN, SWEPT
-from evaluation.analysis.keys import Source, worlds_of
-from evaluation.analysis.metrics import EXPOSURE, METRICS, SUCCESS
-from evaluation.analysis.seeds import by_intervals, over_seeds, read_sums, stacked_sums
-from evaluation.analysis.strongest import against_each, by_task
+from evaluation.estimates.families import CLEAN, SWEPT
+from evaluation.estimates.keys import Source, worlds_of
+from evaluation.estimates.metrics import EXPOSURE, METRICS, SUCCESS
+from evaluation.estimates.seeds import by_intervals, over_seeds, read_sums, stacked_sums
+from evaluation.estimates.strongest import against_each, by_task
 from evaluation.reporting.headline import Headline, Shown, headline, levels_of
 from evaluation.reporting.lookups import estimates
-from evaluation.runs.manifest import read_manifest
+from evaluation.store.manifest import read_manifest
 from isac_track.command_line import DONE, Parser, exit_code
 from isac_track.errors import DataError
 from isac_track.intervals import Estimate
@@ -33,7 +33,7 @@ from isac_track.intervals import Estimate
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from evaluation.analysis.keys import Where
+    from evaluation.estimates.keys import Where
 
 
 @dataclass(frozen=True, eq=False, slots=True)

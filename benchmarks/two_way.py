@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 
 import evaluation
-from evaluation.runs.cell_files import read_rows
+from evaluation.store.cell_files import read_rows
 from isac_track.rng import stream
 
 MECHANISMS = ("raw", "fixed:0.7", "fixed:1", "fid:1", "fid:1000")

@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.special import ndtri
 
-from evaluation.analysis.families import Family
-from evaluation.analysis.keys import Source
-from evaluation.analysis.linked_people import LinkedLevel, LinkedTask
-from evaluation.experiment.presets import PRESETS
+from evaluation.estimates.families import Family
+from evaluation.estimates.keys import Source
+from evaluation.estimates.linked_people import LinkedLevel, LinkedTask
+from evaluation.plan.presets import PRESETS
 from evaluation.verdict import rules, spread
 from evaluation.verdict.validity import validity
 from isac_track import plugins

@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from evaluation.experiment.settings import Settings
+    from evaluation.api import run
+    from evaluation.plan.settings import Settings
     from evaluation.reporting.finished import load
     from evaluation.reporting.rows import Results
-    from evaluation.results import run
 
 
 def _check_own_packages() -> None:
@@ -62,9 +62,7 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever the name stands fo
         raise AttributeError(f"module 'evaluation' has no attribute {name!r}")
     from importlib import import_module  # noqa: PLC0415 - as above
 
-    home = {"Settings": "experiment.settings", "run": "results"}.get(
-        name, "reporting.finished"
-    )
+    home = {"Settings": "plan.settings", "run": "api"}.get(name, "reporting.finished")
     return getattr(import_module(f"evaluation.{home}"), name)
 
 

@@ -28,7 +28,6 @@ COMMANDS = {
         "repeat a run's verdict under other assumptions",
     ),
     "study": ("evaluation.study", "answer several recordings as one"),
-    "calibrate": ("evaluation.calibrate", "refit the constants of the sensing model"),
     "datasets": ("isac_track.datasets.__main__", "list and fetch data sets"),
     "attacks": ("attacks.__main__", "list, check and begin attacks"),
 }

@@ -6,9 +6,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from evaluation.analysis.differences import compare
+from evaluation.estimates.differences import compare
 from evaluation.reporting.difference_tables import show, to_json
-from evaluation.runs.files import to_csv
+from evaluation.store.files import to_csv
 from isac_track.command_line import Parser, exit_code
 from isac_track.errors import DataError
 

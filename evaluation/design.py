@@ -114,8 +114,8 @@ def _run(arguments: Sequence[str]) -> int:
 
 
 def _parser() -> Parser:
-    from evaluation.analysis.families import ADDING_RULES  # noqa: PLC0415 - heavy
-    from evaluation.analysis.metrics import METRICS  # noqa: PLC0415 - heavy
+    from evaluation.estimates.families import ADDING_RULES  # noqa: PLC0415 - heavy
+    from evaluation.estimates.metrics import METRICS  # noqa: PLC0415 - heavy
     from evaluation.verdict.what_to_share import (  # noqa: PLC0415 - heavy
         HORIZON_S,
         LIMITS,
@@ -198,7 +198,7 @@ def _parser() -> Parser:
 
 def _question(options: argparse.Namespace) -> Question:
     """Return the question that was typed; SettingsError for what no question can be."""
-    from evaluation.analysis.families import ADDING_RULES  # noqa: PLC0415 - heavy
+    from evaluation.estimates.families import ADDING_RULES  # noqa: PLC0415 - heavy
     from evaluation.verdict.what_to_share import (  # noqa: PLC0415 - heavy
         LIMITS,
         Criterion,

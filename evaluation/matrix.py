@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from evaluation.experiment.presets import DEFAULT, PRESETS
-from evaluation.experiment.settings import Settings
+from evaluation.plan.presets import DEFAULT, PRESETS
+from evaluation.plan.settings import Settings
 from evaluation.reporting import announcements, listing
 from evaluation.reporting.notices import notices
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
@@ -19,7 +19,7 @@ from isac_track.errors import SettingsError, quoted
 from isac_track.protocols import ADVERSARIES, USUAL
 
 if TYPE_CHECKING:
-    from evaluation.experiment.plan import Plan
+    from evaluation.plan.plan import Plan
 
 _EXIT = """\
 exit codes: 0 done, 2 wrong usage or data, 3 some cells failed (the others are done),
@@ -230,10 +230,10 @@ def _command(arguments: Sequence[str] | None) -> int:
         sys.stderr.writelines(f"{line}\n" for line in listing.broken())
         return DONE
     settings = settings_from(options)
+    from evaluation.pool.workers import ahead  # noqa: PLC0415 - as said below
     from evaluation.reporting.progress import (  # noqa: PLC0415 - as said below
         progress_bar,
     )
-    from evaluation.runs.workers import ahead  # noqa: PLC0415 - as said below
 
     said: list[str] = []
     whole = options.verbose or options.dry_run
@@ -243,10 +243,10 @@ def _command(arguments: Sequence[str] | None) -> int:
     ):
         update(0, None, "reading the recording")
         # Heavy imports only now: --help, --list and a typing error answer at once.
-        from evaluation.experiment.plan import plan  # noqa: PLC0415 - as said
+        from evaluation.plan.plan import plan  # noqa: PLC0415 - as said
 
         if settings.precision is not None:
-            from evaluation.results import sized  # noqa: PLC0415 - as said
+            from evaluation.api import sized  # noqa: PLC0415 - as said
 
             if options.dry_run:
                 raise SettingsError(
@@ -264,18 +264,21 @@ def _command(arguments: Sequence[str] | None) -> int:
             return DONE
         # What draws and shows is heavier still: until here, the user knows what is
         # under way.
-        from evaluation.reporting.tables import show  # noqa: PLC0415 - as said
-        from evaluation.results import run  # noqa: PLC0415 - as said
-        from evaluation.runs.execute import (  # noqa: PLC0415 - as said
+        from evaluation.api import run  # noqa: PLC0415 - as said
+        from evaluation.pool.execute import (  # noqa: PLC0415 - as said
             FailedCellsWarning,
         )
+        from evaluation.reporting.tables import show  # noqa: PLC0415 - as said
 
-        # what was imported stays: looking through it again and again takes a second
+        # Imported objects stay: without this the garbage collector takes a second.
         gc.freeze()
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", FailedCellsWarning)  # told below
-            shows = not options.no_pictures
-            results = run(ready=ready, progress=update, pictures=shows, walks=shows)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", FailedCellsWarning)  # notices say it
+                shows = not options.no_pictures
+                results = run(ready=ready, progress=update, pictures=shows, walks=shows)
+        finally:
+            gc.unfreeze()  # as a caller in the same process had it
     told = [f"notice: {one}" for one in notices(results.manifest)]
     told = announcements.condensed(told, most=None if whole else 2, where="tables.txt")
     sys.stderr.writelines(f"{line}\n" for line in told)
@@ -286,8 +289,8 @@ def _command(arguments: Sequence[str] | None) -> int:
 
 def _rehearsed(ready: "Plan") -> list[str]:
     """Return how long a run will take, and notices; raise what would end it before it computes."""
-    from evaluation.runs.duration import expected_s, in_words  # noqa: PLC0415 - as said
-    from evaluation.runs.rehearsal import rehearse  # noqa: PLC0415 - as said
+    from evaluation.pool.duration import expected_s, in_words  # noqa: PLC0415 - as said
+    from evaluation.pool.rehearsal import rehearse  # noqa: PLC0415 - as said
 
     notices = rehearse(ready)
     time = in_words(expected_s(ready), jobs=ready.jobs)
@@ -300,12 +303,12 @@ def _rehearsed(ready: "Plan") -> list[str]:
 
 def _n_workers(settings: Settings) -> int:
     """Return how many workers a run will take: they start while it is planned."""
-    from evaluation.experiment.axes import (  # noqa: PLC0415 - as said
+    from evaluation.plan.axes import (  # noqa: PLC0415 - as said
         axes,
         jobs_of,
         most_workers,
     )
-    from evaluation.experiment.fingerprint import (  # noqa: PLC0415 - as said
+    from evaluation.plan.fingerprint import (  # noqa: PLC0415 - as said
         has_strangers,
     )
 

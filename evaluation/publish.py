@@ -27,8 +27,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _publish(options: Namespace) -> int:
-    from evaluation.results import rebuild  # noqa: PLC0415 - --help answers at once
-    from evaluation.runs.folder import copy_without_private  # noqa: PLC0415 - as above
+    from evaluation.api import rebuild  # noqa: PLC0415 - --help answers at once
+    from evaluation.store.folder import copy_without_private  # noqa: PLC0415 - as above
 
     out: Path = options.out
     to = options.to or out.absolute().with_name(f"{out.absolute().name}-published")

@@ -5,9 +5,9 @@ from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
+from evaluation.api import rebuild
 from evaluation.reporting.docs_pages import write_pages
 from evaluation.reporting.tables import show, write_docs
-from evaluation.results import rebuild
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
 
 

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from evaluation.experiment.variants import BASE, Variant, chosen, settings_of
+from evaluation.plan.variants import BASE, Variant, chosen, settings_of
 from isac_track.command_line import (
     DONE,
     FAILED_CELLS,
@@ -78,10 +78,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _command(options: Namespace) -> int:
     manifest = None
     if options.out is not None:
-        from evaluation.runs.manifest import (  # noqa: PLC0415 - --help answers at once
+        from evaluation.store.manifest import (  # noqa: PLC0415 - --help answers at once
             read_manifest,
         )
-        from evaluation.runs.people import with_paths  # noqa: PLC0415 - as above
+        from evaluation.store.people import with_paths  # noqa: PLC0415 - as above
 
         manifest = with_paths(options.out, read_manifest(options.out))
     elif not options.list:
@@ -97,11 +97,11 @@ def _command(options: Namespace) -> int:
 def _run(
     options: Namespace, variants: Sequence[Variant], manifest: Mapping[str, Any]
 ) -> int:
-    from evaluation.experiment.plan import plan  # noqa: PLC0415 - as above
+    from evaluation.api import run  # noqa: PLC0415 - for --help
+    from evaluation.plan.plan import plan  # noqa: PLC0415 - as above
+    from evaluation.pool.execute import borrow  # noqa: PLC0415 - for --help
     from evaluation.reporting import difference_tables  # noqa: PLC0415 - for --help
-    from evaluation.results import run  # noqa: PLC0415 - for --help
-    from evaluation.runs.execute import borrow  # noqa: PLC0415 - for --help
-    from evaluation.runs.files import to_csv, write_whole  # noqa: PLC0415 - for --help
+    from evaluation.store.files import to_csv, write_whole  # noqa: PLC0415 - for --help
     from evaluation.verdict import sensitivity as held  # noqa: PLC0415 - for --help
 
     attacks = held.attacks_of(held.read_verdict(options.out)["items"])

@@ -12,8 +12,8 @@ from itertools import groupby, product
 from operator import attrgetter
 from pathlib import Path
 
-from evaluation.experiment.presets import DEFAULT, PRESETS
-from evaluation.experiment.settings import Settings
+from evaluation.plan.presets import DEFAULT, PRESETS
+from evaluation.plan.settings import Settings
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
 from isac_track.config import StageSettings
 from isac_track.errors import SettingsError
@@ -113,9 +113,9 @@ def _study(options: argparse.Namespace) -> int:
         asked.append(
             (law, Settings(dataset=dataset, seed=seed, stages=stages, out=out, **same))
         )
-    from evaluation.analysis.pooled import QUESTIONS  # noqa: PLC0415 - as said
-    from evaluation.results import study  # noqa: PLC0415 - --help answers at once
-    from evaluation.runs.execute import FailedCellsWarning  # noqa: PLC0415 - as said
+    from evaluation.api import study  # noqa: PLC0415 - --help answers at once
+    from evaluation.estimates.pooled import QUESTIONS  # noqa: PLC0415 - as said
+    from evaluation.pool.execute import FailedCellsWarning  # noqa: PLC0415 - as said
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FailedCellsWarning)  # told by the code

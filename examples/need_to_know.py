@@ -19,16 +19,16 @@ from isac_track import datasets
 from isac_track.config import StageSettings
 from isac_track.errors import IsacTrackError
 from isac_track.intervals import Estimate
-from isac_track.patrol_answers import Network, disclose, share_patrol
-from isac_track.patrol_knowledge import ESTIMATORS, guesses_from_map, known_places
-from isac_track.patrol_metrics import (
+from isac_track.patrols import horizon_scans, make_patrol
+from isac_track.patrols.answers import Network, disclose, share_patrol
+from isac_track.patrols.knowledge import ESTIMATORS, guesses_from_map, known_places
+from isac_track.patrols.metrics import (
     RobotTask,
     is_by_construction,
     knowledge_metrics,
     robot_task,
     utility_metrics,
 )
-from isac_track.patrols import horizon_scans, make_patrol
 from isac_track.place import placed
 from isac_track.plugins import Plugin, parse
 from isac_track.policies.samples import Everything
@@ -97,9 +97,8 @@ class Row:
     predictor: str = ""
     horizon_s: float = 0.0
     adversary: str = ""  # Who follows people by the log.
-    note: str = (
-        ""  # Estimator of the adversary; or that `withheld_share` is by construction.
-    )
+    # Estimator of the adversary; or that `withheld_share` is by construction.
+    note: str = ""
 
 
 @dataclass(frozen=True)

@@ -29,9 +29,8 @@ _LIMITS: Final = {
     errno.ENOMEM: "there is not enough memory",
 }
 """What the system says when it has no more to give."""
-_NO_PLACE: Final = (
-    "failed to map segment"  # Of a library that finds no place in memory.
-)
+# Of a library that finds no place in memory.
+_NO_PLACE: Final = "failed to map segment"
 _NOT_LOADED: Final = f"{_LIMITS[errno.ENOMEM]} to load what a run takes"
 _asked = threading.Event()
 

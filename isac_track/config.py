@@ -1,8 +1,8 @@
 """Frozen settings per stage: the paper's table, one field a parameter, the unit in the name.
 
 A field marked *paper* is a value of the paper's table or text, *reading* settles what
-the paper leaves open (``docs/reproduction.md``), *fitted* is output of ``python -m
-evaluation.calibrate``. ``--set STAGE.KEY=VALUE`` and the same keys in a TOML file
+the paper leaves open (``docs/reproduction.md``), *fitted* is output of ``python
+scripts/calibrate.py``. ``--set STAGE.KEY=VALUE`` and the same keys in a TOML file
 change them. A range ends far beyond what is of use, but within what arithmetic and
 memory can take.
 """
@@ -207,9 +207,8 @@ class ConflictSettings(_Stage):
     """paper: q, samples whose mean interval is the step of the prediction grid; how many samples
     a predictor uses is its own parameter, `least_squares:16`"""
     safety_radius_m: float = _number(0.9, 1e-3, 1e3)  # paper: d_safe
-    decision: Literal["mean", "probability"] = (
-        "mean"  # paper: `mean`; the other needs a covariance
-    )
+    # paper: `mean`; the other needs a covariance
+    decision: Literal["mean", "probability"] = "mean"
     probability_threshold: float = _number(0.5, 0, 1, is_open=True)
     """with `probability`: a conflict is declared at or above it"""
 

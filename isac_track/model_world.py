@@ -24,14 +24,13 @@ from scipy.special import i0e, logsumexp
 
 from isac_track.kalman import Batch, kalman_last
 from isac_track.kalman.slow_errors import SlowError, smooth_each
-from isac_track.protection import Laplace, Ou, OuFid
-from isac_track.sharing import Clean, Fid, Fixed, Raw
-from isac_track.sharing_controls import Thin
+from isac_track.mechanisms.controls import Thin
+from isac_track.mechanisms.paper import Clean, Fid, Fixed, Raw
+from isac_track.mechanisms.protections import Laplace, Ou, OuFid
 from isac_track.types import Floats, Ints, Release, Sensed, Tracks, squared_lengths
 
-_LAG_S: Final = (
-    1.0  # Over which acceleration is measured: what a smoother averages over.
-)
+# Over which acceleration is measured: what a smoother averages over.
+_LAG_S: Final = 1.0
 _EVERY = 4  # Of them within one lag.
 _MOST_FITTED = 300
 START_STD_M = 100.0  # Around the first sample: nothing is known of where a walk starts.
@@ -67,9 +66,8 @@ class Errors:
 
     variance: Floats  # (M,) m^2 per axis, of what is white.
     slow: SlowError | None = None  # What else there is.
-    is_gaussian: bool = (
-        False  # Whether there was nothing to tell: everybody knows the scales.
-    )
+    # Whether there was nothing to tell: everybody knows the scales.
+    is_gaussian: bool = False
 
 
 def fitted_motion(tracks: Tracks) -> Motion:

@@ -83,10 +83,10 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
     },
 }
 _MECHANISMS = (
-    "isac_track.sharing",
-    "isac_track.sharing_controls",
-    "isac_track.protection",
-    "isac_track.withholding",
+    "isac_track.mechanisms.paper",
+    "isac_track.mechanisms.controls",
+    "isac_track.mechanisms.protections",
+    "isac_track.mechanisms.withholding",
 )
 """Modules with a table ``MECHANISMS``: one that is added there is known here."""
 _METHOD: dict[Kind, str] = {
@@ -122,9 +122,8 @@ class Plugin:
     family: str = ""  # Its name without parameters.
     adding: str = ""  # Adding rule that a mechanism declares; empty if it has none.
     protects: bool = True  # Whether a mechanism claims to protect: a control does not.
-    digest: str = (
-        ""  # Of what was given as an object: what its cells depend on beside its SPEC.
-    )
+    # Of what was given as an object: what its cells depend on beside its SPEC.
+    digest: str = ""
 
 
 def names(kind: Kind) -> dict[str, str]:

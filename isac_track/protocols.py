@@ -32,9 +32,8 @@ if TYPE_CHECKING:
 
 Reconstructor: TypeAlias = "Callable[[Release], Reconstruction]"
 """What turns a release into a reconstruction, sample for sample."""
-Linker: TypeAlias = (
-    "Callable[[Release, Release], Floats]"  # Scores (P, G), higher = same person.
-)
+# Scores (P, G), higher = same person.
+Linker: TypeAlias = "Callable[[Release, Release], Floats]"
 _INFORMED = frozenset({Knowledge.MECHANISM, Knowledge.TRAIN})
 ADVERSARIES: dict[str, frozenset[Knowledge]] = {
     "blind": frozenset(),

@@ -13,9 +13,8 @@ from isac_track.types import Bools, Floats, Tracks
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
 
-SPEED_LIMIT_MPS = (
-    4.0  # Nobody walks faster: a faster spline between slower samples overshoots.
-)
+# Nobody walks faster: a faster spline between slower samples overshoots.
+SPEED_LIMIT_MPS = 4.0
 _USUAL = ResampleSettings()
 _FRACTIONS = np.arange(1, 16) / 16.0
 """Of an interval: where its distance from the chord and its speed are looked at."""

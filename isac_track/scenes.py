@@ -48,9 +48,8 @@ class Cut(Tracks):
         metadata=TRACK
     )  # (N, H, 2) m, true positions on the grid.
     too_short: int  # Recorded tracks below `min_duration_s`.
-    no_future: (
-        int  # Tracks that are long enough but do not cover the horizon after the split.
-    )
+    # Tracks that are long enough but do not cover the horizon after the split.
+    no_future: int
     further: "Mapping[float, Cut]" = field(default_factory=dict, kw_only=True)
     """By horizon, s: the same tracks with a longer future, those that cover it."""
     n_replaced: int = field(default=0, kw_only=True)

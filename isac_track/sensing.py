@@ -39,9 +39,8 @@ KNOTS: Final = 200
 class Channel:
     """Random part of the link of N tracks and M samples, without the two fitted spreads."""
 
-    large_scale: (
-        Floats  # (M,) standard normal; times `large_scale_db` the sample's gain in dB.
-    )
+    # (M,) standard normal; times `large_scale_db` the sample's gain in dB.
+    large_scale: Floats
     # (N, N_p) power of each path, exponential with mean 1 (Rayleigh amplitude).
     path_power: Floats
     # (N, N_p) excess delay, share of `delay_spread_s`; 0 of the first, direct.

@@ -29,12 +29,10 @@ Adding: TypeAlias = Literal["linear", "independent"]
 
 SHARED_LIMIT_M: Final = 1e10
 """Of a coordinate or std that is shared: ten times what is recorded, and no power overflows."""
-ESTIMATE_LIMIT_M: Final = (
-    1e12  # Of what is estimated from it: an extrapolation goes beyond it.
-)
-_ROUNDING: Final = (
-    1e-5  # Of a covariance over the larger variance: float32 after many steps.
-)
+# Of what is estimated from it: an extrapolation goes beyond it.
+ESTIMATE_LIMIT_M: Final = 1e12
+# Of a covariance over the larger variance: float32 after many steps.
+_ROUNDING: Final = 1e-5
 
 
 class Knowledge(Enum):
@@ -136,9 +134,8 @@ class Scenes:
     # (S,) m, true minimum separation between robot and agents over the horizon.
     separation: Floats
     conflict: Bools  # (S,) ground-truth label c (eq. conflict_rule on the true future).
-    exhausted: (
-        Ints  # (S,) agents whose placement ran out of redraws and kept the last draw.
-    )
+    # (S,) agents whose placement ran out of redraws and kept the last draw.
+    exhausted: Ints
     time_to_conflict_s: Floats = field(default_factory=lambda: np.empty(0))
     """(S,) s until any agent is inside; 0: one is already; NaN: no conflict, or it is not known."""
 
@@ -259,9 +256,8 @@ class Prediction:
     """Predicted positions of N tracks on a grid of H future times."""
 
     mean: Floats  # (N, H, 2) m
-    cov: Floats | None = (
-        None  # (N, H, 2, 2) m^2, symmetric positive semidefinite; None without.
-    )
+    # (N, H, 2, 2) m^2, symmetric positive semidefinite; None without.
+    cov: Floats | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, mean=("N", "H", 2))
@@ -276,9 +272,8 @@ class Reconstruction:
     """An adversary's estimate of where the N people of a release were, sample by sample."""
 
     xy: Floats  # (M, 2) m, in the frame of the release.
-    std: Floats | None = (
-        None  # (M,) m, standard deviation per axis that the attack claims, if any.
-    )
+    # (M,) m, standard deviation per axis that the attack claims, if any.
+    std: Floats | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, xy=("M", 2))

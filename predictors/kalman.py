@@ -26,9 +26,8 @@ from isac_track.types import (
 
 GATE = 18.4  # Chi-square quantile of 0.9999 with two degrees of freedom.
 WINDOW = 160  # Samples; what came before no longer moves the prediction (tested).
-LEAST_REST = (
-    0.05  # Share of what innovations show that is never put down to a slow error.
-)
+# Share of what innovations show that is never put down to a slow error.
+LEAST_REST = 0.05
 _PRIOR_STD = (
     100.0,
     10.0,
@@ -44,17 +43,14 @@ class KalmanCV:
     gate: float = GATE
     window: int = WINDOW
     noise: Literal["estimated", "declared"] = "estimated"
-    law: ErrorLaw = (
-        "radial"  # Of declared noise: a radial one has sigma^2 / 2 per axis.
-    )
+    # Of declared noise: a radial one has sigma^2 / 2 per axis.
+    law: ErrorLaw = "radial"
     engine: Literal["kernels", "filterpy"] = "kernels"
     aware: bool = False  # Told by `knowing`, before a run, which mechanism shares.
-    added_std_m: float = (
-        0.0  # Per axis, of the error that is added as far as the robot knows.
-    )
-    tau_s: float = (
-        0.0  # Of its correlation; 0: white. Of a slow one the whole history counts.
-    )
+    # Per axis, of the error that is added as far as the robot knows.
+    added_std_m: float = 0.0
+    # Of its correlation; 0: white. Of a slow one the whole history counts.
+    tau_s: float = 0.0
 
     states: ClassVar[int] = 2
 

@@ -13,13 +13,14 @@ ROOT = Path(isac_track.__file__).parent.parent
 COMMANDS = "evaluation"
 ORDER = (
     COMMANDS,
-    "evaluation.results",
+    "evaluation.api",
     "evaluation.reporting",
     "evaluation.verdict",
-    "evaluation.analysis",
-    "evaluation.runs",
-    "evaluation.cells",
-    "evaluation.experiment",
+    "evaluation.estimates",
+    "evaluation.pool",
+    "evaluation.store",
+    "evaluation.compute",
+    "evaluation.plan",
     "attacks",
     "predictors",
     "isac_track",
@@ -116,10 +117,10 @@ def test_no_module_imports_itself_by_a_detour(tree):
 
 
 def test_a_planted_fault_of_either_kind_is_found(tree):
-    first = {"predictors.first": "def late():\n    from evaluation.runs import second"}
+    first = {"predictors.first": "def late():\n    from evaluation.store import second"}
     second = {
-        "evaluation.runs.second": "if TYPE_CHECKING:\n    import predictors.first"
+        "evaluation.store.second": "if TYPE_CHECKING:\n    import predictors.first"
     }
     planted = tree | first | second
-    assert against_the_order(planted) == ["predictors.first -> evaluation.runs.second"]
+    assert against_the_order(planted) == ["predictors.first -> evaluation.store.second"]
     assert circle(planted) == {*first, *second}

@@ -14,14 +14,16 @@ import pytest
 from helpers.processes import ROOT
 from helpers.small_runs import one_process
 
-from evaluation.results import build
+from evaluation.api import build
 
 EXAMPLE = ROOT / "examples" / "tutorial"
 TEXT = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
 KEY = ["consumer", "metric", "mechanism", "level"]
 MINE = "geometric_median:GeometricMedian"
 FILES = (
-    *("report.html", "figures/after_attack.svg", "tables/attacks.tex"),
+    "report.html",
+    "figures/after_attack.svg",
+    "tables/attacks.tex",
     *(f"{name}.csv" for name in ("summary", "matched", "linkability")),
     *(f"{name}.json" for name in ("manifest", "verdict", "flags")),
 )

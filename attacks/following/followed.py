@@ -18,7 +18,7 @@ from isac_track.intervals import (
     effective_clusters,
     estimate_of,
 )
-from isac_track.patrol_intervals import (
+from isac_track.patrols.intervals import (
     FEWEST_ROUTES,
     cluster_numbers,
     sum_clusters,

@@ -25,9 +25,8 @@ from isac_track.types import Bools, Floats, Ints, stretches
 LONGEST_GAP_S: Final = 30.0  # Nobody's last state tells anything for longer.
 MOST_CANDIDATES: Final = 50  # Of a piece: the likeliest ones, of thousands.
 _TAIL: Final = 5.0  # Degrees of freedom.
-_RIDGE: Final = (
-    1e-3  # Keeps weights finite where training pieces are told apart without error.
-)
+# Keeps weights finite where training pieces are told apart without error.
+_RIDGE: Final = 1e-3
 _APART_S: Final = 1e-6
 _AT_A_TIME: Final = 500  # Pieces whose candidates are held in memory at once.
 _LARGEST: Final = 500.0  # Exponent: a surer link than that is sure.
@@ -39,9 +38,8 @@ class Links:
 
     before: Ints  # (C,) number of the earlier piece, rising.
     after: Ints  # (C,) number of the later piece.
-    features: (
-        Floats  # (C, F): log density, 1, log gap, and what else is known of the gap.
-    )
+    # (C, F): log density, 1, log gap, and what else is known of the gap.
+    features: Floats
     n_pieces: int
 
     def __getitem__(self, rows: Bools) -> "Links":

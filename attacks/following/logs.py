@@ -13,9 +13,9 @@ from attacks.following.chains import Followed, follow
 from attacks.following.links import Links, candidate_links, entropy_bits, next_pieces
 from attacks.following.pieces import Pieces, pieces_of_fleet
 from isac_track.noise import MIN_VARIANCE_M2
-from isac_track.patrol_answers import Disclosure, Network
-from isac_track.patrol_knowledge import Log, declared_variance, state_positions
 from isac_track.patrols import Patrol
+from isac_track.patrols.answers import Disclosure, Network
+from isac_track.patrols.knowledge import Log, declared_variance, state_positions
 from isac_track.protocols import Policy
 from isac_track.rng import stream
 from isac_track.types import Bools, Floats, Ints, squared_lengths

@@ -14,8 +14,8 @@ from scipy.sparse.csgraph import connected_components
 
 from isac_track.kalman import Batch, kalman_last
 from isac_track.noise import MIN_VARIANCE_M2
-from isac_track.patrol_answers import Disclosure, Network
-from isac_track.patrol_knowledge import declared_variance
+from isac_track.patrols.answers import Disclosure, Network
+from isac_track.patrols.knowledge import declared_variance
 from isac_track.types import Floats, Ints, stretches
 
 Q: Final = 0.05  # m^2/s^3, of people's acceleration: that of the linker `kinematic`.

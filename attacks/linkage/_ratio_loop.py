@@ -13,9 +13,8 @@ from isac_track.types import Floats, Ints
 
 _NEAR = 64  # Gallery walks at a time: all that is made of them stays in the cache.
 _Walks: TypeAlias = tuple[Floats, Floats, Floats, Ints]
-_NOTHING = (
-    64.0  # A lag less likely by this factor's exponential adds nothing to a double.
-)
+# A lag less likely by this factor's exponential adds nothing to a double.
+_NOTHING = 64.0
 _MIDDLE = exp(-0.5)
 _BESSEL = 3.75  # Where one approximation gives way to the other.
 _Told: TypeAlias = tuple[Floats, Floats, Floats]

@@ -38,9 +38,8 @@ class Shape:
     for rotation without reflection).
     """
 
-    floor_m2: float | None = (
-        None  # None: learnt from the training set, or `DEFAULT_FLOOR_M2`.
-    )
+    # None: learnt from the training set, or `DEFAULT_FLOOR_M2`.
+    floor_m2: float | None = None
     rank: int = 5
     """More tell more of a walk that is shared almost as it is, and hold more of the noise."""
     reach_s: float = 6.0  # s, greatest lag.
@@ -90,9 +89,8 @@ class Profile:
     that of `Shape`.
     """
 
-    factor: float | None = (
-        None  # Of the widths; None: learnt from the training set, or 1.
-    )
+    # Of the widths; None: learnt from the training set, or 1.
+    factor: float | None = None
     turn_m: float = 1.0
     floor: float | None = None  # None: learnt, or `DEFAULT_FLOOR`.
     reach_s: float = 6.0  # s, greatest lag.

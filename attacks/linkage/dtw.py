@@ -22,9 +22,8 @@ from isac_track.types import Floats, Knowledge, Release
 
 # Cells between those compared: 2 Hz of signals that are smoothed over more than that.
 _STRIDE = 2
-_TAUGHT_BY = (
-    48  # Mated pairs to learn from: five candidates on all would cost too much.
-)
+# Mated pairs to learn from: five candidates on all would cost too much.
+_TAUGHT_BY = 48
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +44,8 @@ class DTW:
     adaptive approach", Data Mining and Knowledge Discovery 31, 2017, 1-31.
     """
 
-    factor: float | None = (
-        None  # Of `signals.widths_s`; None: learnt from the training set, or 1.
-    )
+    # Of `signals.widths_s`; None: learnt from the training set, or 1.
+    factor: float | None = None
     turn_m: float = 1.0
     band: float = 0.15
     penalty: float | None = None  # None: learnt, or `DEFAULT_PENALTY`.

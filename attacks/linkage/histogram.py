@@ -18,9 +18,8 @@ _FASTEST_M_S = 2.2
 _AT_ONCE = (
     2**20
 )  # Pairs: of thousands of people all at once would take half a gigabyte.
-_TAUGHT_BY = (
-    64  # Mated pairs to learn from: four candidates on all would cost too much.
-)
+# Mated pairs to learn from: four candidates on all would cost too much.
+_TAUGHT_BY = 64
 _TURNS_RAD_S = np.array([-0.5, -0.2, 0.0, 0.2, 0.5])
 
 
@@ -47,12 +46,10 @@ class Histogram:
     Information Theory 61(1), 2015, 452-468.
     """
 
-    factor: float | None = (
-        None  # Of `signals.widths_s`; None: learnt from the training set, or 1.
-    )
-    speeds: int | None = (
-        None  # Centres from 0 to 2.2 m/s; None: learnt, or `DEFAULT_SPEEDS`.
-    )
+    # Of `signals.widths_s`; None: learnt from the training set, or 1.
+    factor: float | None = None
+    # Centres from 0 to 2.2 m/s; None: learnt, or `DEFAULT_SPEEDS`.
+    speeds: int | None = None
 
     kind: ClassVar[str] = "linkage"
     requires: ClassVar[frozenset[Knowledge]] = frozenset()

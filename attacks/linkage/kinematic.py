@@ -20,9 +20,8 @@ _PRIOR_STD = (100.0, 1.4)  # m around the first sample and m/s around rest: nobo
 # Degrees of freedom: people do turn and stop in a gap, more than white noise would.
 _TAIL = 5.0
 _SLACK_S = 0.5
-_LONGEST_S = (
-    60.0  # A longer gap counts as one of this length: nobody's state outlives it.
-)
+# A longer gap counts as one of this length: nobody's state outlives it.
+_LONGEST_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +44,8 @@ class Kinematic:
     to Tracking and Navigation*, 2001, ch. 6.2.
     """
 
-    q: float | None = (
-        None  # m^2/s^3; None: learnt from the training set, or `DEFAULT_Q`.
-    )
+    # m^2/s^3; None: learnt from the training set, or `DEFAULT_Q`.
+    q: float | None = None
     floor_m2: float | None = None
     """Least error variance per axis: a smoother's errors are correlated and do not show in the
     innovations. None: learnt, or `DEFAULT_FLOOR_M2`."""

@@ -14,9 +14,8 @@ from isac_track.types import Floats, Ints, Knowledge, Release, read_only
 _MOST_PAIRS = (
     2**19
 )  # Of which all scores are remembered, 4 MB for each linker and adversary.
-LEAST_MATES = (
-    8  # Fewer mated pairs teach nothing that could be trusted: defaults are kept.
-)
+# Fewer mated pairs teach nothing that could be trusted: defaults are kept.
+LEAST_MATES = 8
 MARGIN = 0.02  # Of the mean log rank: with 90 pairs a smaller gain is as likely chance.
 
 

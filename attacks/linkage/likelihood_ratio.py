@@ -54,9 +54,8 @@ class LikelihoodRatio:
     """
 
     floor_m2: float = 1e-3
-    lag_s: float = (
-        2.5  # Mean lag. Both were tried on 80 mated pairs of other people: no gain.
-    )
+    # Mean lag. Both were tried on 80 mated pairs of other people: no gain.
+    lag_s: float = 2.5
     q: float = 0.04  # m^2/s^3
     rank: int = 6
     window_s: float = 12.0  # What comes later in a walk is left out.

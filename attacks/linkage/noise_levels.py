@@ -17,19 +17,16 @@ from isac_track.noise import scaled_innovations_m2
 from isac_track.protocols import LinkageTrainingSet
 from isac_track.types import Floats, Ints, Release
 
-_RECENT_S: Final = (
-    2.0  # A sample counts by 1/e less for every so many seconds from the silence.
-)
+# A sample counts by 1/e less for every so many seconds from the silence.
+_RECENT_S: Final = 2.0
 _LONGEST_S: Final = 60.0  # An earlier sample counts as one of this age.
 _RELATIVE_VARIANCE: Final = 3.0
 """Variance of the log of a mean of n squared innovations, times n: neighbours share samples. It
 is 3 for radial errors and 1.9 for Gaussian ones (tested)."""
-_UNKNOWN: Final = (
-    1e6  # Variance of the log level of a track that is too short to have one.
-)
-_LEAST_M2: Final = (
-    1e-4  # (1 cm)^2: below it innovations show how people accelerate, not noise.
-)
+# Variance of the log level of a track that is too short to have one.
+_UNKNOWN: Final = 1e6
+# (1 cm)^2: below it innovations show how people accelerate, not noise.
+_LEAST_M2: Final = 1e-4
 _LEAST_VARIANCE: Final = 1e-2  # Of log levels over people.
 _CORRELATIONS: Final = tuple(step / 20.0 for step in range(20))
 

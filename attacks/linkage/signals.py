@@ -32,9 +32,8 @@ FULL_CELLS = 48.0  # 12 s: the overlap by which others are measured.
 EXPONENT = 3.0
 # Walks of either side that are compared at a time: their costs stay in the cache.
 _NEAR = 160
-LEAST_OVERLAP = (
-    8  # Cells, 2 s: a shorter overlap is tried only where a walk is no longer.
-)
+# Cells, 2 s: a shorter overlap is tried only where a walk is no longer.
+LEAST_OVERLAP = 8
 
 
 class Signals(NamedTuple):

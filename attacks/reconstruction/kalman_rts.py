@@ -37,9 +37,8 @@ class _Choice(NamedTuple):
 class KalmanRTS:
     """Constant velocity, white-noise acceleration; exact for Gaussian errors of known variance."""
 
-    q: float | None = (
-        None  # m^2/s^3; None: learnt from the training set, or `DEFAULT_Q`.
-    )
+    # m^2/s^3; None: learnt from the training set, or `DEFAULT_Q`.
+    q: float | None = None
 
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
     uses: ClassVar[frozenset[Knowledge]] = TOLD
@@ -63,9 +62,8 @@ class RadialRTS:
     is `KalmanRTS`.
     """
 
-    q: float | None = (
-        None  # As of `KalmanRTS`; if given, no track has a motion of its own.
-    )
+    # As of `KalmanRTS`; if given, no track has a motion of its own.
+    q: float | None = None
     passes: int | None = None
     """Smoothers; None: learnt from the training set, 1, `USUAL_PASSES` or twice as many; without
     one `USUAL_PASSES` if the errors look radial, else 1. Twice as many gain 1.3 to 2.3
@@ -118,9 +116,8 @@ class ImmRTS:
     Filter, smoother and their sources are those of `isac_track.kalman`.
     """
 
-    q: float | None = (
-        None  # m^2/s^3 while walking on; None, with `q_turn`: learnt or `DEFAULT_Q`.
-    )
+    # m^2/s^3 while walking on; None, with `q_turn`: learnt or `DEFAULT_Q`.
+    q: float | None = None
     q_turn: float | None = None  # m^2/s^3 while stopping or turning.
     walk_s: float = 4.0  # Mean time of walking on.
     turn_s: float = 1.5  # Mean time of stopping or turning.

@@ -35,9 +35,8 @@ TOLD = frozenset({Knowledge.MECHANISM, Knowledge.TRAIN, Knowledge.SIGMA})
 """What `learn_variance` and `choose` make use of."""
 _POWERS = (-1.0, 0.0, 1.0)
 N_CANDIDATES = len(_POWERS)  # What a built-in attack tries before it attacks.
-RADIAL_PER_AXIS = (
-    0.5  # Variance of a radial error of std 1: the paper's law, if nobody tells.
-)
+# Variance of a radial error of std 1: the paper's law, if nobody tells.
+RADIAL_PER_AXIS = 0.5
 _SIGMAS_M = np.geomspace(0.01, 8.0, 80)
 _FINE_SIGMAS_M = np.geomspace(
     0.01, 8.0, 240

@@ -11,9 +11,8 @@ from attacks.reconstruction.learning import around, smoother
 from isac_track.protocols import AttackContext, Reconstructor
 from isac_track.types import Floats, Ints, Knowledge, Reconstruction, Release
 
-REFERENCE_STD_M = (
-    0.5  # Noise per axis at which a window has its nominal width: but a scale.
-)
+# Noise per axis at which a window has its nominal width: but a scale.
+REFERENCE_STD_M = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,9 +25,8 @@ class MovingAverage:
     behind the walk.
     """
 
-    width_s: float | None = (
-        None  # At errors of 0.5 m per axis; None: learnt, or `DEFAULT_WIDTH_S`.
-    )
+    # At errors of 0.5 m per axis; None: learnt, or `DEFAULT_WIDTH_S`.
+    width_s: float | None = None
 
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
     uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})

@@ -43,14 +43,12 @@ _STEPS = (
 )  # Factors of the search about the best of the grid, one after the other.
 _MOST_STEPS = 8
 _N_FITTED = 40  # Tracks that the error is fitted to, at most.
-_LEAST_GAIN = (
-    2.0  # Of log likelihood a track: below, it explains no more than how people sway.
-)
+# Of log likelihood a track: below, it explains no more than how people sway.
+_LEAST_GAIN = 2.0
 _LEAST_TOGETHER = 20  # Samples: who is there for less is no companion.
 _KNOWN_M2 = 1e-4  # A known position is so good, per axis.
-_LEAST_REST = (
-    0.05  # Share of what innovations show that is never put down to a slow error.
-)
+# Share of what innovations show that is never put down to a slow error.
+_LEAST_REST = 0.05
 
 
 class _Choice(NamedTuple):

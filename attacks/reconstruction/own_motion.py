@@ -31,15 +31,13 @@ PRIOR_STD = (
     10.0,
 )  # m around the first sample and m/s around rest: far more than any walk.
 MOTIONS = Motions.with_speeds(
-    *(
-        (0.01, 1.0),
-        (0.05, 1.0),
-        (0.2, 2.0),
-        (0.2, 12.0),
-        (1.0, 4.0),
-        (1.0, 16.0),
-        (1.0, 64.0),
-    )
+    (0.01, 1.0),
+    (0.05, 1.0),
+    (0.2, 2.0),
+    (0.2, 12.0),
+    (1.0, 4.0),
+    (1.0, 16.0),
+    (1.0, 64.0),
 )
 """Speed, m/s per axis, and time, s: standing still, standing, shuffling, strolling, walking.
 

@@ -14,8 +14,8 @@ from attacks.reconstruction.own_motion import PRIOR_STD
 from isac_track.kalman import Batch, smooth_positions
 from isac_track.kalman.slow_errors import added_error
 from isac_track.kalman.steady import Q_M2_PER_S3
+from isac_track.mechanisms.protections import Laplace
 from isac_track.model_world import Motion, scale_m2, simulated
-from isac_track.protection import Laplace
 from isac_track.protocols import AttackContext, Reconstructor
 from isac_track.types import Floats, Knowledge, Reconstruction, Release, squared_lengths
 

@@ -41,18 +41,15 @@ from isac_track.types import (
     squared_lengths,
 )
 
-LEAST_PEOPLE = (
-    24  # Fewer cannot be split into who teaches, calibrates and is attacked, twice.
-)
-MOST_SIMULATED = (
-    300  # People of the two-session crowd: more can be simulated, and show no more.
-)
+# Fewer cannot be split into who teaches, calibrates and is attacked, twice.
+LEAST_PEOPLE = 24
+# People of the two-session crowd: more can be simulated, and show no more.
+MOST_SIMULATED = 300
 LEAST_COME_BACK = 8  # In a task that learns leaving one person out.
 WAY_STEP_S = 1 / 12  # Of the way along a walk: the mean step at which it is sensed.
 _ALIKE = 0.98  # Steps that differ by less are one rate, on a clock that is not exact.
-CLOCK_S = (
-    1e-6  # Room for the rounding of a clock: of frames at 25 Hz, of seconds since 1970.
-)
+# Room for the rounding of a clock: of frames at 25 Hz, of seconds since 1970.
+CLOCK_S = 1e-6
 _Starts: TypeAlias = Callable[[Floats, Floats, Generator], Floats]
 """Draws where both windows of a person begin, from the first samples of the tracks that they are
 cut from and by how much these are longer than needed, (2,) s each."""

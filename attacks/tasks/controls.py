@@ -34,19 +34,16 @@ class Control:
     score: Score | None
     """From probe, gallery and a stream to scores (P, G), higher = more alike; None: the scores
     of an attack, with shuffled mates."""
-    in_scene: Score | None = (
-        None  # The same in the true frame, if it must look another way there.
-    )
+    # The same in the true frame, if it must look another way there.
+    in_scene: Score | None = None
     is_audit: bool = True
-    hides_in_scene: bool = (
-        False  # Whether it sees what a task in the true frame shows on purpose.
-    )
+    # Whether it sees what a task in the true frame shows on purpose.
+    hides_in_scene: bool = False
     is_evidence_live: bool = False
     """Whether what it sees is evidence where both sides show one time of one walk: there it is an
     ablation, of what a linker could do by this alone, and no shortcut."""
-    sees_times_only: bool = (
-        False  # Whether all levels that share every sample are alike to it.
-    )
+    # Whether all levels that share every sample are alike to it.
+    sees_times_only: bool = False
     circumstance: tuple[
         int, ...
     ] = ()  # Columns of `circumstances`, which it sees instead.

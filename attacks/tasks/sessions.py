@@ -36,9 +36,8 @@ class Windows:
     offsets: Ints  # (N + 1,)
     person: Ints  # (N,) row in the people of the `Sessions`.
     search: Ints  # (N,) which search it belongs to: candidates are compared within one.
-    about: Floats | None = (
-        None  # (N, 6) `circumstances`, where a task controls for them.
-    )
+    # (N, 6) `circumstances`, where a task controls for them.
+    about: Floats | None = None
     walked_m: Floats | None = None
     """(M,) m, walked since the recorded walk began; None: as if each began with its window."""
 
@@ -70,9 +69,8 @@ class Sessions:
     learns: Bools
     """(2, K) people from whom the adversary of either fold learns; where the task is of few who
     come back, (K, K) from whom that of each person does."""
-    calibrates: (
-        Bools  # as `learns`: people on whose scores those of a fold are calibrated.
-    )
+    # as `learns`: people on whose scores those of a fold are calibrated.
+    calibrates: Bools
     too_short: int
     """Recorded tracks that are left out: shorter than the windows, or not there at the time."""
     not_drawn: int  # Further ones beyond `linkage.most_people`.
@@ -152,7 +150,8 @@ def circumstances(tracks: Tracks, rows: Ints, windows: Windows) -> Floats:
             tracks.t[last[of_run]] >= t.mean()
         )
         found[n] = (
-            *(np.cos(turn), np.sin(turn)),
+            np.cos(turn),
+            np.sin(turn),
             (out.conj() * step).imag.sum() / max(float(np.abs(out * step).sum()), 1e-9),
             there.sum(),
             t.mean() - tracks.t[first[of_run]].min(),

@@ -22,17 +22,14 @@ class Task:
 
     name: str
     about: str
-    shows_scene: bool = (
-        False  # Whether the releases come in the true frame and on the true clock.
-    )
+    # Whether the releases come in the true frame and on the true clock.
+    shows_scene: bool = False
     gap_s: float = 0.0  # Silence before all pseudonyms rotate.
-    comes_back: bool = (
-        False  # Of people in two sessions: so few that one is left out to learn.
-    )
+    # Of people in two sessions: so few that one is left out to learn.
+    comes_back: bool = False
     is_one_stretch: bool = False  # Whether both show the same steps, in part at least.
-    simulated: bool = (
-        False  # Whether it needs the two-session crowd instead of a recording.
-    )
+    # Whether it needs the two-session crowd instead of a recording.
+    simulated: bool = False
 
     @property
     def family(self) -> str:

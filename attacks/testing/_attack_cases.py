@@ -57,9 +57,8 @@ class ReconstructionCase(made.Case):
     chance: ClassVar[float] = (
         np.pi * EPSILON_M**2 / BOX_M**2
     )  # Of a truth drawn in the square.
-    easy_share: ClassVar[float] = (
-        0.5  # The shared positions themselves come to 1.0 there.
-    )
+    # The shared positions themselves come to 1.0 there.
+    easy_share: ClassVar[float] = 0.5
     easy_hint: ClassVar[str] = "does it smooth too much, or lag behind?"
     levels_m: ClassVar[tuple[float, ...]] = (0.3, 1.0, 3.0)
     achieved: ClassVar[str] = "PLR"
@@ -271,9 +270,8 @@ class LinkageCase(made.Case):
     mechanism: Fixed
     train: LinkageTrainingSet
     scene: bool  # Whether the true frame and clock are shown.
-    same_steps: bool = (
-        False  # Whether the gallery then shows the same steps as the probes.
-    )
+    # Whether the gallery then shows the same steps as the probes.
+    same_steps: bool = False
 
     @property
     def everything(self) -> frozenset[Knowledge]:  # type: ignore[override]  # a class variable elsewhere

@@ -18,16 +18,13 @@ Case: TypeAlias = Any  # One of those of `_attack_cases` or `_plugin_checks`.
 
 SAME = 1e-6  # Room for rounding: m, or a share of the spread of the scores.
 SAME_FRAME = 1e-5  # The same after a motion by some hundred metres and seconds.
-SAME_LEARNT = (
-    0.01  # Room for what a learner makes of the same examples in another order.
-)
-SPREADS = (
-    3.0  # So many times what two seeds of an attack that draws differ by, two runs may.
-)
+# Room for what a learner makes of the same examples in another order.
+SAME_LEARNT = 0.01
+# So many times what two seeds of an attack that draws differ by, two runs may.
+SPREADS = 3.0
 SURPRISE = 1e-6  # Probability with which chance alone would fail an attack.
-LEAK_ERRORS = (
-    4.5  # Of ten thousand sound attacks hardly one leaks so many standard errors.
-)
+# Of ten thousand sound attacks hardly one leaks so many standard errors.
+LEAK_ERRORS = 4.5
 STANDARD_ERRORS = 2.5  # One-sided 99 % for 24 people (Student's t).
 _LEAKS = "does the truth reach the attack by a way other than its context?"
 

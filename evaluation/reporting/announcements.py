@@ -10,13 +10,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from evaluation.experiment.presets import DEFAULT, PRESETS, Preset
-from evaluation.experiment.settings import AXES
+from evaluation.plan.presets import DEFAULT, PRESETS, Preset
+from evaluation.plan.settings import AXES
 from evaluation.reporting.notices import plan_notices
 from isac_track.config import StageSettings
 
 if TYPE_CHECKING:
-    from evaluation.experiment.plan import Plan
+    from evaluation.plan.plan import Plan
     from isac_track.plugins import Kind
 
 WIDTH: Final = 80  # Columns of the first screen.
@@ -67,13 +67,13 @@ def scenes_text(identity: Mapping[str, Any]) -> str:
 
 def plan_lines(ready: Plan) -> Iterator[str]:
     """Yield what a plan is about to do, what it leaves out, and what slow attacks cost."""
-    from evaluation.runs.files import CHECKSUMS  # noqa: PLC0415 - names alone need none
-    from evaluation.runs.folder import (  # noqa: PLC0415 - names alone need none
+    from evaluation.pool.pieces import (  # noqa: PLC0415 - names alone need none
+        n_finished,
+    )
+    from evaluation.store.files import CHECKSUMS  # noqa: PLC0415 - names alone need none
+    from evaluation.store.folder import (  # noqa: PLC0415 - names alone need none
         check_folder,
         usable,
-    )
-    from evaluation.runs.pieces import (  # noqa: PLC0415 - names alone need none
-        n_finished,
     )
 
     # Reading all of them would take seconds here; the run does, and says which are
@@ -90,7 +90,7 @@ def plan_lines(ready: Plan) -> Iterator[str]:
     slow = [one for one in ready.axes.consumers if one.is_slow]
     n_levels, costs = len(ready.axes.mechanisms), list[tuple[str, int, float]]()
     for spec in dict.fromkeys(one.spec for one in slow):
-        from evaluation.cells.reconstruction import (  # noqa: PLC0415 - seldom needed
+        from evaluation.compute.reconstruction import (  # noqa: PLC0415 - seldom needed
             slow_cost_s,
         )
 

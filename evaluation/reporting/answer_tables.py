@@ -8,19 +8,19 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis import paper
-from evaluation.analysis.frontier import GAP, LEVEL_READ, VALUE, usual_price
-from evaluation.analysis.keys import AS_SHARED, Source, rows_of, where_text
-from evaluation.analysis.matching import AT_EQUAL_ALARMS, FUTURE, MISSED
-from evaluation.analysis.metrics import (
+from evaluation.estimates import paper
+from evaluation.estimates.frontier import GAP, LEVEL_READ, VALUE, usual_price
+from evaluation.estimates.keys import AS_SHARED, Source, rows_of, where_text
+from evaluation.estimates.matching import AT_EQUAL_ALARMS, FUTURE, MISSED
+from evaluation.estimates.metrics import (
     EXPOSURE,
     METRICS,
     OF_ROBOT,
     SUCCESS,
     SUCCESS_OF_100,
 )
-from evaluation.analysis.strongest import HEADLINE
-from evaluation.experiment.constants import horizon_of
+from evaluation.estimates.strongest import HEADLINE
+from evaluation.plan.constants import horizon_of
 from evaluation.reporting import table as make
 from evaluation.reporting.lookups import family_of
 from evaluation.reporting.result_tables import laplace_notes

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from evaluation.analysis.families import CLEAN, RAW, SWEPT
-from evaluation.analysis.keys import Where
-from evaluation.analysis.metrics import DESCRIPTORS
+from evaluation.estimates.families import CLEAN, RAW, SWEPT
+from evaluation.estimates.keys import Where
+from evaluation.estimates.metrics import DESCRIPTORS
 from evaluation.reporting.amounts import (
     PERCENT,
     bare_percent,
@@ -52,9 +52,8 @@ class Answer:
 
     question: str
     topic: str  # The question in a word.
-    sentence: (
-        str  # What the first screen says: shares in % with half of their 95 % interval.
-    )
+    # What the first screen says: shares in % with half of their 95 % interval.
+    sentence: str
     details: tuple[str, ...] = ()  # Further sentences, for the page and `--verbose`.
 
 

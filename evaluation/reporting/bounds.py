@@ -3,9 +3,9 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from evaluation.analysis.bounds import Gap
-from evaluation.analysis.keys import Where
-from evaluation.analysis.metrics import (
+from evaluation.estimates.bounds import Gap
+from evaluation.estimates.keys import Where
+from evaluation.estimates.metrics import (
     CEILING,
     EXPOSURE,
     GAP,
@@ -13,7 +13,7 @@ from evaluation.analysis.metrics import (
     RANK_GAP,
     SUCCESS,
 )
-from evaluation.experiment.constants import MODEL, OTHER_LAW, OTHER_LAW_WORLD
+from evaluation.plan.constants import MODEL, OTHER_LAW, OTHER_LAW_WORLD
 from evaluation.reporting import table as make
 from evaluation.reporting.lookups import estimates
 from evaluation.reporting.rows import Results, mechanism_columns

@@ -10,16 +10,15 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from evaluation.analysis.families import FID, FIXED, RAW, Family
-from evaluation.analysis.frontier import front
-from evaluation.analysis.keys import level_text
+from evaluation.estimates.families import FID, FIXED, RAW, Family
+from evaluation.estimates.frontier import front
+from evaluation.estimates.keys import level_text
 from isac_track.intervals import Estimate
 from isac_track.types import Floats
 
 WIDTH: Final = 360.0
-CHARACTER: Final = (
-    5.6  # How wide a character is at most on average, in units of a chart.
-)
+# How wide a character is at most on average, in units of a chart.
+CHARACTER: Final = 5.6
 PERCENT: Final = 100.0
 INKS: Final = (
     "#0072b2",

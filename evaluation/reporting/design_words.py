@@ -9,8 +9,8 @@ from typing import Any, Final
 
 from rich.console import Console
 
-from evaluation.analysis.levels import COLUMNS
-from evaluation.analysis.metrics import (
+from evaluation.estimates.levels import COLUMNS
+from evaluation.estimates.metrics import (
     EXPOSURE,
     MEDIAN,
     METRICS,
@@ -34,8 +34,8 @@ from evaluation.reporting.noise_plan import plan_lines
 from evaluation.reporting.notices import few_people
 from evaluation.reporting.table import Cell, Column, Table, shortened
 from evaluation.reporting.terminal import Part
-from evaluation.runs.files import made_of
-from evaluation.runs.manifest import read_manifest
+from evaluation.store.files import made_of
+from evaluation.store.manifest import read_manifest
 from evaluation.verdict.what_to_share import (
     LIMITS,
     MISSED,

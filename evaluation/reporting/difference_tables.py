@@ -2,21 +2,18 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 from rich.console import Console
 
-from evaluation.analysis import differences as comparing
-from evaluation.analysis.calibration import FITTED, Calibration
-from evaluation.analysis.families import with_unit
-from evaluation.analysis.keys import Source, where_text
-from evaluation.analysis.metrics import METRICS
-from evaluation.analysis.paper import PUBLISHED
-from evaluation.experiment.constants import horizon_of
-from evaluation.experiment.variants import BASE
+from evaluation.estimates import differences as comparing
+from evaluation.estimates.families import with_unit
+from evaluation.estimates.keys import Source, where_text
+from evaluation.estimates.metrics import METRICS
+from evaluation.plan.constants import horizon_of
+from evaluation.plan.variants import BASE
 from evaluation.reporting import table as make
 from evaluation.reporting import terminal
 from evaluation.reporting.announcements import scenes_text
@@ -37,10 +34,6 @@ _MARKS = {
     comparing.PEOPLE: "~",
     comparing.NONE: "*",
 }  # Of a difference that is not paired in full.
-_ABOUT_CONSTANTS = (
-    "rates and PLR in %, lengths in s; fitted: raw PLR, raw MEL and the PLR of"
-    " fid:1000; the others (linear adding) were not fitted, but seen"
-)
 
 
 def to_json(comparison: comparing.Comparison, *, every: bool = False) -> dict[str, Any]:
@@ -318,33 +311,3 @@ def _variant_parts(rows: pd.DataFrame, left_out: Mapping[str, str]) -> list[Part
         _bold(head),
         *(f"- {line}" for line in lines),
     ]
-
-
-def show_constants(found: Mapping[str, Calibration]) -> None:
-    """Print constants and what they predict beside the paper's numbers, case by case."""
-    records = [
-        {"constant or number": make.word(name)}
-        | {
-            case: make.number(getattr(fit, name), digits=2)
-            for case, (fit, _) in found.items()
-        }
-        for name in FITTED
-    ]
-    for mechanism, at, metric, published in PUBLISHED:
-        spec = mechanism if at is None else f"{mechanism}:{at:g}"
-        scale, digits = METRICS[metric].scale, 1 if METRICS[metric].is_share else 2
-        number = partial(make.number, scale=scale, digits=digits)
-        row = {
-            "constant or number": make.word(f"{spec} {metric}"),
-            "paper": number(published),
-        }
-        row |= {case: number(ours[spec, metric]) for case, (_, ours) in found.items()}
-        records.append(row)
-    columns = [
-        make.held("constant or number", align="left"),
-        *map(make.held, ("paper", *found)),
-    ]
-    title = "paper, and what each set of constants gives"
-    terminal.show(
-        [make.built("calibration", title, records, columns, notes=[_ABOUT_CONSTANTS])]
-    )

@@ -9,7 +9,7 @@ from evaluation.reporting.glossary import glossary_page
 from evaluation.reporting.one_walk import longest_walk, one_walk
 from evaluation.reporting.page import level_names
 from evaluation.reporting.rows import Results
-from evaluation.runs.files import write_whole
+from evaluation.store.files import write_whole
 
 GLOSSARY_PAGE: Final = Path("docs", "glossary.md")
 FIGURES: Final = Path("docs", "figures")

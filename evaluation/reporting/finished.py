@@ -6,13 +6,13 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from evaluation.analysis.keys import keys_of
-from evaluation.analysis.metrics import ASSIGNED, EXPOSURE, SUCCESS
-from evaluation.analysis.strongest import strongest
+from evaluation.estimates.keys import keys_of
+from evaluation.estimates.metrics import ASSIGNED, EXPOSURE, SUCCESS
+from evaluation.estimates.strongest import strongest
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import Table
-from evaluation.runs.files import FRAMES, made_of
-from evaluation.runs.manifest import read_manifest
+from evaluation.store.files import FRAMES, made_of
+from evaluation.store.manifest import read_manifest
 
 
 class _Known(NamedTuple):

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, Final
 
-from evaluation.analysis import weak_attacks
-from evaluation.analysis.families import CLEAN
-from evaluation.analysis.keys import Where
+from evaluation.estimates import weak_attacks
+from evaluation.estimates.families import CLEAN
+from evaluation.estimates.keys import Where
 from evaluation.reporting import table as make
 from evaluation.reporting.amounts import PERCENT, counted, listed, percent_cell, whole
 from evaluation.reporting.announcements import WIDTH, near, wrapped
@@ -45,7 +45,7 @@ from evaluation.reporting.recommendation import recommended_levels
 from evaluation.reporting.result_tables import control_tests
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import Column, Table, printable, shortened
-from evaluation.runs.files import PAGE
+from evaluation.store.files import PAGE
 from evaluation.verdict.rules import DOES_NOT
 from isac_track.linkability import LEVEL
 
@@ -58,12 +58,10 @@ _LABEL_WIDTH: Final = 27
 _CORNER: Final = ("± half of a 95 % interval", "what is shared")
 _ROBOT_WIDTH: Final = 8  # Characters of a name over a column.
 _MOST_LINKED: Final = 2  # Tasks that have a column.
-_MUCH: Final = (
-    0.2  # Of the mean speed of all tracks: by so much those used differ worth a doubt.
-)
-_SLACK: Final = (
-    0.05  # Of missed conflicts, above what raw costs: what the next question allows.
-)
+# Of the mean speed of all tracks: by so much those used differ worth a doubt.
+_MUCH: Final = 0.2
+# Of missed conflicts, above what raw costs: what the next question allows.
+_SLACK: Final = 0.05
 _CUTS: Final = ("split", "jump", "clock", "id-reuse")
 """Repairs that make several tracks of one person."""
 

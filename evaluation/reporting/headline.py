@@ -10,10 +10,10 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.bounds import Gap, gaps
-from evaluation.analysis.families import CLEAN, SWEPT, Family, families_in
-from evaluation.analysis.keys import AS_SHARED, Key, Measure, Source, Where, worlds_of
-from evaluation.analysis.metrics import (
+from evaluation.estimates.bounds import Gap, gaps
+from evaluation.estimates.families import CLEAN, SWEPT, Family, families_in
+from evaluation.estimates.keys import AS_SHARED, Key, Measure, Source, Where, worlds_of
+from evaluation.estimates.metrics import (
     ASSIGNED,
     EXPOSURE,
     MISSED_FUTURE,
@@ -22,11 +22,11 @@ from evaluation.analysis.metrics import (
     SUCCESS_OF_100,
     WORST_TENTH,
 )
-from evaluation.analysis.strongest import against_each, by_task, rules_of, strongest
-from evaluation.analysis.strongest_table import ONE_RELEASE
-from evaluation.analysis.worst_off import LEAST_PEOPLE, LEAST_RELEASES
-from evaluation.experiment.constants import OTHER_LAW_WORLD, horizon_of, horizon_world
-from evaluation.experiment.presets import BASELINE
+from evaluation.estimates.strongest import against_each, by_task, rules_of, strongest
+from evaluation.estimates.strongest_table import ONE_RELEASE
+from evaluation.estimates.worst_off import LEAST_PEOPLE, LEAST_RELEASES
+from evaluation.plan.constants import OTHER_LAW_WORLD, horizon_of, horizon_world
+from evaluation.plan.presets import BASELINE
 from evaluation.reporting import table as make
 from evaluation.reporting.lookups import HEADLINE, estimates, family_of
 from evaluation.reporting.names import mechanism_name, robot_name, task_head
@@ -45,8 +45,14 @@ TASKS: Final = ("handover-1s", "handover-5s", "cross_session", "rerelease")
 MOST_LEVELS: Final = 14
 _MISSED, _LINKED = "missed conflicts", "re-identified"
 _METRICS = (
-    *(MISSED_RATE, MISSED_FUTURE, EXPOSURE, WORST_TENTH),
-    *(SUCCESS, ASSIGNED, SUCCESS_OF_100, "chance"),
+    MISSED_RATE,
+    MISSED_FUTURE,
+    EXPOSURE,
+    WORST_TENTH,
+    SUCCESS,
+    ASSIGNED,
+    SUCCESS_OF_100,
+    "chance",
 )
 
 

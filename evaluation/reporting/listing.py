@@ -12,7 +12,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from evaluation.experiment.presets import PRESETS
+from evaluation.plan.presets import PRESETS
 from isac_track.config import StageSettings
 
 if TYPE_CHECKING:

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Final
 
 import pandas as pd
 
-from evaluation.analysis.families import Family
-from evaluation.analysis.keys import Key, keys_of
+from evaluation.estimates.families import Family
+from evaluation.estimates.keys import Key, keys_of
 
 if TYPE_CHECKING:
     from isac_track.intervals import Estimate

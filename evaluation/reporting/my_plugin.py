@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-from evaluation.analysis.keys import level_text
-from evaluation.analysis.own_plugins import ATTACK, LINKER, MECHANISM, PREDICTOR
+from evaluation.estimates.keys import level_text
+from evaluation.estimates.own_plugins import ATTACK, LINKER, MECHANISM, PREDICTOR
 from evaluation.reporting.names import attack_name, robot_name, task_phrase
 from evaluation.reporting.rows import Results
 

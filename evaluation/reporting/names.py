@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Final
 
-from evaluation.analysis.families import Family
-from evaluation.analysis.keys import level_text
+from evaluation.estimates.families import Family
+from evaluation.estimates.keys import level_text
 from evaluation.reporting.table import spoken
 
 _MECHANISMS: Final = {

@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING, Any, Final
 
-from evaluation.experiment.constants import BLOCK_SCENES
+from evaluation.plan.constants import BLOCK_SCENES
 from evaluation.reporting.amounts import counted, listed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from evaluation.experiment.plan import Plan
+    from evaluation.plan.plan import Plan
 
 USUAL_DISTANCE_M: Final = (
     20.0,
@@ -109,7 +109,7 @@ def plan_notices(
     `slow_costs` has an entry for each slow attack: its SPEC, the number of its
     adversaries, and the time that it takes in one process, s, NaN if it does not say.
     """
-    from evaluation.runs.manifest import (  # noqa: PLC0415 - names alone need none
+    from evaluation.store.manifest import (  # noqa: PLC0415 - names alone need none
         about_data,
     )
     from isac_track.datasets.registry import (  # noqa: PLC0415 - names alone need none

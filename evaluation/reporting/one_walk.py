@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.families import RAW
+from evaluation.estimates.families import RAW
 from evaluation.reporting.charts import PERCENT
 from evaluation.reporting.markup import HTML
 from evaluation.reporting.names import attack_name

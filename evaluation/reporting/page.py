@@ -5,9 +5,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from attacks.tasks.task_list import TASKS
-from evaluation.analysis import weak_attacks
-from evaluation.analysis.keys import Source, is_attack
-from evaluation.experiment.presets import IDENTITY, SHARED
+from evaluation.estimates import weak_attacks
+from evaluation.estimates.keys import Source, is_attack
+from evaluation.plan.presets import IDENTITY, SHARED
+from evaluation.pool.pieces import failed_lines
 from evaluation.reporting.amounts import counted
 from evaluation.reporting.announcements import changed_settings, command, scenes_text
 from evaluation.reporting.answers import answers, headline_of
@@ -23,8 +24,7 @@ from evaluation.reporting.rows import Results
 from evaluation.reporting.table import decision
 from evaluation.reporting.tables import page_tables
 from evaluation.reporting.takeaways import level_name
-from evaluation.runs.files import PAGE, write_whole
-from evaluation.runs.pieces import failed_lines
+from evaluation.store.files import PAGE, write_whole
 
 
 def write(run: Results, *, figures: Sequence[Figure]) -> Path:

@@ -4,18 +4,17 @@ import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
-from evaluation.experiment.axes import usual_jobs
-from evaluation.experiment.presets import DEFAULT
+from evaluation.plan.axes import usual_jobs
+from evaluation.plan.presets import DEFAULT
+from evaluation.pool.duration import wall_s
 from evaluation.reporting.announcements import command
-from evaluation.runs.duration import wall_s
 
 PAPER: Final = "paper"
 _SCENES_S: Final = 27.9  # For each million samples in the scenes.
 _RERELEASE_S: Final = 703.0  # For each million pairs of the task `rerelease`.
 _HANDOVER_S: Final = 1650.0  # For each million pairs of the task `handover-1s`.
-_TRAVERSAL_S: Final = (
-    7.5  # The people of the simulated sessions are the same in every run.
-)
+# The people of the simulated sessions are the same in every run.
+_TRAVERSAL_S: Final = 7.5
 """CPU seconds of all cells of `paper`. To lay out its cells would take seconds; these factors give
 the estimate of `--dry-run` to a twentieth on Students03, Zara01 and plaza."""
 _WITH_VALUE: Final = ("--preset", "--out")

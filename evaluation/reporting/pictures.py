@@ -6,9 +6,9 @@ from typing import Final, NamedTuple
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.families import RAW
-from evaluation.analysis.keys import Measure, Where
-from evaluation.analysis.metrics import MISSED_RATE
+from evaluation.estimates.families import RAW
+from evaluation.estimates.keys import Measure, Where
+from evaluation.estimates.metrics import MISSED_RATE
 from evaluation.reporting import takeaways
 from evaluation.reporting.answers import reference
 from evaluation.reporting.charts import (

@@ -8,9 +8,8 @@ from datetime import timedelta
 from importlib import import_module
 from typing import Final
 
-_REPORT: Final = (
-    0.12  # What the report takes of the time of the cells, measured: 11 to 13 %.
-)
+# What the report takes of the time of the cells, measured: 11 to 13 %.
+_REPORT: Final = 0.12
 _LEAST_S, _LEAST_SHARE = 3.0, 0.03  # Before, nobody can say how long it will take.
 _MARKS: Final = (
     0.1,

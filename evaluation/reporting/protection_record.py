@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 
 from attacks.tasks.task_list import TASKS
-from evaluation.analysis.families import RAW
-from evaluation.analysis.keys import Where
+from evaluation.estimates.families import RAW
+from evaluation.estimates.keys import Where
 from evaluation.reporting.amounts import counted, listed, sentence_case
 from evaluation.reporting.answers import reference
 from evaluation.reporting.charts import share

@@ -4,9 +4,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from evaluation.analysis.keys import Where
-from evaluation.analysis.metrics import EXPOSURE, MEDIAN, METRICS, SUCCESS, WIDE
-from evaluation.analysis.strongest import BEYOND
+from evaluation.estimates.keys import Where
+from evaluation.estimates.metrics import EXPOSURE, MEDIAN, METRICS, SUCCESS, WIDE
+from evaluation.estimates.strongest import BEYOND
 from evaluation.reporting.amounts import (
     PERCENT,
     bare_percent,
@@ -43,9 +43,8 @@ from isac_track.intervals import FEWEST_EFFECTIVE, Estimate
 from isac_track.privacy import WIDE_TIMES
 
 _MOST_NAMED: Final = 2  # Levels that a sentence names.
-_MANY_TIMES: Final = (
-    9.5  # From here on, how many times as many is told without decimals.
-)
+# From here on, how many times as many is told without decimals.
+_MANY_TIMES: Final = 9.5
 _FEW_TIMES: Final = 1.1
 _FALSE_ALARMS: Final = "false_alarm"
 _WHY: Final[Mapping[Unknown, str]] = {

@@ -10,8 +10,8 @@ from typing import Any, Final
 import pandas as pd
 
 from attacks.tasks.controls import CONTROLS
-from evaluation.analysis.families import CLEAN, LEVEL_UNITS, families_in
-from evaluation.analysis.keys import (
+from evaluation.estimates.families import CLEAN, LEVEL_UNITS, families_in
+from evaluation.estimates.keys import (
     AS_SHARED,
     Source,
     is_attack,
@@ -19,8 +19,8 @@ from evaluation.analysis.keys import (
     where_text,
     worlds_of,
 )
-from evaluation.analysis.linkability import INVALID, REMARKS, LinkedTask, remarks
-from evaluation.analysis.metrics import (
+from evaluation.estimates.linkability import INVALID, REMARKS, LinkedTask, remarks
+from evaluation.estimates.metrics import (
     DESCRIPTORS,
     EXPOSURE,
     METRICS,
@@ -31,16 +31,16 @@ from evaluation.analysis.metrics import (
     SUCCESS_OF_100,
     UTILITY,
 )
-from evaluation.analysis.strongest import most_knowing
-from evaluation.experiment.constants import ORACLE, horizon_of
-from evaluation.experiment.presets import IDENTITY, SHARED
+from evaluation.estimates.strongest import most_knowing
+from evaluation.plan.constants import ORACLE, horizon_of
+from evaluation.plan.presets import IDENTITY, SHARED
 from evaluation.reporting import rows as picked
 from evaluation.reporting import table as make
 from evaluation.reporting.lookups import family_of
 from evaluation.reporting.notices import approximation
 from evaluation.reporting.table import Cell, Column, Table
 from isac_track.linkability import LEVEL
-from isac_track.protection import Laplace
+from isac_track.mechanisms.protections import Laplace
 
 PAPER_REPORTS: Final = 366  # Of a track of the paper.
 MARKS = dict(zip(REMARKS, "~^!", strict=True))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.families import (
+from evaluation.estimates.families import (
     ADDING_RULES,
     FID,
     FIXED,
@@ -21,9 +21,9 @@ from evaluation.analysis.families import (
     Family,
     families_in,
 )
-from evaluation.analysis.keys import Source, Where, level_text
-from evaluation.analysis.metrics import METRICS, MISSED_RATE
-from evaluation.experiment.presets import DISSOCIATION, SHARED
+from evaluation.estimates.keys import Source, Where, level_text
+from evaluation.estimates.metrics import METRICS, MISSED_RATE
+from evaluation.plan.presets import DISSOCIATION, SHARED
 from evaluation.reporting.announcements import scenes_text
 from evaluation.reporting.lookups import ENDS, HEADLINE, estimates, family_of
 from evaluation.reporting.names import FAMILY_NAMES
@@ -34,7 +34,7 @@ from isac_track.types import Floats
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from evaluation.analysis.linkability import LinkedTask
+    from evaluation.estimates.linkability import LinkedTask
     from evaluation.reporting.headline import Headline
     from evaluation.reporting.table import Table
     from evaluation.verdict.what_to_share import Question, Recommendation
@@ -42,9 +42,8 @@ if TYPE_CHECKING:
 
 CONTROLS: Final = frozenset(spec.partition(":")[0] for spec in DISSOCIATION)
 """Families that are there to tear a descriptor and linkability apart."""
-_LOG_SPAN = (
-    30.0  # The axis of a mechanism that we do not know is logarithmic from there on.
-)
+# The axis of a mechanism that we do not know is logarithmic from there on.
+_LOG_SPAN = 30.0
 _LEVELS: Final = {FID: "eta {}", FIXED: "{} m"}
 _KNOWN: Final = {
     FID: ("FID noise", "eta (1/(m² s))", True),
@@ -92,9 +91,8 @@ class Results:
     """Numbers of the strongest attack against each mechanism, cross-fitted: `strongest.csv`."""
     first_table_of: Callable[[Results], Table] | None = None
     """What makes the table of the first screen, for a notebook."""
-    gallery: pd.DataFrame | None = (
-        None  # As in `gallery.parquet`; None without, and of `load`.
-    )
+    # As in `gallery.parquet`; None without, and of `load`.
+    gallery: pd.DataFrame | None = None
 
     @property
     def measured(self) -> pd.DataFrame:
@@ -357,7 +355,7 @@ class Results:
     @cached_property
     def tasks(self) -> list[LinkedTask]:
         """The tasks in which somebody links, of the run's data set or of their own."""
-        from evaluation.analysis.linkability import (  # noqa: PLC0415 - see `load`
+        from evaluation.estimates.linkability import (  # noqa: PLC0415 - see `load`
             dataset_of,
             linked_tasks,
         )

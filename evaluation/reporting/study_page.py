@@ -5,14 +5,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from evaluation.analysis.pooled import FEWEST, OWN_GALLERY, QUESTIONS, Answered
+from evaluation.estimates.pooled import FEWEST, OWN_GALLERY, QUESTIONS, Answered
 from evaluation.reporting.charts import CHARACTER, PERCENT, Chart, Look, bar
 from evaluation.reporting.lookups import ENDS
 from evaluation.reporting.markup import HTML
 
-SET_CONSTANTS: Final = (
-    "students03"  # The constants of the sensing model were fitted on it.
-)
+# The constants of the sensing model were fitted on it.
+SET_CONSTANTS: Final = "students03"
 _STEP: Final = 14.0
 _PREDICTED: Final = "a further recording"
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from evaluation.analysis.keys import level_text
-from evaluation.analysis.metrics import METRICS
+from evaluation.estimates.keys import level_text
+from evaluation.estimates.metrics import METRICS
 
 if TYPE_CHECKING:
     from isac_track.intervals import Estimate
@@ -83,13 +83,11 @@ class Table:
     columns: Sequence[Column]
     rows: Sequence[Sequence[Cell]]
     notes: Sequence[str] = ()
-    marks: Mapping[str, str] | None = (
-        None  # Of every mark that may be used: what it means.
-    )
+    # Of every mark that may be used: what it means.
+    marks: Mapping[str, str] | None = None
     n_headings: int = 0  # Leading columns: LaTeX has a rule where they change.
-    n_keys: int = (
-        1  # Leading columns that say what a row is of: repeated where a table is split.
-    )
+    # Leading columns that say what a row is of: repeated where a table is split.
+    n_keys: int = 1
 
     @property
     def numeric(self) -> list[bool]:

@@ -18,11 +18,17 @@ import pandas as pd
 from rich.console import Console
 from rich.text import Text
 
-from evaluation.analysis import weak_attacks
-from evaluation.analysis.families import families_in
-from evaluation.analysis.keys import INFORMED, Source, keys_of, worlds_of
-from evaluation.analysis.metrics import RECONSTRUCTION, SUCCESS, SUCCESS_OF_100, UTILITY
-from evaluation.analysis.strongest_table import ONE_RELEASE
+from evaluation.estimates import weak_attacks
+from evaluation.estimates.families import families_in
+from evaluation.estimates.keys import INFORMED, Source, keys_of, worlds_of
+from evaluation.estimates.metrics import (
+    RECONSTRUCTION,
+    SUCCESS,
+    SUCCESS_OF_100,
+    UTILITY,
+)
+from evaluation.estimates.strongest_table import ONE_RELEASE
+from evaluation.pool.pieces import failed_lines
 from evaluation.reporting import answer_tables, terminal
 from evaluation.reporting import result_tables as measured
 from evaluation.reporting.announcements import changed_settings
@@ -49,15 +55,13 @@ from evaluation.reporting.notices import (
 from evaluation.reporting.rows import Results, by_level, telling
 from evaluation.reporting.table import Table, built, estimated, held, said
 from evaluation.reporting.terminal import Part
-from evaluation.runs.files import to_csv, write_whole
-from evaluation.runs.pieces import failed_lines
+from evaluation.store.files import to_csv, write_whole
 from isac_track.errors import DataError
 
 _BLOCK = re.compile(r"(<!-- table: (\S+) (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 _WIDE: Final = 160  # Columns of `tables.txt`.
-_REFERENCE: Final = (
-    "smoke"  # The preset whose numbers the tests hold a fresh run against.
-)
+# The preset whose numbers the tests hold a fresh run against.
+_REFERENCE: Final = "smoke"
 _SHOWN: Final = (*UTILITY, *RECONSTRUCTION, SUCCESS, SUCCESS_OF_100, "chance")
 
 
@@ -207,9 +211,8 @@ _FIRST: Final[dict[str, Callable[[Headline], Table]]] = {
     "screen": short_table,
 }
 """First tables of a run by the name in a block: they take all error laws and strongest attacks."""
-_STRONGEST: Final = (
-    "-strongest"  # Of the name of a file: the numbers of the strongest attacks.
-)
+# Of the name of a file: the numbers of the strongest attacks.
+_STRONGEST: Final = "-strongest"
 DOCS: Final[dict[str, Callable[[pd.DataFrame], Table]]] = {  # By the name in a block.
     "sweep": lambda summary: measured.sweep_tables(summary)[0],
     "exposure": measured.exposure_table,

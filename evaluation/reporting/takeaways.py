@@ -6,9 +6,9 @@ from typing import Final
 
 import numpy as np
 
-from evaluation.analysis.families import RAW
-from evaluation.analysis.frontier import front
-from evaluation.analysis.keys import Where
+from evaluation.estimates.families import RAW
+from evaluation.estimates.frontier import front
+from evaluation.estimates.keys import Where
 from evaluation.reporting.amounts import bare_percent, whole
 from evaluation.reporting.charts import PERCENT, Point
 from evaluation.reporting.headline import Headline

@@ -12,12 +12,10 @@ from rich.text import Text
 
 from evaluation.reporting.table import Table, printable
 
-PIPE_WIDTH = (
-    116  # Columns where there is no terminal: room for every interval of a sweep.
-)
-Part: TypeAlias = (
-    "Table | str | tuple[str, str]"  # A table, or a text, which may have a style.
-)
+# Columns where there is no terminal: room for every interval of a sweep.
+PIPE_WIDTH = 116
+# A table, or a text, which may have a style.
+Part: TypeAlias = "Table | str | tuple[str, str]"
 _HEAD_WIDTH = 10
 
 

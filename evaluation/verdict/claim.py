@@ -10,10 +10,10 @@ from typing import Final
 
 import numpy as np
 
-from evaluation.analysis.families import ADDING_RULES, FID, FIXED
-from evaluation.analysis.frontier import TARGETS
-from evaluation.analysis.keys import AS_SHARED, Measure, Source
-from evaluation.analysis.matching import (
+from evaluation.estimates.families import ADDING_RULES, FID, FIXED
+from evaluation.estimates.frontier import TARGETS
+from evaluation.estimates.keys import AS_SHARED, Measure, Source
+from evaluation.estimates.matching import (
     AT_EQUAL_ALARMS,
     CRITERIA,
     FUTURE,
@@ -22,8 +22,8 @@ from evaluation.analysis.matching import (
     Sweeps,
     at_changes,
 )
-from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS_OF_100
-from evaluation.analysis.strongest import success_of
+from evaluation.estimates.metrics import DESCRIPTORS, METRICS, SUCCESS_OF_100
+from evaluation.estimates.strongest import success_of
 from evaluation.verdict import rules
 from evaluation.verdict.items import Draft
 from evaluation.verdict.rules import NAME, known

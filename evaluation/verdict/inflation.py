@@ -5,10 +5,10 @@ from itertools import product
 
 import numpy as np
 
-from evaluation.analysis.families import ADDING_RULES
-from evaluation.analysis.keys import AS_SHARED, Source
-from evaluation.analysis.matching import Sweeps
-from evaluation.analysis.metrics import DESCRIPTORS
+from evaluation.estimates.families import ADDING_RULES
+from evaluation.estimates.keys import AS_SHARED, Source
+from evaluation.estimates.matching import Sweeps
+from evaluation.estimates.metrics import DESCRIPTORS
 from evaluation.verdict import rules
 from evaluation.verdict.items import Draft
 from evaluation.verdict.rules import NAME

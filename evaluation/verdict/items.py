@@ -14,8 +14,8 @@ from typing import Any, Final
 import numpy as np
 from scipy.special import ndtr, ndtri, stdtrit
 
-from evaluation.analysis.matching import MIN_DEFINED
-from evaluation.experiment.constants import horizon_world
+from evaluation.estimates.matching import MIN_DEFINED
+from evaluation.plan.constants import horizon_world
 from evaluation.verdict import rules
 from evaluation.verdict.rules import BETWEEN, NOT_TESTABLE, known
 from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE, LEAST_CLUSTERS, Estimate
@@ -37,9 +37,8 @@ class Draft:
     unit: str
     sentences: Mapping[str, str]  # By decision, "" all others; ``{}`` is the effect.
     subject: str = ""  # The attack that it is about, if it is about one.
-    untestable: str = (
-        ""  # Why nothing can be decided, where more than people is lacking.
-    )
+    # Why nothing can be decided, where more than people is lacking.
+    untestable: str = ""
     descriptor: str = ""
     task: str = ""
     criterion: str = ""

@@ -12,12 +12,12 @@ from typing import Final
 import numpy as np
 
 from attacks.tasks.task_list import TASKS
-from evaluation.analysis.families import FID, FIXED, RAW, Family
-from evaluation.analysis.keys import where_text
-from evaluation.analysis.linkability import dataset_of
-from evaluation.analysis.linked_people import LinkedTask
-from evaluation.analysis.matching import FEWEST_LEVELS, MIN_DEFINED
-from evaluation.experiment.presets import PRESETS
+from evaluation.estimates.families import FID, FIXED, RAW, Family
+from evaluation.estimates.keys import where_text
+from evaluation.estimates.linkability import dataset_of
+from evaluation.estimates.linked_people import LinkedTask
+from evaluation.estimates.matching import FEWEST_LEVELS, MIN_DEFINED
+from evaluation.plan.presets import PRESETS
 from evaluation.verdict import rules, spread
 from evaluation.verdict.spread import NEITHER, Contrasts
 from isac_track import plugins
@@ -30,9 +30,8 @@ from isac_track.intervals import (
 from isac_track.types import Floats, Ints
 
 N_REPLICATES: Final = 1000
-OFFSET: Final = (
-    "offset"  # Moves a whole walk: who links where the frame is hidden cannot notice.
-)
+# Moves a whole walk: who links where the frame is hidden cannot notice.
+OFFSET: Final = "offset"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -68,9 +67,8 @@ class Panel:
     fid: list[int]  # Alike; empty without a sweep.
     others: list[int]  # Of the preset.
     beside: list[int]  # Of the user, or a protection.
-    missing: (
-        str  # What the panel lacks; empty if it is whole, with a dissociation control.
-    )
+    # What the panel lacks; empty if it is whole, with a dissociation control.
+    missing: str
 
     def is_hidden(self, place: int) -> bool:
         """Return whether a level changes only what the task hides: a difference by construction."""

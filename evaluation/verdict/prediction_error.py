@@ -12,8 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from evaluation.analysis.families import FID, FIXED, RAW
-from evaluation.analysis.matching import interpolated, nearest_places, rising
+from evaluation.estimates.families import FID, FIXED, RAW
+from evaluation.estimates.matching import interpolated, nearest_places, rising
 from isac_track.intervals import percentile_interval
 from isac_track.types import Floats
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from evaluation.analysis.metrics import DESCRIPTORS, METRICS
+from evaluation.estimates.metrics import DESCRIPTORS, METRICS
 from isac_track.intervals import Estimate
 
 NAME: Final = {name: METRICS[name].head for name in DESCRIPTORS}
@@ -26,27 +26,21 @@ SIGN: Final = {  # Of a decision.
 
 VALIDITY, WITHIN, CLAIM, INFLATION = "validity", "within", "claim", "inflation"
 SECTIONS: Final = (VALIDITY, WITHIN, CLAIM, INFLATION)
-BAND_COVERAGE: Final = (
-    0.992  # Share of studies in which the bands of a section hold all truths.
-)
-SUCCESS_MARGIN: Final = (
-    0.05  # Difference in rank 1 that counts as none: five people in a hundred.
-)
-LEAST_SPAN: Final = (
-    1.25  # Of a descriptor, raw over the strongest fixed error: less says nothing.
-)
+# Share of studies in which the bands of a section hold all truths.
+BAND_COVERAGE: Final = 0.992
+# Difference in rank 1 that counts as none: five people in a hundred.
+SUCCESS_MARGIN: Final = 0.05
+# Of a descriptor, raw over the strongest fixed error: less says nothing.
+LEAST_SPAN: Final = 1.25
 LEAST_CORRELATION: Final = 0.10  # Partial, of ranks: less tells nothing of a track.
-LEAST_FALL: Final = (
-    0.20  # Of linkage, raw to the strongest fixed error: else anything would track.
-)
-FEWEST_DISCORDANT: Final = (
-    10  # People linked under one of two only; fewer: interval of counts.
-)
+# Of linkage, raw to the strongest fixed error: else anything would track.
+LEAST_FALL: Final = 0.20
+# People linked under one of two only; fewer: interval of counts.
+FEWEST_DISCORDANT: Final = 10
 NO_SPREAD: Final = 1e-9  # Standard error below which replicates say nothing.
 MOST_PEOPLE: Final = 100_000  # Or times as many: nobody records more.
-REACH: Final = (
-    0.02  # Share of its span by which a point may lie beyond the fixed sweep.
-)
+# Share of its span by which a point may lie beyond the fixed sweep.
+REACH: Final = 0.02
 
 
 def numbers(one: Estimate) -> dict[str, Any]:

@@ -12,10 +12,10 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from evaluation.analysis.keys import Measure, Source
-from evaluation.analysis.linked_people import LinkedProbes, by_cluster
-from evaluation.analysis.matching import FUTURE, Sweeps
-from evaluation.analysis.metrics import EXPOSURE
+from evaluation.estimates.keys import Measure, Source
+from evaluation.estimates.linked_people import LinkedProbes, by_cluster
+from evaluation.estimates.matching import FUTURE, Sweeps
+from evaluation.estimates.metrics import EXPOSURE
 from evaluation.verdict import claim, inflation, rules
 from evaluation.verdict.items import Draft, decided
 from evaluation.verdict.validity import validity

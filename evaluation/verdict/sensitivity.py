@@ -8,9 +8,9 @@ from urllib.parse import quote_plus, unquote_plus
 
 import pandas as pd
 
-from evaluation.analysis.differences import verdict_of
-from evaluation.experiment.variants import BASE, variants
-from evaluation.runs.manifest import read_manifest
+from evaluation.estimates.differences import verdict_of
+from evaluation.plan.variants import BASE, variants
+from evaluation.store.manifest import read_manifest
 from isac_track.errors import DataError
 
 FOLDER: Final = "sensitivity"
@@ -19,18 +19,24 @@ SAME, NEITHER, TURNED = "same", "not decided before and after", "changed sign"
 LOST, GAINED, MISSING = "lost", "gained", "missing"
 CHANGES: Final = (SAME, NEITHER, TURNED, LOST, GAINED, MISSING)
 COLUMNS: Final = (
-    *("variant", "id", "section", "adding", "descriptor", "task", "subject"),
-    *(
-        "decision_base",
-        "decision",
-        "effect_base",
-        "effect",
-        "ci_low",
-        "ci_high",
-        "unit",
-        "n",
-    ),
-    *("sign_base", "sign", "changed"),
+    "variant",
+    "id",
+    "section",
+    "adding",
+    "descriptor",
+    "task",
+    "subject",
+    "decision_base",
+    "decision",
+    "effect_base",
+    "effect",
+    "ci_low",
+    "ci_high",
+    "unit",
+    "n",
+    "sign_base",
+    "sign",
+    "changed",
 )
 _SAME: Final = (
     "seed",

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from scipy.special import betaincinv, ndtr, stdtrit
 
-from evaluation.analysis.matching import interpolated, nearest_places, rising
+from evaluation.estimates.matching import interpolated, nearest_places, rising
 from evaluation.verdict import rules
 from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE
 from isac_track.types import Bools, Floats, Ints

@@ -12,10 +12,10 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from evaluation.analysis.families import ADDING_RULES, Family
-from evaluation.analysis.keys import where_text
-from evaluation.analysis.linked_people import LinkedTask
-from evaluation.analysis.metrics import DESCRIPTORS
+from evaluation.estimates.families import ADDING_RULES, Family
+from evaluation.estimates.keys import where_text
+from evaluation.estimates.linked_people import LinkedTask
+from evaluation.estimates.metrics import DESCRIPTORS
 from evaluation.verdict import rules, spread
 from evaluation.verdict.panel import Panel, Sums, contrasts, drawn_weights, panel
 from evaluation.verdict.prediction_error import WHITE, Squared, prediction_errors

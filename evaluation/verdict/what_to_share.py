@@ -15,10 +15,10 @@ import numpy as np
 import pandas as pd
 
 from attacks.tasks.task_list import TASKS
-from evaluation.analysis.best_robot import BEST
-from evaluation.analysis.families import ADDING_RULES, RAW, Family
-from evaluation.analysis.keys import AS_SHARED, Source, Where
-from evaluation.analysis.metrics import (
+from evaluation.estimates.best_robot import BEST
+from evaluation.estimates.families import ADDING_RULES, RAW, Family
+from evaluation.estimates.keys import AS_SHARED, Source, Where
+from evaluation.estimates.metrics import (
     DESCRIPTORS,
     EQUAL_ALARMS,
     EXPOSURE,
@@ -32,8 +32,8 @@ from evaluation.analysis.metrics import (
     SUCCESS_OF_100,
     WIDE,
 )
-from evaluation.analysis.strongest import BEYOND
-from evaluation.analysis.strongest_table import ONE_RELEASE
+from evaluation.estimates.strongest import BEYOND
+from evaluation.estimates.strongest_table import ONE_RELEASE
 from isac_track.errors import SettingsError, did_you_mean
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate
 
@@ -41,9 +41,8 @@ MOST_PLR: Final = 0.5  # After attack: below it most positions are kept.
 MOST_LINKAGE_SHARE: Final = 0.5  # Of raw's rank 1 above chance.
 HORIZON_S: Final = 3.0
 MOST_PROPOSALS: Final = 5
-MOST_TIMES: Final = (
-    10.0  # So many times the scenes of a run still bring people who were in none.
-)
+# So many times the scenes of a run still bring people who were in none.
+MOST_TIMES: Final = 10.0
 LEADING: Final = "handover-1s"
 MISSED, LINKED = "missed", "linkage_share"
 LIMITS: Final = {  # By name in a question and in an answer: the metric.

@@ -11,12 +11,12 @@ import numpy as np
 import pandas as pd
 from scipy.special import stdtrit
 
-from evaluation.analysis.families import ADDING_RULES, RAW
-from evaluation.analysis.keys import Source
-from evaluation.analysis.linked_people import LinkedProbes
-from evaluation.analysis.matching import Sweeps
-from evaluation.analysis.metrics import DESCRIPTORS
-from evaluation.analysis.summary import N_REPLICATES
+from evaluation.estimates.families import ADDING_RULES, RAW
+from evaluation.estimates.keys import Source
+from evaluation.estimates.linked_people import LinkedProbes
+from evaluation.estimates.matching import Sweeps
+from evaluation.estimates.metrics import DESCRIPTORS
+from evaluation.estimates.summary import N_REPLICATES
 from evaluation.verdict import rules
 from evaluation.verdict.items import Draft
 from evaluation.verdict.rules import NAME, known

@@ -104,9 +104,8 @@ _CONVERTED = {
     ),
 }
 """How files of other kinds become a csv, by their extension."""
-_Read: TypeAlias = (
-    "tuple[Tracks, tuple[Repair, ...], str, str]"  # Tracks, repairs, hash, format.
-)
+# Tracks, repairs, hash, format.
+_Read: TypeAlias = "tuple[Tracks, tuple[Repair, ...], str, str]"
 SLOW_MPS = 0.2  # Slower steps than this are not walking.
 FROZEN_SHARE = 0.9
 """Of steps of no length in a nearly frozen track: an annotation whose end tells the whole walk."""

@@ -29,9 +29,8 @@ from isac_track.types import Floats, Tracks
 ARCHIVE = "gc.tgz"
 FPS = 25.0
 LONGEST_STEP_FRAMES = 20  # Between two annotations; a longer gap ends the track.
-FAST_PIECE_MPS = (
-    4.0  # Nobody crosses a hall as fast: steps of the annotation, to be counted.
-)
+# Nobody crosses a hall as fast: steps of the annotation, to be counted.
+FAST_PIECE_MPS = 4.0
 _USED = re.compile(r"(?:.*/)?(Annotation/\d{1,9}\.txt|H\.json)")
 MOST_MEMBERS = 30_000  # Files and folders of an archive; Grand Central's has 12,693.
 MOST_BYTES = 64_000_000  # Of an archive unpacked; Grand Central's takes 22 million.

@@ -40,13 +40,11 @@ _DECIMAL = re.compile(r"[+-]?\d+\.\d*(e[+-]?\d+)?", re.IGNORECASE)
 _NUMBER = re.compile(r"[+-]?\d*\.?\d*(e[+-]?\d+)?", re.IGNORECASE)  # Or nothing at all.
 _LONGEST_NAME = 200  # Characters: ids stand in messages, tables and figures.
 _BLOCK_BYTES = 1 << 18
-_FREE_ROWS = (
-    500_000  # Above it a file needs a byte a row: equal rows pack a thousandfold.
-)
+# Above it a file needs a byte a row: equal rows pack a thousandfold.
+_FREE_ROWS = 500_000
 _FREE_BYTES = 50_000_000
-_MOST_TIMES = (
-    100  # A file above `_FREE_BYTES` unpacked may be this many times its size.
-)
+# A file above `_FREE_BYTES` unpacked may be this many times its size.
+_MOST_TIMES = 100
 
 
 def read_csv(

@@ -33,9 +33,8 @@ _MOT = (
     "width",
     "height",
 )  # Further columns are not used.
-_MOT_GROUND_TRUTH = (
-    9  # Columns of MOT16 and later; before the last, visibility, the class:
-)
+# Columns of MOT16 and later; before the last, visibility, the class:
+_MOT_GROUND_TRUTH = 9
 _MOT_PEOPLE = (-1, 1, 7)  # not said, a pedestrian, somebody who stands.
 _SDD = (
     "id",
@@ -163,9 +162,9 @@ def _table(
 
     try:
         # The stubs know no call whose options are handed on.
-        return pd.read_csv(
+        return pd.read_csv(  # type: ignore[call-overload, no-any-return]
             io.BytesIO(data), dtype=str, skiprows=skip, skipinitialspace=True, **how
-        )  # type: ignore[call-overload, no-any-return]
+        )
     except (ValueError, UnicodeError, MemoryError, OverflowError, csv.Error) as error:
         raise DataError(f"{path}: cannot be read as {name} ({told(error)})") from None
 

@@ -56,9 +56,8 @@ ON_DUPLICATE = ("error", "first", "mean")
 _EARTH_M = 6_378_137.0  # Semi-major axis of WGS 84,
 _FLATNESS = 0.00669437999014  # and its first eccentricity, squared.
 _SEVERAL = 5  # People whose walks say which axis is which; of fewer it may be chance.
-_STEADIER = (
-    0.8  # Of how unsteady a walk is: so much less speaks for another order of the axes.
-)
+# Of how unsteady a walk is: so much less speaks for another order of the axes.
+_STEADIER = 0.8
 FPS_LIMITS = (
     1e-3,
     1e6,
@@ -121,9 +120,8 @@ class Rows:
     # Of `LENGTHS`, that the file says its lengths are in; empty if it says nothing.
     unit: str = ""
     unit_by: str = "the header"  # Who says so, for messages.
-    split_s: float | None = (
-        None  # The longest step within a track, if the format says so.
-    )
+    # The longest step within a track, if the format says so.
+    split_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

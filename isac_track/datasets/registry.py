@@ -41,14 +41,12 @@ _OPENTRAJ = (
 )
 CONNECT_TIMEOUT_S = 5.0
 READ_TIMEOUT_S = 30.0
-LEAST_S = (
-    60.0  # A download may take this long, plus what a slow line takes for its size.
-)
+# A download may take this long, plus what a slow line takes for its size.
+LEAST_S = 60.0
 LEAST_BYTES_PER_S = 50_000.0
 _CHUNK_BYTES = 16_384
-_MOST_BYTES = (
-    100_000_000  # Far more than any known file: what goes on for longer is none.
-)
+# Far more than any known file: what goes on for longer is none.
+_MOST_BYTES = 100_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,20 +57,17 @@ class Known:
     about: str = ""
     citation: str = ""
     licence: str = ""
-    session: int | None = (
-        None  # Number of the bundled session, if this is the bundled crowd.
-    )
+    # Number of the bundled session, if this is the bundled crowd.
+    session: int | None = None
     format: str = ""
     fps: float | None = None
     sha256: Mapping[str, str] = field(default_factory=dict)
     """Hash of every file, by file name; empty if bundled or of one's own."""
     remote: str = ""  # Its folder in OpenTraj.
-    sessions: str = (
-        ""  # Which of its files are sessions; hashes, where known, are in `sha256`.
-    )
-    get: str = (
-        ""  # How to get what is never downloaded from here: a folder, named like it.
-    )
+    # Which of its files are sessions; hashes, where known, are in `sha256`.
+    sessions: str = ""
+    # How to get what is never downloaded from here: a folder, named like it.
+    get: str = ""
 
 
 _TABLES = tomllib.loads(

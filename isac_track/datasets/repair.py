@@ -10,15 +10,12 @@ from isac_track.datasets.recording import FOOT_M, TIMES, Repair, Rows, steps_wit
 from isac_track.errors import DataError
 from isac_track.types import Bools, Floats, Ints, Tracks
 
-SAME_TIME_S = (
-    1e-7  # Closer samples of an id are one: no rate is above 1 MHz, slopes overflow.
-)
-LONGEST_STEP_S = (
-    10.0  # With a longer usual step no walk is seen, and interpolation eats memory.
-)
-GAP_STEPS = (
-    1.75  # A step of more median steps of the file is a gap (a lost frame makes 2).
-)
+# Closer samples of an id are one: no rate is above 1 MHz, slopes overflow.
+SAME_TIME_S = 1e-7
+# With a longer usual step no walk is seen, and interpolation eats memory.
+LONGEST_STEP_S = 10.0
+# A step of more median steps of the file is a gap (a lost frame makes 2).
+GAP_STEPS = 1.75
 # A gap over this and `SPLIT_STEPS` ends the track: to bridge it invents a walk.
 SPLIT_S = 2.0
 SPLIT_STEPS = 3.0  # Slow recordings may have longer gaps: this many median steps.
@@ -40,9 +37,8 @@ DETOUR_CUTS = 3  # An id is back from somebody else behind at most so many furth
 METRES_PER_DEGREE = 111_320.0  # Of latitude.
 NEAR_STEPS = 0.5  # A step of fewer usual steps of its id is the same sample twice,
 NEAR_M = 0.5  # unless it leads further than this.
-CLOCK_S = (
-    1e-4  # Shorter steps are those of no sensor: they say nothing of the usual step.
-)
+# Shorter steps are those of no sensor: they say nothing of the usual step.
+CLOCK_S = 1e-4
 FROZEN_S = 2.0  # At exactly one place for so long: a box that is repeated.
 _ZIGZAG_M = 0.02  # Beside a walk at `WALK_MPS`.
 _LEAST_RUN = 3  # Rows between two falls of a clock; fewer are rows out of order.

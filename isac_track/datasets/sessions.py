@@ -11,9 +11,8 @@ from isac_track.datasets.repair import walking_groups
 from isac_track.errors import DataError
 from isac_track.types import Floats, Tracks
 
-APART_S = (
-    60.0  # From the last sample of a session to the first of the next, on one clock.
-)
+# From the last sample of a session to the first of the next, on one clock.
+APART_S = 60.0
 _SUFFIXES = (".csv", ".ndjson", ".parquet", ".txt")
 _SAME_STEP = 0.01  # Usual steps of sessions may differ by this share.
 

@@ -91,9 +91,8 @@ class LastState:
     # (N, 2, d) m, m/s, m/s^2: per axis position, velocity, then acceleration.
     mean: Floats
     cov: Floats  # (N, d, d) covariance of either axis; the axes are independent.
-    log_likelihood: (
-        Floats  # (N,) log density of a track's accepted samples, 1/m^2 each.
-    )
+    # (N,) log density of a track's accepted samples, 1/m^2 each.
+    log_likelihood: Floats
 
 
 def kalman_last(batch: Batch, *, q: float, gate: float = np.inf) -> LastState:
@@ -113,12 +112,10 @@ def kalman_last(batch: Batch, *, q: float, gate: float = np.inf) -> LastState:
     out = LastState(*(np.empty((len(batch), *size)) for size in ((2, d), (d, d), ())))
     loops = import_module("isac_track.kalman._linear_loops")
     (loops.cv_last if d == 2 else loops.ca_last)(  # noqa: PLR2004 - position and velocity
-        *(
-            arrays,
-            positive("q", q),
-            positive("gate", gate, finite=False),
-            MAX_REJECTIONS,
-        ),
+        arrays,
+        positive("q", q),
+        positive("gate", gate, finite=False),
+        MAX_REJECTIONS,
         (out.mean, out.cov, out.log_likelihood),
     )
     return out
@@ -210,9 +207,8 @@ class ImmStates:
     mean: Floats  # (N, 2, 2, 2) m, m/s: per mode and axis position and velocity.
     cov: Floats  # (N, 2, 4, 4) of (x, vx, y, vy) under each mode.
     probability: Floats  # (N, 2) of the modes.
-    log_likelihood: (
-        Floats  # (N,) log density of a track's accepted samples, 1/m^2 each.
-    )
+    # (N,) log density of a track's accepted samples, 1/m^2 each.
+    log_likelihood: Floats
 
 
 def imm_last(batch: Batch, moods: Moods, *, gate: float = np.inf) -> ImmStates:
@@ -228,8 +224,10 @@ def imm_last(batch: Batch, moods: Moods, *, gate: float = np.inf) -> ImmStates:
         np.empty((n, 2, 2, 2)), np.empty((n, 2, 4, 4)), np.empty((n, 2)), np.empty(n)
     )
     import_module("isac_track.kalman._imm_loops").imm_last(
-        *(batch.arrays(2), moods.arrays(batch.t)),
-        *(positive("gate", gate, finite=False), MAX_REJECTIONS),
+        batch.arrays(2),
+        moods.arrays(batch.t),
+        positive("gate", gate, finite=False),
+        MAX_REJECTIONS,
         (out.mean.reshape(n, 2, 4), out.cov, out.probability, out.log_likelihood),
     )
     return out

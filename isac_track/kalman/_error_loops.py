@@ -335,7 +335,11 @@ def _mixed(
 
 
 @compiled(
-    *(_BATCH, FLOAT, together(read(1, "int64"), read(2), read(1)), INT, FLOAT),
+    _BATCH,
+    FLOAT,
+    together(read(1, "int64"), read(2), read(1)),
+    INT,
+    FLOAT,
     together(written(2), written(1), written(1)),
 )
 def smooth_tracks(
@@ -501,7 +505,10 @@ def _filled(
 
 
 @compiled(
-    *(_BATCH, together(read(1, "int64"), read(2), read(1)), INT, FLOAT),
+    _BATCH,
+    together(read(1, "int64"), read(2), read(1)),
+    INT,
+    FLOAT,
     together(written(2), written(1), written(1)),
 )
 def smooth_lanes(

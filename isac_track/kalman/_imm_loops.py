@@ -377,8 +377,13 @@ def imm_smoother(
                     for n in range(modes):
                         _orthogonal(dt, q[n], work)
                         share[m, n] = _smooth_pair(
-                            *(dt, x[k, m], x[k + 1, n], p[k + 1, n]),
-                            *(work, pair_x[m, n], pair_p[m, n]),
+                            dt,
+                            x[k, m],
+                            x[k + 1, n],
+                            p[k + 1, n],
+                            work,
+                            pair_x[m, n],
+                            pair_p[m, n],
                         )
                 for n in range(modes):
                     best = -inf

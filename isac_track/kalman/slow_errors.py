@@ -102,8 +102,11 @@ def filter_tracks(
     n, causal = len(batch), np.empty((batch.t.size, 2))
     out = LastState(np.empty((n, 2, 3)), np.empty((n, 3, 3)), np.empty(n))
     import_module("isac_track.kalman._error_loops").filter_tracks(
-        *(error.arrays(batch), error.tau_s, positive("q", q)),
-        *(positive("gate", gate, finite=False), MAX_REJECTIONS),
+        error.arrays(batch),
+        error.tau_s,
+        positive("q", q),
+        positive("gate", gate, finite=False),
+        MAX_REJECTIONS,
         (out.mean, out.cov, out.log_likelihood, causal),
     )
     return out, causal

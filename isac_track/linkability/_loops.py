@@ -28,7 +28,11 @@ _ASIDE = 8  # Minima kept side by side.
 
 
 @compiled(
-    *(read(2), read(2, "int64"), read(1), read(1), read(1, "int64")),
+    read(2),
+    read(2, "int64"),
+    read(1),
+    read(1),
+    read(1, "int64"),
     together(written(2), written(2, "int32"), written(2, "int64"), written(2, "int64")),
 )
 def rank_rows(
@@ -93,8 +97,12 @@ def rank_rows(
 
 
 @compiled(
-    *(read(2), read(1, "int64"), read(1, "int64"), INT),
-    *(written(1, "uint16"), written(2, "uint16")),
+    read(2),
+    read(1, "int64"),
+    read(1, "int64"),
+    INT,
+    written(1, "uint16"),
+    written(2, "uint16"),
 )
 def shuffle(
     uniform: Floats,
@@ -138,8 +146,12 @@ def shuffle(
 
 
 @compiled(
-    *(read(2, "uint16"), read(1, "int64"), read(2), read(2, "uint8")),
-    *(written(1), written(2, "uint16")),
+    read(2, "uint16"),
+    read(1, "int64"),
+    read(2),
+    read(2, "uint8"),
+    written(1),
+    written(2, "uint16"),
 )
 def add_shuffles(
     columns: Places,
@@ -309,7 +321,10 @@ def _occupied(counts: Ints) -> tuple[Ints, int]:
     together(
         read(2, "int64"), *[read(1, "int64")] * 3, read(1, "int32"), read(2, "int64")
     ),
-    *(read(1, "uint8"), read(2), read(1), written(2)),
+    read(1, "uint8"),
+    read(2),
+    read(1),
+    written(2),
 )
 def read_scores(
     table: Bins, pairs: _Pairs, bins: Bins, totals: Floats, levels: Floats, out: Floats

@@ -20,15 +20,12 @@ from isac_track.types import Bools, Floats, Ints
 _SCALINGS: Final = 300
 _SCALED: Final = 1e-5
 _FARTHEST: Final = 200.0  # Nats: what is less likely is as good as impossible.
-_LEAST_SLACK: Final = (
-    1e-3  # Probes, and candidates, that may be alone even if all have a mate.
-)
-_STEEPEST: Final = (
-    8.0  # Logarithm of the greatest scale, and of the least, per spread of scores.
-)
-_SCALE_PENALTY: Final = (
-    1e-3  # Of the squared scale per spread: keeps it finite without errors.
-)
+# Probes, and candidates, that may be alone even if all have a mate.
+_LEAST_SLACK: Final = 1e-3
+# Logarithm of the greatest scale, and of the least, per spread of scores.
+_STEEPEST: Final = 8.0
+# Of the squared scale per spread: keeps it finite without errors.
+_SCALE_PENALTY: Final = 1e-3
 
 
 def open_matches(log_ratios: Floats, *, n_links: float) -> Floats:

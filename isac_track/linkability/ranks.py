@@ -49,9 +49,8 @@ class Search:
     mate: Ints
     probe_cluster: Ints  # (P,) cluster (person or walking group) of each probe.
     gallery_cluster: Ints  # (G,)
-    scale: int = (
-        0  # Searches of one scale come from one fitted attack: their scores compare.
-    )
+    # Searches of one scale come from one fitted attack: their scores compare.
+    scale: int = 0
 
     def __post_init__(self) -> None:
         _check_scores(self.scores, self.mate)

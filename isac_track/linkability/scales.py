@@ -28,8 +28,15 @@ standard deviations of the estimate (0.08 from 1,000)."""
 LEVELS = {"tpr_at_fpr_1pct": 0.01, "tpr_at_fpr_01pct": 0.001}
 METRICS = ("auc", "eer", "cllr_min", *LEVELS, "d_sys", "d_sys_published", "cllr")
 _COLUMNS = (
-    *("d_sys", "d_sys_published", "auc", "eer", "cllr_min"),
-    *("tpr_at_fpr_1pct", "realised_fpr_1pct", "tpr_at_fpr_01pct", "realised_fpr_01pct"),
+    "d_sys",
+    "d_sys_published",
+    "auc",
+    "eer",
+    "cllr_min",
+    "tpr_at_fpr_1pct",
+    "realised_fpr_1pct",
+    "tpr_at_fpr_01pct",
+    "realised_fpr_01pct",
 )
 """What the loop over the scores writes."""
 # Numbers that a vector instruction treats at most: replicates are a multiple of it.
@@ -132,7 +139,10 @@ def score_scale(
     loops.read_scores(
         people.table,
         (*people.who, np.concatenate([cell.ravel() for cell in cut.places]), counts),
-        *(cut.bins, people.totals, np.array([*LEVELS.values()]), columns),
+        cut.bins,
+        people.totals,
+        np.array([*LEVELS.values()]),
+        columns,
     )
 
     n_non_mated, n_mated = counts.sum(axis=0).tolist()

@@ -223,6 +223,9 @@ def _read(mated: Floats, non_mated: Floats, *levels: float) -> Floats:
             place.astype(np.int32),
             counts,
         ),
-        *(bins, totals.astype(float), np.array(levels, float), out),
+        bins,
+        totals.astype(float),
+        np.array(levels, float),
+        out,
     )
     return np.asarray(out[:, 0])

@@ -221,7 +221,8 @@ def draw(
     """Return what `scorecard` draws for searches of these people."""
     return tuple(
         Drawn(
-            *(one, rng.permutation(significance.n_candidates(one))),
+            one,
+            rng.permutation(significance.n_candidates(one)),
             significance.shuffled_mates(
                 significance.mated_probes(one), rng, n_shuffles
             ),

@@ -236,7 +236,10 @@ def rank_rows(
     log_rank, cell = np.empty(scores.shape), np.empty(scores.shape, dtype=np.int32)
     standing = np.tile([-1, 0], (len(scores), 1))
     import_loops().rank_rows(
-        *(scores, _ascending(scores), breaks, log_factorials(scores.shape[1])),
+        scores,
+        _ascending(scores),
+        breaks,
+        log_factorials(scores.shape[1]),
         np.ascontiguousarray(mate, dtype=np.int64),
         (log_rank, cell, standing, counts),
     )

@@ -5,8 +5,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from isac_track.mechanisms.perturb import check_at_least
 from isac_track.policies.query import Form, Query, SelectOn
-from isac_track.sharing import check_at_least
 from isac_track.types import Bools, positive
 
 WINDOW_S = 1.3
@@ -80,9 +80,8 @@ class Ahead:
 
     metres: float  # m, margin around the route.
     window_s: float | None = WINDOW_S  # None: all history.
-    horizon_s: float = (
-        HORIZON_S  # How far ahead the forecast is held against the route.
-    )
+    # How far ahead the forecast is held against the route.
+    horizon_s: float = HORIZON_S
     stds: float = 0.0  # Standard deviations of the forecast that widen the margin.
     select_on: SelectOn = "raw"
 

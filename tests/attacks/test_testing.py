@@ -56,33 +56,27 @@ def built_in(kind):
 MECHANISMS = [
     plugins.parse("mechanisms", spec)[0]
     for spec in (
-        *(
-            "raw",
-            "clean",
-            "offset:0.3",
-            "thin:3",
-            "thin:3,d_sigma=0.5,adding=independent",
-        ),
-        *(
-            "fixed:0",
-            "fixed:0.5",
-            "fixed:0.5,adding=independent",
-            "fixed:0,adding=independent",
-        ),
-        *(
-            "fixed:0.5,adding=independent,law=isotropic",
-            "fid:100",
-            "fid:1000,adding=independent",
-        ),
-        *("correlated:0.5", "correlated:0.5,tau_s=9,adding=independent"),
-        *(
-            "ou:1",
-            "ou:1,tau_s=0.5,reuse=session",
-            "ou_fid:100",
-            "laplace:0.7",
-            "forecast:0.3",
-        ),
-        *("window:0.7", "window:0.7,d_sigma=0.5"),
+        "raw",
+        "clean",
+        "offset:0.3",
+        "thin:3",
+        "thin:3,d_sigma=0.5,adding=independent",
+        "fixed:0",
+        "fixed:0.5",
+        "fixed:0.5,adding=independent",
+        "fixed:0,adding=independent",
+        "fixed:0.5,adding=independent,law=isotropic",
+        "fid:100",
+        "fid:1000,adding=independent",
+        "correlated:0.5",
+        "correlated:0.5,tau_s=9,adding=independent",
+        "ou:1",
+        "ou:1,tau_s=0.5,reuse=session",
+        "ou_fid:100",
+        "laplace:0.7",
+        "forecast:0.3",
+        "window:0.7",
+        "window:0.7,d_sigma=0.5",
     )
 ]
 

@@ -18,12 +18,12 @@ from scipy.stats import t as student
 
 import evaluation
 from evaluation import compare
-from evaluation.analysis import summary
-from evaluation.analysis.differences import COLUMNS, pairing
-from evaluation.analysis.differences import compare as compared
-from evaluation.analysis.metrics import METRICS
+from evaluation.estimates import summary
+from evaluation.estimates.differences import COLUMNS, pairing
+from evaluation.estimates.differences import compare as compared
+from evaluation.estimates.metrics import METRICS
 from evaluation.reporting.difference_tables import show
-from evaluation.runs.manifest import read_manifest
+from evaluation.store.manifest import read_manifest
 from isac_track.config import StageSettings
 from isac_track.linkability.significance import holm
 

@@ -9,21 +9,21 @@ from helpers.finished_runs import make_summary
 from helpers.small_runs import smoke, write_walks
 
 import evaluation
-from evaluation.analysis.decisions import curve
-from evaluation.analysis.frontier import usual_price
-from evaluation.analysis.horizons import TIME_COLUMNS, beaten_by_standing_still
-from evaluation.analysis.keys import Measure, horizons_in, worlds_of
-from evaluation.analysis.metrics import MISSED_FUTURE, MISSED_RATE
-from evaluation.analysis.summary import clusters, weights_of
-from evaluation.experiment.constants import horizon_of, horizon_world, is_world
-from evaluation.experiment.presets import BASELINE, PRESETS
+from evaluation.estimates.decisions import curve
+from evaluation.estimates.frontier import usual_price
+from evaluation.estimates.horizons import TIME_COLUMNS, beaten_by_standing_still
+from evaluation.estimates.keys import Measure, horizons_in, worlds_of
+from evaluation.estimates.metrics import MISSED_FUTURE, MISSED_RATE
+from evaluation.estimates.summary import clusters, weights_of
+from evaluation.plan.constants import horizon_of, horizon_world, is_world
+from evaluation.plan.presets import BASELINE, PRESETS
 from evaluation.reporting import tables
 from evaluation.reporting.answers import answers, lead_robot
 from evaluation.reporting.figures.conflict_times import figures
 from evaluation.reporting.first_screen import first_screen, screen_columns
 from evaluation.reporting.headline import Shown, headline
 from evaluation.reporting.notices import notices
-from evaluation.runs.cell_files import read_rows
+from evaluation.store.cell_files import read_rows
 from evaluation.verdict.items import Draft
 from isac_track.intervals import Estimate, estimate_of
 from isac_track.rng import stream

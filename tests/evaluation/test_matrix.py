@@ -9,11 +9,11 @@ from helpers.commands import assert_refused
 from helpers.small_runs import write_walks
 
 from evaluation import matrix
-from evaluation.experiment.axes import axes
-from evaluation.experiment.plan import asked_of_file
-from evaluation.experiment.presets import DEFAULT, DISSOCIATION, PRESETS, PROTECTIONS
-from evaluation.experiment.settings import Settings
-from evaluation.runs.files import to_csv
+from evaluation.plan.axes import axes
+from evaluation.plan.plan import asked_of_file
+from evaluation.plan.presets import DEFAULT, DISSOCIATION, PRESETS, PROTECTIONS
+from evaluation.plan.settings import Settings
+from evaluation.store.files import to_csv
 from isac_track import plugins
 from isac_track.config import StageSettings
 
@@ -308,8 +308,16 @@ crs = "degrees"
 drop_frozen = 3
 """)
     typed = settings_of(
-        *("--dataset", tmp_path / "f.csv", "--columns", "t=time[ms],x=px[cm]"),
-        *("--on-duplicate", "mean", "--crs", "degrees", "--drop-frozen", 3),
+        "--dataset",
+        tmp_path / "f.csv",
+        "--columns",
+        "t=time[ms],x=px[cm]",
+        "--on-duplicate",
+        "mean",
+        "--crs",
+        "degrees",
+        "--drop-frozen",
+        3,
     )
     assert settings_of("--config", tmp_path / "c.toml") == typed
     expected = {

@@ -9,7 +9,7 @@ import pytest
 from helpers.processes import ROOT
 
 import evaluation
-from evaluation.experiment.settings import Settings
+from evaluation.plan.settings import Settings
 from isac_track import datasets
 
 nbclient = pytest.importorskip(

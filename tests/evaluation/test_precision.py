@@ -9,7 +9,7 @@ from helpers.commands import assert_refused
 
 import evaluation
 from evaluation import matrix
-from evaluation.results import sized
+from evaluation.api import sized
 from isac_track.errors import SettingsError
 
 pytestmark = pytest.mark.usefixtures("cut_once")

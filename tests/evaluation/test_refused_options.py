@@ -7,9 +7,9 @@ import pytest
 from helpers.commands import FEW, MATRIX, assert_refused, run
 from helpers.small_runs import write_walks
 
-from evaluation.experiment.axes import axes, jobs_of, most_workers
-from evaluation.experiment.settings import Settings
 from evaluation.matrix import parser, settings_from
+from evaluation.plan.axes import axes, jobs_of, most_workers
+from evaluation.plan.settings import Settings
 from isac_track.command_line import exit_code
 from isac_track.errors import SettingsError
 
@@ -220,7 +220,8 @@ def test_blas_starts_no_threads_where_few_processes_may_run(most, threads, tmp_p
     code = "import os, isac_track, numpy; print(os.environ.get('OPENBLAS_NUM_THREADS'))"
     ended = run(
         tmp_path,
-        *("-c", code),
+        "-c",
+        code,
         changed={"OPENBLAS_NUM_THREADS": None},
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NPROC, (most, most)),
     )

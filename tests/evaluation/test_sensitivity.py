@@ -14,11 +14,11 @@ from helpers.summaries import edit_manifest
 
 import evaluation
 from evaluation import sensitivity
-from evaluation.experiment.variants import BASE, parse, settings_of, variants
+from evaluation.plan.variants import BASE, parse, settings_of, variants
 from evaluation.reporting.difference_tables import turned
-from evaluation.runs.manifest import read_manifest
-from evaluation.runs.people import with_paths
 from evaluation.sensitivity import main
+from evaluation.store.manifest import read_manifest
+from evaluation.store.people import with_paths
 from evaluation.verdict import sensitivity as held
 from evaluation.verdict.sensitivity import COLUMNS, attacks_of, folder_of, read_verdict
 from isac_track.errors import DataError, SettingsError
@@ -113,13 +113,23 @@ class TestNames:
     def test_the_list_is_the_one_that_is_promised_and_each_its_own_name(self):
         promised = (
             "base",
-            *("law=isotropic", "law=fixed_direction"),
-            *("epsilon=0.1", "epsilon=0.2", "epsilon=0.5", "epsilon=1"),
+            "law=isotropic",
+            "law=fixed_direction",
+            "epsilon=0.1",
+            "epsilon=0.2",
+            "epsilon=0.5",
+            "epsilon=1",
             "resample.min_duration_s=6",
-            *("ridge cap=1.5", "ridge cap=3", "ridge beam=4"),
-            *("ridge exponent=2", "ridge exponent=3.5"),
-            *("recording=students03", "recording=zara01", "recording=plaza"),
-            *("predictor=kalman_cv", "predictor=least_squares"),
+            "ridge cap=1.5",
+            "ridge cap=3",
+            "ridge beam=4",
+            "ridge exponent=2",
+            "ridge exponent=3.5",
+            "recording=students03",
+            "recording=zara01",
+            "recording=plaza",
+            "predictor=kalman_cv",
+            "predictor=least_squares",
         )
         assert variants() == [parse(name) for name in promised]
         assert tuple(one.name for one in variants()) == promised

@@ -8,11 +8,11 @@ from helpers.commands import assert_refused
 from helpers.small_runs import without_pictures, write_walks
 
 from evaluation import study
-from evaluation.analysis import pooled
-from evaluation.experiment.settings import Settings
+from evaluation.api import study as answer
+from evaluation.estimates import pooled
+from evaluation.plan.settings import Settings
 from evaluation.reporting import study_page
-from evaluation.results import study as answer
-from evaluation.runs.manifest import read_manifest
+from evaluation.store.manifest import read_manifest
 from isac_track import datasets
 from isac_track.config import StageSettings
 from isac_track.datasets import load

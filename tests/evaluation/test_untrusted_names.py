@@ -19,7 +19,7 @@ from helpers.small_runs import smoke
 
 import evaluation
 from evaluation import compare, design, matrix, report, sensitivity
-from evaluation.runs.manifest import read_manifest, write_manifest
+from evaluation.store.manifest import read_manifest, write_manifest
 from isac_track import datasets
 from isac_track.errors import IsacTrackError
 
@@ -273,8 +273,8 @@ def test_a_module_whose_name_is_not_in_the_source_is_imported_in_few_places():
         "evaluation/__init__.py",
         "evaluation/__main__.py",
         "evaluation/reporting/figures/figure.py",
-        "evaluation/runs/dask.py",
-        "evaluation/runs/workers.py",
+        "evaluation/pool/dask.py",
+        "evaluation/pool/workers.py",
         "isac_track/compiling.py",
         "isac_track/kalman/__init__.py",
         "isac_track/plugins.py",

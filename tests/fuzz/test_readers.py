@@ -49,30 +49,33 @@ def check(data, format_name, fps):
 
 FRAGMENTS = [
     *(bytes([code]) for code in b",;:#\t \n\r\"'{[]}.-+_\0\x1c\xff"),
-    *(
-        b"\xef\xbb\xbf",
-        b"\xc2\xa0",
-        b"\xe2\x80\xa8",
-        b"\xd9\xa1",
-        b"\n\n",
-        b'"\n',
-        b"PAR1",
-    ),
-    *(b"\xf0\x9f\x98\x80", b"\xed\xa0\x80", b"\x85", b"\x1f\x8b", b"PK\x03\x04"),
+    b"\xef\xbb\xbf",
+    b"\xc2\xa0",
+    b"\xe2\x80\xa8",
+    b"\xd9\xa1",
+    b"\n\n",
+    b'"\n',
+    b"PAR1",
+    b"\xf0\x9f\x98\x80",
+    b"\xed\xa0\x80",
+    b"\x85",
+    b"\x1f\x8b",
+    b"PK\x03\x04",
 ]
 NUMBERS = [
     *b"nan NaN inf -Infinity null true 1e999 1e308 -1e308 1e300 5e-324 -1 -0.0 0x1"
     b" 1,5 1_0".split(),
-    *(
-        b"",
-        b"9" * 19,
-        b"9" * 400,
-        b"9" * 5000,
-        b"-9007199254740993",
-        b"1" + b"0" * 12,
-        b"0.5",
-    ),
-    *(b"x" * 100_000, b'"' + b"a" * 300 + b'"', "\u0661".encode(), b"[" * 3000),
+    b"",
+    b"9" * 19,
+    b"9" * 400,
+    b"9" * 5000,
+    b"-9007199254740993",
+    b"1" + b"0" * 12,
+    b"0.5",
+    b"x" * 100_000,
+    b'"' + b"a" * 300 + b'"',
+    "\u0661".encode(),
+    b"[" * 3000,
 ]
 
 

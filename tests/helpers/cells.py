@@ -10,12 +10,12 @@ from helpers.walkers import walkers
 
 from attacks.tasks import build
 from attacks.tasks.task_list import TASKS
-from evaluation.cells.link_setup import sensed_sessions
-from evaluation.cells.linkage import link, linked_level
-from evaluation.cells.reconstruction import attacked_block, folds
-from evaluation.cells.sharing import share
-from evaluation.cells.work import Block, cells
-from evaluation.experiment.axes import Axes, Consumer
+from evaluation.compute.link_setup import sensed_sessions
+from evaluation.compute.linkage import link, linked_level
+from evaluation.compute.reconstruction import attacked_block, folds
+from evaluation.compute.sharing import share
+from evaluation.compute.work import Block, cells
+from evaluation.plan.axes import Axes, Consumer
 from isac_track import plugins
 from isac_track.config import StageSettings
 from isac_track.plugins import Plugin

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis import (
+from evaluation.estimates import (
     by_speed,
     decisions,
     frontier,
@@ -18,11 +18,11 @@ from evaluation.analysis import (
     strongest_table,
     summary,
 )
-from evaluation.analysis import levels as levels_table
-from evaluation.analysis import weak_attacks as flags
-from evaluation.analysis.best_robot import BEST
-from evaluation.analysis.keys import Source
-from evaluation.analysis.metrics import (
+from evaluation.estimates import levels as levels_table
+from evaluation.estimates import weak_attacks as flags
+from evaluation.estimates.best_robot import BEST
+from evaluation.estimates.keys import Source
+from evaluation.estimates.metrics import (
     DESCRIPTORS,
     FUTURE_EQUAL_ALARMS,
     METRICS,
@@ -30,10 +30,10 @@ from evaluation.analysis.metrics import (
     OF_ROBOT,
     UTILITY,
 )
-from evaluation.analysis.strongest_table import ONE_RELEASE
+from evaluation.estimates.strongest_table import ONE_RELEASE
 from evaluation.reporting.rows import Results
-from evaluation.runs.files import FRAMES
-from evaluation.runs.manifest import FAILED_COLUMNS
+from evaluation.store.files import FRAMES
+from evaluation.store.manifest import FAILED_COLUMNS
 from isac_track.config import StageSettings
 
 MADE = json.loads(

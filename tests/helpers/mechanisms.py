@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from evaluation.analysis.families import Family
-from evaluation.analysis.matching import Sweeps
+from evaluation.estimates.families import Family
+from evaluation.estimates.matching import Sweeps
 from isac_track.sharing import perturb
 
 RULE = ":adding=independent"

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from isac_track.config import StageSettings
-from isac_track.patrol_answers import disclose, share_patrol
 from isac_track.patrols import make_patrol
+from isac_track.patrols.answers import disclose, share_patrol
 from isac_track.sharing import Clean, Raw
 from isac_track.types import Tracks
 from predictors.kalman import KalmanCV

@@ -14,11 +14,11 @@ from helpers.estimates import ratio_estimate
 from helpers.mechanisms import RULE, sweeps_of
 from scipy.stats import norm
 
-from evaluation.analysis.keys import Key, Source
-from evaluation.analysis.linked_people import LinkedProbes
-from evaluation.analysis.metrics import EQUAL_ALARMS
-from evaluation.analysis.strongest import strongest
-from evaluation.experiment.presets import SHARED
+from evaluation.estimates.keys import Key, Source
+from evaluation.estimates.linked_people import LinkedProbes
+from evaluation.estimates.metrics import EQUAL_ALARMS
+from evaluation.estimates.strongest import strongest
+from evaluation.plan.presets import SHARED
 from evaluation.verdict.sections import of_people, verdict
 
 KINDS = ("valid", "fooled", "flat", "empty")
@@ -151,15 +151,16 @@ def simulated(world, *, rng):
         descriptors = {name: seen * scale for name, scale in SCALES.items()}
         levels.append(
             LinkedProbes(
-                *(
-                    mechanism,
-                    level,
-                    Source(LINKER, "informed"),
-                    hit,
-                    hit,
-                    np.full(n, CHANCE),
-                ),
-                *(cluster, tuple(map(str, range(n_pairs))), descriptors, nuisance),
+                mechanism,
+                level,
+                Source(LINKER, "informed"),
+                hit,
+                hit,
+                np.full(n, CHANCE),
+                cluster,
+                tuple(map(str, range(n_pairs))),
+                descriptors,
+                nuisance,
                 strangers=np.ones((3, n), dtype=int),
             )
         )

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from evaluation.cells.tables import ROWS
-from evaluation.experiment import fingerprint
-from evaluation.runs import cell_files
-from evaluation.runs.files import FOLDER
-from evaluation.runs.manifest import read_manifest
+from evaluation.compute.tables import ROWS
+from evaluation.plan import fingerprint
+from evaluation.store import cell_files
+from evaluation.store.files import FOLDER
+from evaluation.store.manifest import read_manifest
 
 
 def entry_of(out, spec, consumer, knowledge=""):

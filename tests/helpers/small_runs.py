@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from helpers.recordings import tracks_of, write_csv
 
-from evaluation.experiment.settings import Settings
-from evaluation.runs.workers import spread
+from evaluation.plan.settings import Settings
+from evaluation.pool.workers import spread
 from isac_track.config import StageSettings
 from isac_track.rng import stream
 from isac_track.scenes import cut
@@ -40,7 +40,7 @@ def one_process():
 
     with pytest.MonkeyPatch.context() as patch:
         for name in ("execute", "trials"):
-            patch.setattr(f"evaluation.runs.{name}.spread", here)
+            patch.setattr(f"evaluation.pool.{name}.spread", here)
         patch.setattr("evaluation.matrix._n_workers", lambda _: 0)
         yield
 
@@ -49,7 +49,7 @@ def one_process():
 def without_pictures():
     """Runs draw no pictures: they take most of the time of a small one."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("evaluation.results._draw", lambda *_, **__: None)
+        patch.setattr("evaluation.api._draw", lambda *_, **__: None)
         yield
 
 
@@ -66,7 +66,7 @@ def cut_once():
         return known[key]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("evaluation.experiment.plan.cut", cut_or_recalled)
+        patch.setattr("evaluation.plan.plan.cut", cut_or_recalled)
         yield
 
 

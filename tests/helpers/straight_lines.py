@@ -3,9 +3,9 @@
 import numpy as np
 from helpers.mechanisms import RULE
 
-from evaluation.analysis.keys import Key
-from evaluation.analysis.metrics import EQUAL_ALARMS
-from evaluation.experiment.presets import SHARED
+from evaluation.estimates.keys import Key
+from evaluation.estimates.metrics import EQUAL_ALARMS
+from evaluation.plan.presets import SHARED
 from isac_track.intervals import Estimate
 
 FIXED = dict(zip(np.linspace(0.05, 1.0, 20), np.linspace(0.05, 1.0, 20), strict=True))

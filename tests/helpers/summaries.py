@@ -7,13 +7,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.best_robot import BEST
-from evaluation.analysis.levels import COLUMNS
-from evaluation.analysis.strongest_table import ONE_RELEASE
-from evaluation.experiment.fingerprint import code_hash
-from evaluation.experiment.presets import PRESETS
-from evaluation.runs.files import from_csv, to_csv
-from evaluation.runs.manifest import read_manifest, write_manifest
+from evaluation.estimates.best_robot import BEST
+from evaluation.estimates.levels import COLUMNS
+from evaluation.estimates.strongest_table import ONE_RELEASE
+from evaluation.plan.fingerprint import code_hash
+from evaluation.plan.presets import PRESETS
+from evaluation.store.files import from_csv, to_csv
+from evaluation.store.manifest import read_manifest, write_manifest
 from evaluation.verdict.what_to_share import Question, recommend
 from isac_track.config import StageSettings
 
@@ -35,9 +35,8 @@ class Level:
     family: str = ""
     adding: str = "independent"
     protects: bool = True
-    missed: float = (
-        0.20  # To come within 3 s at raw's false alarms, of the better robot.
-    )
+    # To come within 3 s at raw's false alarms, of the better robot.
+    missed: float = 0.20
     plr: float = 0.30
     wide: float = 0.40
     median: float = 0.5
@@ -109,7 +108,7 @@ class Level:
         }  # fmt: skip
 
 
-RAW = Level(*("raw", None, "raw", "", False, 0.05, 0.9, 0.95, 0.1, 1.0, 0.8), beyond={})
+RAW = Level("raw", None, "raw", "", False, 0.05, 0.9, 0.95, 0.1, 1.0, 0.8, beyond={})
 GOOD = Level("ou", 0.4)
 BAD = Level("fixed:adding=independent", 1.0, missed=0.1, plr=0.8, wide=0.9, share=0.9)
 SHIFTED = Level(

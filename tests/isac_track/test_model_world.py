@@ -9,6 +9,8 @@ from scipy.special import logsumexp
 
 from isac_track.kalman import Batch, smooth_positions
 from isac_track.kalman.slow_errors import SlowError, smooth_tracks
+from isac_track.mechanisms.controls import Correlated, Offset, Thin
+from isac_track.mechanisms.protections import Forecast, Laplace, Ou
 from isac_track.model_world import (
     START_STD_M,
     Errors,
@@ -21,11 +23,9 @@ from isac_track.model_world import (
     own_motions,
     simulated,
 )
-from isac_track.protection import Forecast, Laplace, Ou
 from isac_track.rng import stream
 from isac_track.sensing import unit_errors
 from isac_track.sharing import Fixed, Raw
-from isac_track.sharing_controls import Correlated, Offset, Thin
 from isac_track.types import Sensed, Tracks
 
 MOTION = Motion(q=0.06, speed_mps=0.9)

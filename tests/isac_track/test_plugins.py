@@ -8,8 +8,8 @@ import pytest
 
 from isac_track import errors, plugins
 from isac_track.errors import PluginError, SettingsError
+from isac_track.mechanisms.controls import Correlated, Offset, Thin
 from isac_track.sharing import Fid, Fixed, Raw
-from isac_track.sharing_controls import Correlated, Offset, Thin
 from predictors.least_squares import LeastSquares
 
 

@@ -6,8 +6,8 @@ from helpers.patrols import SETTINGS, answers_of, network_of
 
 from isac_track import plugins
 from isac_track.errors import PluginError, SettingsError
-from isac_track.patrol_answers import disclose
 from isac_track.patrols import make_patrol
+from isac_track.patrols.answers import disclose
 from isac_track.plugins import parse
 from isac_track.policies.query import Query, View
 from isac_track.policies.samples import Ahead, Everything, Near, RandomPeople, Window

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 import evaluation
-from evaluation.experiment.presets import PRESETS
+from evaluation.plan.presets import PRESETS
 from evaluation.reporting.tables import filled
 
 ROOT = Path(evaluation.__file__).parent.parent

@@ -25,8 +25,8 @@ from helpers.processes import ROOT, wait_for
 from helpers.small_runs import without_pictures, write_walks
 
 from evaluation import matrix, report
-from evaluation.results import rebuild
-from evaluation.runs.files import locked
+from evaluation.api import rebuild
+from evaluation.store.files import locked
 
 END_S = 2.0
 """Within this, everything must be over."""

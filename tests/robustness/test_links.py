@@ -11,8 +11,8 @@ import pytest
 from helpers.small_runs import smoke, write_walks
 
 import evaluation
-from evaluation.results import rebuild
-from evaluation.runs.files import locked, write_whole
+from evaluation.api import rebuild
+from evaluation.store.files import locked, write_whole
 from isac_track.errors import DataError, SettingsError
 
 REPLACED = ("summary.csv", "verdict.json", "tables/sweep.tex")

@@ -15,7 +15,7 @@ from helpers.small_runs import one_process
 from helpers.walkers import walkers
 
 from evaluation import matrix
-from evaluation.cells.sharing import guarded
+from evaluation.compute.sharing import guarded
 from isac_track.command_line import check_interrupt, exit_code
 from isac_track.types import ESTIMATE_LIMIT_M, SHARED_LIMIT_M
 
@@ -229,15 +229,18 @@ ATTACKS = {
 ALONE = ("--attack", "none", "--task", "none", "--jobs", 1)
 """As few cells as there can be."""
 GOOD = (
-    *("--task", "rerelease", "--mechanism", "fixed:0.7", "--predictor", "kalman_cv"),
-    *(
-        "--attack",
-        "moving_average",
-        "--attack",
-        "shape",
-        "--set",
-        "conflict.decision=probability",
-    ),
+    "--task",
+    "rerelease",
+    "--mechanism",
+    "fixed:0.7",
+    "--predictor",
+    "kalman_cv",
+    "--attack",
+    "moving_average",
+    "--attack",
+    "shape",
+    "--set",
+    "conflict.decision=probability",
 )
 
 
@@ -315,7 +318,7 @@ def test_each_fails_alone_by_name_and_on_one_line(tmp_path, arguments, capsys, j
     assert set(ours["consumer"]) == {"moving_average", "bound"}
     (why,) = set(ours["why"])
     assert "KeyError: 'nobody expected this'" in why
-    assert "(in isac-track's own code, evaluation.cells.reconstruction, line " in why
+    assert "(in isac-track's own code, evaluation.compute.reconstruction, line " in why
     assert why.endswith(": please report this)")
     shown = (tmp_path / "all" / "tables.txt").read_text(encoding="utf-8")
     assert "please report this" in " ".join(shown.split())

@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.families import ADDING_RULES, RAW
-from evaluation.analysis.keys import Source, Where
+from evaluation.estimates.families import ADDING_RULES, RAW
+from evaluation.estimates.keys import Source, Where
 from evaluation.reporting.charts import (
     LOOKS,
     PERCENT,

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from evaluation.experiment.constants import horizon_of
+from evaluation.plan.constants import horizon_of
 from evaluation.reporting.charts import PERCENT, Axis, Chart, Curve, Look, curves_chart
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.lookups import ENDS

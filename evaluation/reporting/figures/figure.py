@@ -17,7 +17,7 @@ from evaluation.reporting.charts import CHARACTER, INKS, MARKERS, WIDTH, Chart, 
 from evaluation.reporting.markup import HTML
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import printable, shortened
-from evaluation.runs.files import write_whole
+from evaluation.store.files import write_whole
 
 _TOP, _LEFT, _HEADING, _GAP = 26.0, 10.0, 16.0, 14.0
 _LINE: Final = 14.0  # Of the caption and the note.

@@ -6,11 +6,11 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.frontier import VALUE, WHITE, usual_price
-from evaluation.analysis.keys import AS_SHARED, Source, rows_of
-from evaluation.analysis.metrics import EXPOSURE
-from evaluation.analysis.strongest import HEADLINE
-from evaluation.experiment.presets import BASELINE
+from evaluation.estimates.frontier import VALUE, WHITE, usual_price
+from evaluation.estimates.keys import AS_SHARED, Source, rows_of
+from evaluation.estimates.metrics import EXPOSURE
+from evaluation.estimates.strongest import HEADLINE
+from evaluation.plan.presets import BASELINE
 from evaluation.reporting.answer_tables import price_text
 from evaluation.reporting.charts import (
     LOOKS,

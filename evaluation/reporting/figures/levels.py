@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.families import FID, FIXED, RAW
-from evaluation.analysis.keys import AS_SHARED, Source, is_attack
-from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE
-from evaluation.analysis.paper import DATASET, PREDICTOR, PUBLISHED
-from evaluation.analysis.strongest import most_knowing
-from evaluation.experiment.constants import ORACLE
-from evaluation.experiment.presets import IDENTITY, SHARED
+from evaluation.estimates.families import FID, FIXED, RAW
+from evaluation.estimates.keys import AS_SHARED, Source, is_attack
+from evaluation.estimates.metrics import EXPOSURE, METRICS, MISSED_RATE
+from evaluation.estimates.paper import DATASET, PREDICTOR, PUBLISHED
+from evaluation.estimates.strongest import most_knowing
+from evaluation.plan.constants import ORACLE
+from evaluation.plan.presets import IDENTITY, SHARED
 from evaluation.reporting import rows as picked
 from evaluation.reporting.charts import (
     LOOKS,

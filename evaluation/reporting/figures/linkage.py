@@ -7,9 +7,9 @@ from typing import Final, NamedTuple
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.families import RAW
-from evaluation.analysis.keys import Source
-from evaluation.analysis.linkability import LinkedTask
+from evaluation.estimates.families import RAW
+from evaluation.estimates.keys import Source
+from evaluation.estimates.linkability import LinkedTask
 from evaluation.reporting.amounts import sentence_case, whole
 from evaluation.reporting.charts import (
     PERCENT,
@@ -31,9 +31,8 @@ _KINDS: Final[Mapping[str, tuple[str, ...]]] = {
     "different steps": ("split", "new_traversal", "cross_session"),
 }
 """Tasks by kind; a task of a user is a kind of its own."""
-_MOST_SWEPT: Final = (
-    4  # Mechanisms with panels: more would be unreadable at the width of a page.
-)
+# Mechanisms with panels: more would be unreadable at the width of a page.
+_MOST_SWEPT: Final = 4
 _AXIS: Final = Axis("re-identified (rank 1, %)")
 _CHANCE: Final = "k6"
 

@@ -6,10 +6,10 @@ from itertools import product
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.families import ADDING_RULES, RAW
-from evaluation.analysis.keys import is_attack
-from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE
-from evaluation.experiment.presets import SHARED
+from evaluation.estimates.families import ADDING_RULES, RAW
+from evaluation.estimates.keys import is_attack
+from evaluation.estimates.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE
+from evaluation.plan.presets import SHARED
 from evaluation.reporting import rows as picked
 from evaluation.reporting.charts import (
     LOOKS,

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
-from evaluation.analysis.bounds import Gap
+from evaluation.estimates.bounds import Gap
 from evaluation.reporting.bounds import law_of
 from evaluation.reporting.charts import PERCENT, Look, rows_chart
 from evaluation.reporting.figures.figure import Figure

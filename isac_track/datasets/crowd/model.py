@@ -19,14 +19,12 @@ from isac_track.datasets.crowd.plan import Plan, streams
 from isac_track.types import Bools, Floats, Ints
 
 RELAXATION_S = 0.6  # Time to reach the desired velocity.
-ENERGY_M2 = (
-    1.2  # k of the time-to-collision law, in m^2 (energy over mass times time squared).
-)
+# k of the time-to-collision law, in m^2 (energy over mass times time squared).
+ENERGY_M2 = 1.2
 FORESIGHT_S = 3.0  # tau_0 of the same law.
 COLLISION_M = 0.4  # Distance of two centres that counts as a collision.
-AVOID_MAX_MPS2 = (
-    2.0  # Cap of one neighbour's anticipatory force: the law diverges at contact.
-)
+# Cap of one neighbour's anticipatory force: the law diverges at contact.
+AVOID_MAX_MPS2 = 2.0
 CONTACT_MPS2, CONTACT_M, CONTACT_RANGE_M = (
     2.0,
     0.36,
@@ -38,23 +36,19 @@ PACE_MPS, PACE_S = (
     1.2,
 )  # Ornstein-Uhlenbeck noise of the speed: sd, correlation time.
 WANDER_S = 1.8  # Correlation time of the heading's wandering; its size is a trait.
-STEADY_MPS = (
-    0.9  # Less 0.1 m/s; slower people hold their heading up to three times less well.
-)
-HEADING_S = (
-    0.6  # Smoothing time of the body's orientation, which the sway is lateral to.
-)
+# Less 0.1 m/s; slower people hold their heading up to three times less well.
+STEADY_MPS = 0.9
+# Smoothing time of the body's orientation, which the sway is lateral to.
+HEADING_S = 0.6
 STANDING = 0.08  # Share of pace noise and sway that is left in someone who stands.
 FULL_SWAY_MPS = 0.6  # Speed from which on the body sways in full.
 TOP_SPEED_MPS = 2.0
-BACKWARD_MPS = (
-    0.1  # Noise may turn a slow walk into a step back, but no further than this.
-)
+# Noise may turn a slow walk into a step back, but no further than this.
+BACKWARD_MPS = 0.1
 REACHED_M = 1.2  # Distance at which a waypoint counts as reached.
 LOST_M = 3.0  # Who strays this far off the plaza has left it.
-GRID_DIGITS = (
-    6  # To 1 um a step: two machines' last bits are forgotten, not amplified by chaos.
-)
+# To 1 um a step: two machines' last bits are forgotten, not amplified by chaos.
+GRID_DIGITS = 6
 
 _Records: TypeAlias = NDArray[np.void]
 _PERSON = np.dtype(

@@ -16,17 +16,14 @@ class CrowdSettings:
 
     duration_s: float = 600.0  # length of the recording
     n_people: int = 1100  # people, each with one walk in every session
-    trait_strength: float = (
-        1.0  # scale of the spread of every trait: 0 makes everybody alike
-    )
+    # scale of the spread of every trait: 0 makes everybody alike
+    trait_strength: float = 1.0
     frame_s: float = 0.4  # time between recorded positions
     substeps: int = 5  # simulated steps per recorded position
-    lead_s: float = (
-        20.0  # arrivals this long before the start are already under way when it comes
-    )
-    tail_s: float = (
-        4.0  # nobody arrives in the last seconds, so that every walk has some length
-    )
+    # arrivals this long before the start are already under way when it comes
+    lead_s: float = 20.0
+    # nobody arrives in the last seconds, so that every walk has some length
+    tail_s: float = 4.0
     area_m: tuple[float, float, float, float] = (
         -6.1,
         -6.1,
@@ -35,9 +32,8 @@ class CrowdSettings:
     )  # x_min, y_min, x_max, y_max
 
 
-Traits: TypeAlias = (
-    "np.recarray[Any, Any]"  # (N,) what persists about people: the table below.
-)
+# (N,) what persists about people: the table below.
+Traits: TypeAlias = "np.recarray[Any, Any]"
 TRAIT_MEDIAN_AND_SPREAD = {
     "speed_mps": (1.14, 0.24),  # desired speed when alone
     "sway_m": (0.02, 0.35),  # standard deviation of the lateral body sway,
@@ -64,9 +60,8 @@ GROUP_PACE = (
     0.76,
     0.72,
 )  # Over its members' mean: groups walk slower [Moussaid 2010].
-MOOD_SPREAD = (
-    0.08  # Standard deviation of the logarithm of one's speed between sessions.
-)
+# Standard deviation of the logarithm of one's speed between sessions.
+MOOD_SPREAD = 0.08
 SPACING_M = 0.58  # Shoulder to shoulder in a group that walks abreast.
 VIA_CHANCE = 0.35  # Share of parties that walk by way of a place on the plaza.
 CHAT_CHANCE = (
@@ -90,9 +85,8 @@ class Party:
     members: Ints  # (K,) row of each person
     slots_m: Floats  # (K, 2) place in the formation: ahead of and left of its centre
     arrival_s: float
-    entry_m: (
-        Floats  # (C, 2) candidate points of entry; the clearest one is taken on arrival
-    )
+    # (C, 2) candidate points of entry; the clearest one is taken on arrival
+    entry_m: Floats
     targets_m: Floats  # (T, 2) waypoints; the last lies beyond the gate of exit
     exit_side: int
     chat_s: float  # time to stand at the first waypoint if there are two; 0 passes by

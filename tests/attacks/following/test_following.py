@@ -27,9 +27,9 @@ from attacks.following.links import (
 )
 from attacks.following.logs import Ending, follow_fleets
 from attacks.following.pieces import Q, pieces_of_fleet
-from isac_track.patrol_answers import disclose
-from isac_track.patrol_knowledge import guesses_from_map
 from isac_track.patrols import make_patrol
+from isac_track.patrols.answers import disclose
+from isac_track.patrols.knowledge import guesses_from_map
 from isac_track.policies.samples import Everything, Near, RandomPeople, Window
 from isac_track.policies.summaries import Flag, State
 

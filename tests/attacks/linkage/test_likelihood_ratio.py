@@ -10,7 +10,7 @@ from attacks.linkage import _ratio_loop, likelihood_ratio
 from attacks.linkage.likelihood_ratio import LikelihoodRatio, prior_m2
 from attacks.reconstruction.kalman_rts import information
 from isac_track.linkability.ranks import soft_matches
-from isac_track.protection import Ou
+from isac_track.mechanisms.protections import Ou
 from isac_track.rng import stream
 from isac_track.types import Knowledge
 

@@ -8,11 +8,11 @@ from helpers.walks import context, cv_walks, flat_release
 
 from attacks.reconstruction.kalman_rts import KalmanRTS, RadialRTS
 from attacks.reconstruction.ou_rts import OuRTS, fitted
+from isac_track.mechanisms.controls import Correlated, correlated_errors
 from isac_track.plugins import parse
 from isac_track.protocols import TrainingSet
 from isac_track.rng import stream
 from isac_track.sharing import Fixed, Raw
-from isac_track.sharing_controls import Correlated, correlated_errors
 from isac_track.types import Knowledge
 
 MECHANISM, REPEATS, SCENE = Knowledge.MECHANISM, Knowledge.REPEATS, Knowledge.SCENE

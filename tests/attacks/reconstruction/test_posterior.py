@@ -10,7 +10,7 @@ from scipy.special import gammaincinv
 from attacks.reconstruction.kalman_rts import RadialRTS
 from attacks.reconstruction.own_motion import PRIOR_STD
 from attacks.reconstruction.posterior import Posterior, _parts, _where_most_are
-from isac_track.protection import Laplace, Ou
+from isac_track.mechanisms.protections import Laplace, Ou
 from isac_track.rng import stream
 from isac_track.sharing import Fixed, Raw
 from isac_track.types import Knowledge

@@ -19,7 +19,7 @@ from helpers.finished_runs import (
 from helpers.summaries import BAD, SHIFTED, changed, table
 from helpers.summaries import RAW as PLANTED_RAW
 
-from evaluation.analysis.keys import Source
+from evaluation.estimates.keys import Source
 from evaluation.reporting.amounts import whole
 from evaluation.reporting.answers import answers, headline_of
 from evaluation.reporting.headline import headline, headline_table

@@ -15,8 +15,8 @@ from helpers.commands import run
 from helpers.small_runs import write_walks
 
 import evaluation
-from evaluation.results import rebuild
-from evaluation.runs.files import FRAMES
+from evaluation.api import rebuild
+from evaluation.store.files import FRAMES
 from isac_track.errors import DataError, SettingsError
 
 MECHANISMS = ["raw", "fid:1", "fixed:0.7", "fixed:1", "fid:1,adding=independent"]
@@ -228,7 +228,7 @@ def test_a_plot_has_units_and_a_line_with_intervals_for_each_family_and_rule(mad
     marks = [bar[0] for bar in axes.containers]
     assert [
         (one.get_marker(), one.get_markerfacecolor() == "none") for one in marks
-    ] == [*(("*", False), ("o", False), ("s", False), ("o", True))]
+    ] == [("*", False), ("o", False), ("s", False), ("o", True)]
     again = made.loaded.plot(x="level", y="rank1", ax=axes)
     assert again is axes
     assert axes.get_xscale() == "log"

@@ -14,8 +14,8 @@ from helpers.finished_runs import (
 from helpers.pages import Tags
 
 from attacks.tasks.task_list import TASKS
-from evaluation.analysis.metrics import METRICS
-from evaluation.analysis.strongest import BEYOND, HEADLINE
+from evaluation.estimates.metrics import METRICS
+from evaluation.estimates.strongest import BEYOND, HEADLINE
 from evaluation.reporting.glossary import (
     DEFINITIONS,
     GLOSSARY,

@@ -3,8 +3,8 @@
 import pytest
 
 from attacks.tasks.task_list import TASKS
-from evaluation.analysis.families import Family
-from evaluation.analysis.strongest import BEYOND
+from evaluation.estimates.families import Family
+from evaluation.estimates.strongest import BEYOND
 from evaluation.reporting import names
 from evaluation.reporting.names import (
     mechanism_name,

@@ -2,11 +2,11 @@
 
 import pytest
 
-from evaluation.experiment.plan import plan
-from evaluation.experiment.settings import Settings
+from evaluation.plan.plan import plan
+from evaluation.plan.settings import Settings
+from evaluation.pool.duration import expected_s
 from evaluation.reporting.paper_hint import paper_hint
-from evaluation.runs.duration import expected_s
-from evaluation.runs.manifest import describe
+from evaluation.store.manifest import describe
 
 
 def manifest(*words, preset="quick", **more):

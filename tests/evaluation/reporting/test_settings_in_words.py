@@ -10,10 +10,10 @@ import pytest
 from helpers.small_runs import smoke
 
 from evaluation import design
+from evaluation.api import run
 from evaluation.reporting import page
 from evaluation.reporting.figures.figure import figures_of
 from evaluation.reporting.first_screen import first_screen
-from evaluation.results import run
 from isac_track.config import StageSettings
 
 DEFAULTS = StageSettings().flat()

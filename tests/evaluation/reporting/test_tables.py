@@ -20,8 +20,8 @@ from helpers.finished_runs import (
 )
 from helpers.pages import assert_as_approved, tells_rows_apart
 
-from evaluation.analysis.families import families_in
-from evaluation.analysis.linkability import linked_tasks
+from evaluation.estimates.families import families_in
+from evaluation.estimates.linkability import linked_tasks
 from evaluation.reporting import tables
 from evaluation.reporting.answer_tables import effect, paper_table
 from evaluation.reporting.markup import markdown

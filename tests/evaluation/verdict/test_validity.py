@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import evaluation
-from evaluation.analysis.families import Family
+from evaluation.estimates.families import Family
 from evaluation.verdict import rules
 from evaluation.verdict.validity import ATTACKS, CONSTRUCTION, SHOWN, validity
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evaluation.analysis.matching import Sweeps
+from evaluation.estimates.matching import Sweeps
 from evaluation.verdict.within_level import clustered_mean, partial_correlation, within
 
 

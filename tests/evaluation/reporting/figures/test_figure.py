@@ -20,7 +20,7 @@ from helpers.finished_runs import (
     with_links,
 )
 
-from evaluation.analysis.frontier import WHITE
+from evaluation.estimates.frontier import WHITE
 from evaluation.reporting.charts import Axis, Curve, Look, curves_chart
 from evaluation.reporting.figures.figure import figures_of, write
 from evaluation.reporting.rows import schemes

@@ -1,0 +1,141 @@
+"""Compiled loops that cells call: compiled ahead of the cells, in parallel, each once.
+
+A loop that is missing here is compiled by the first process that calls it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Final
+
+from evaluation.compute.where import note
+from isac_track.kalman.slow_errors import added_error
+
+if TYPE_CHECKING:
+    from evaluation.plan.axes import Consumer
+    from isac_track.plugins import Plugin
+
+COMPILING, COMPILED, LOADED = "compiling", "compiled", "loaded"
+GAIN: Final = "isac_track._gain_loop:correlated"
+"""Loop of the channel: every run senses, and its manifest describes the channel."""
+_DESCRIPTORS: Final = ("isac_track._privacy_loop:described",)
+_NOISE: Final = ("isac_track.kalman._linear_loops:innovation_level",)
+_FILTER: Final = ("isac_track.kalman._linear_loops:cv_last", *_NOISE)
+_SMOOTHER: Final = (
+    "isac_track.kalman._linear_loops:smooth_positions",
+    "isac_track.kalman._error_loops:smooth_lanes",
+    "isac_track.kalman._error_loops:log_likelihoods",
+    "isac_track.kalman._linear_loops:innovations_by_interval",
+    *_NOISE,
+)
+_SCORECARD: Final = tuple(
+    f"isac_track.linkability._loops:{name}"
+    for name in (
+        "read_scores",
+        "assign",
+        "rank_rows",
+        "mean_shares",
+        "shuffle",
+        "add_shuffles",
+    )
+)
+_BEHIND_SLOW_ERROR: Final = {
+    "mechanism": ("isac_track.kalman._error_loops:recursion",),
+    "predictor": ("isac_track.kalman._error_loops:filter_tracks",),
+    "attack": (
+        "isac_track.kalman._error_loops:filter_tracks",
+        "isac_track.kalman._error_loops:smooth_tracks",
+    ),
+}
+"""Further loops of a mechanism, and of what reads it, where the error changes slowly."""
+_OF_PLUGIN: Final = {
+    "kalman_cv": _FILTER,
+    "kalman_ca": ("isac_track.kalman._linear_loops:ca_last", *_NOISE),
+    "kalman_imm": ("isac_track.kalman._imm_loops:imm_last", *_NOISE),
+    "moving_average": ("attacks.reconstruction._window_loops:centred_means",),
+    "savgol": ("attacks.reconstruction._window_loops:fit_parabolas",),
+    "kalman_rts": _SMOOTHER,
+    "radial_rts": _SMOOTHER,
+    "ou_rts": _SMOOTHER,
+    "imm_rts": ("isac_track.kalman._imm_loops:imm_smoother", *_SMOOTHER),
+    "gaussian_process": _SMOOTHER,
+    "posterior": _SMOOTHER,
+    "kinematic": ("attacks.linkage._lag_loop:continued", *_FILTER),
+    "shape": (
+        "attacks.linkage._lag_loop:least_costs",
+        "attacks.linkage._lag_loop:cell_means",
+    ),
+    "profile": (
+        "attacks.linkage._lag_loop:least_costs",
+        "attacks.linkage._lag_loop:cell_means",
+    ),
+    "dtw": ("attacks.linkage._lag_loop:warp", "attacks.linkage._lag_loop:cell_means"),
+    "histogram": (
+        "attacks.linkage._lag_loop:shared_cells",
+        "attacks.linkage._lag_loop:cell_means",
+    ),
+    "likelihood_ratio": (
+        "attacks.linkage._ratio_loop:ratios",
+        "attacks.linkage._ratio_loop:take_sides",
+        "attacks.linkage._ratio_loop:tell",
+        *_SMOOTHER,
+    ),
+}
+"""By the name of the plug-in, without its parameters."""
+_SLOWEST: Final = (
+    "imm_smoother",
+    "read_scores",
+    "fit_parabolas",
+    "ratios",
+    "least_costs",
+    "described",
+    "centred_means",
+)
+"""Of compiling: these begin, so that no process waits long for another at the end."""
+
+
+def loops_of(cells: Iterable[tuple[Plugin, Consumer]]) -> list[str]:
+    """Return the loops of some cells, as ``package.module:loop``, the slowest to compile first."""
+    found = {GAIN: None}
+    for mechanism, consumer in cells:
+        found |= dict.fromkeys(_loops_of_cell(mechanism, consumer))
+    ranks = {name: rank for rank, name in enumerate(_SLOWEST)}
+    return sorted(found, key=lambda name: ranks.get(name.partition(":")[2], len(ranks)))
+
+
+def _loops_of_cell(mechanism: Plugin, consumer: Consumer) -> Iterator[str]:
+    std_m, tau_s = added_error(mechanism.instance)
+    is_slow = std_m > 0.0 and tau_s > 0.0
+    if is_slow:
+        yield from _BEHIND_SLOW_ERROR["mechanism"]
+        yield from _BEHIND_SLOW_ERROR.get(consumer.kind, ())
+    if consumer.kind in {"shared", "attack", "windows"}:
+        yield from _DESCRIPTORS
+    if consumer.kind in {"linkage", "control"}:
+        yield from _SCORECARD
+    for plugin in consumer.plugins:
+        yield from _OF_PLUGIN.get(plugin.name.partition(":")[0], ())
+        if is_slow and consumer.kind != "predictor":
+            yield from _BEHIND_SLOW_ERROR["attack"]
+
+
+def prepare_loop(name: str) -> Iterator[str]:
+    """Load a loop or compile it, in a process that may be a worker.
+
+    Yields `COMPILING` before a loop that numba's cache lacks, and at the end `COMPILED`
+    if that filled the cache, `LOADED` if not. What goes wrong is left to the first
+    call, which a cell makes: that cell fails by name.
+    """
+    note()
+    fills_cache = False
+    with contextlib.suppress(Exception):
+        from isac_track.compiling import (  # noqa: PLC0415 - imports numba
+            is_cached,
+            prepared,
+        )
+
+        if not is_cached(name):
+            yield COMPILING
+        fills_cache = prepared(name, quietly=True)
+    yield COMPILED if fills_cache else LOADED

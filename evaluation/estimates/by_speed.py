@@ -1,0 +1,144 @@
+"""PLR over net speed: whom a slow walk exposes; `by_speed.csv`."""
+
+from collections.abc import Iterator, Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from evaluation.estimates.families import FID, FIXED, RAW, SWEPT, Family
+from evaluation.estimates.keys import AS_SHARED, Found, Source, Where
+from evaluation.estimates.metrics import EXPOSURE, METRICS
+from evaluation.estimates.strongest import against_each, by_task
+from evaluation.estimates.summary import clusters, weights_of
+from evaluation.store.cell_files import read_rows
+from isac_track.intervals import cluster_sums, ratio_estimates
+from isac_track.types import Floats
+
+SHOWN: Final = ((RAW, None), (FID, 1.0), (FIXED, 1.0), ("ou", 0.4))
+"""Mechanisms, without their adding rule, and levels."""
+EDGES_MPS: Final = (0.0, 0.05, 0.5, 1.0, 1.5, np.inf)
+"""Of the bins: below the first inner edge people stand. Finer ones hold too few for an interval."""
+COLUMNS: Final = [
+    "dataset",
+    "mechanism",
+    "level",
+    "consumer",
+    "knowledge",
+    "speed_low_mps",
+    "speed_high_mps",
+    "speed_mps",
+    "value",
+    "ci_low",
+    "ci_high",
+    "n",
+]
+_SPEED: Final = "speed_mps"
+
+
+def by_speed(
+    out: Path,
+    manifest: Mapping[str, Any],
+    estimates: Found,
+    *,
+    known: Mapping[str, Family],
+    best: Mapping[str, Source],
+) -> pd.DataFrame:
+    """Return PLR in bins of net speed, as shared and after the strongest attack; as `COLUMNS`.
+
+    The net speed of a track is the way from its first to its last true position over
+    its duration. The strongest attack on raw, FID and fixed noise is the run's, on
+    another mechanism its own, as in the first table. `found` are the run's estimates,
+    `best` its strongest attacks. Raises DataError if a cell cannot be read.
+    """
+    entries = {
+        (
+            (entry["mechanism"], entry["level"]),
+            Source(entry["consumer"], entry["knowledge"]),
+        ): entry
+        for entry in manifest["cells"]
+        if entry["kind"] in ("shared", "attack") and not entry.get("world")
+    }
+    shown = [
+        where
+        for where, source in entries
+        if source == AS_SHARED and _is_shown(known, where)
+    ]
+    if not shown:
+        return pd.DataFrame(columns=COLUMNS)
+    at_raw = (RAW, None) if (RAW, None) in shown else shown[0]
+    speed_by_source = _speeds(out, entries[at_raw, AS_SHARED])
+    own = against_each(by_task(estimates, metric=EXPOSURE).get("", {}))
+    rows = []
+    for where in shown:
+        attack = best.get("") if known[where[0]].family in SWEPT else own.get(where[0])
+        for source in filter(None, (AS_SHARED, attack)):
+            if entry := entries.get((where, source)):
+                level = np.nan if where[1] is None else where[1]
+                about = (
+                    manifest["dataset"]["name"],
+                    where[0],
+                    level,
+                    source.consumer,
+                    source.knowledge,
+                )
+                rows += [
+                    (*about, *numbers)
+                    for numbers in _bins(out, manifest, entry, speed_by_source)
+                ]
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def _is_shown(known: Mapping[str, Family], where: Where) -> bool:
+    return (known[where[0]].name, where[1]) in SHOWN
+
+
+def _speeds(out: Path, entry: Mapping[str, Any]) -> dict[str, float]:
+    """Return the net speed of each source track of a cell, m/s."""
+    table = read_rows(out, entry, columns=["source", _SPEED])
+    return dict(
+        zip(table["source"].to_pylist(), table[_SPEED].to_pylist(), strict=True)
+    )
+
+
+def _bins(
+    out: Path,
+    manifest: Mapping[str, Any],
+    entry: Mapping[str, Any],
+    speed_by_source: Mapping[str, float],
+) -> Iterator[tuple[float, ...]]:
+    """Yield ends and mean speed of each bin with its PLR, interval, and people."""
+    table = read_rows(out, entry, columns=["source", "group", METRICS[EXPOSURE].column])
+    values, speed_mps = (
+        table[METRICS[EXPOSURE].column].to_numpy(),
+        _row_speeds(table, speed_by_source),
+    )
+    cluster, weights = clusters(table, manifest), weights_of(manifest)
+    for low, high in pairwise(EDGES_MPS):
+        inside = (low <= speed_mps) & (speed_mps < high)
+        if not inside.any():
+            continue
+        sums = [
+            cluster_sums(values=part, cluster=cluster, n_clusters=weights.shape[1])
+            for part in (np.where(inside, values, 0.0), inside.astype(np.float64))
+        ]
+        (plr,) = ratio_estimates(
+            numerator=sums[0][None],
+            denominator=sums[1][None],
+            weights=weights,
+            is_share=[True],
+        )
+        mean_mps = float(speed_mps[inside].mean())
+        yield low, high, mean_mps, plr.value, plr.ci_low, plr.ci_high, plr.n
+
+
+def _row_speeds(table: pa.Table, speed_by_source: Mapping[str, float]) -> Floats:
+    """Return the net speed of each row's source, (R,) m/s; NaN where it is not known."""
+    column = table["source"].combine_chunks()
+    speeds = np.array(
+        [speed_by_source.get(name, np.nan) for name in column.dictionary.to_pylist()]
+    )
+    return np.asarray(speeds[column.indices.to_numpy()])

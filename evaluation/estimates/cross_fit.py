@@ -1,0 +1,200 @@
+"""The best of many rivals without the bias of its choice: chosen on one half, scored on the other.
+
+Whoever takes the highest of many noisy numbers takes one that chance has raised. Here
+two halves of the clusters choose for each other (cross-fitting), and every replicate of
+an interval repeats the choice, whose uncertainty is thus a part of it.
+
+References
+----------
+Chernozhukov, Chetverikov, Demirer, Duflo, Hansen, Newey, Robins, "Double/debiased
+machine learning for treatment and structural parameters", Econometrics Journal 21(1),
+2018.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from isac_track.intervals import (
+    FEW_CLUSTERS,
+    LEAST_CLUSTERS,
+    Estimate,
+    effective_clusters,
+    jackknife_interval,
+    percentile_interval,
+    ratio_estimates,
+    wilson,
+)
+from isac_track.types import Bools, Floats, Ints
+
+_NONE: Final = np.zeros(0)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Contest:
+    """Sums of K rivals within each of C clusters, at L levels and of J numbers."""
+
+    # (K, L, 2, C) of what they are chosen by: numerator and denominator
+    choosing: Floats
+    scored: Floats  # (K, J, 2, C) of what is scored
+    is_first: Bools  # (C,) which clusters are in the first half
+    least: bool  # Whether the lowest is the best.
+
+    def best(self, half: Bools, rows: Floats, otherwise: int = 0) -> Ints:
+        """Return the best rival on some clusters, (R,); `otherwise` where nobody has a trial.
+
+        `rows`, (R, C), weigh the clusters.
+        """
+        over, under = np.moveaxis(self.choosing[..., half] @ rows[:, half].T, 2, 0)
+        return best_rival(over, under, least=self.least, otherwise=otherwise)
+
+    def joined(self, rows: Floats) -> tuple[Floats, Ints]:
+        """Return the sums of what is scored, (J, 2, R), and the choice of either half, (2, R)."""
+        halves = self.is_first, ~self.is_first
+        everybody = np.ones_like(self.is_first)
+        overall = int(self.best(everybody, np.ones((1, everybody.size)))[0])
+        best = np.stack([self.best(half, rows, overall) for half in halves])
+        sums = np.zeros((self.scored.shape[1], 2, len(rows)))
+        for half, choice in zip(halves, best[::-1], strict=True):
+            for rival in np.unique(choice).tolist():
+                chose = np.flatnonzero(choice == rival)
+                sums[..., chose] += (
+                    self.scored[rival][..., half] @ rows[np.ix_(chose, half)].T
+                )
+        return sums, best
+
+
+def cross_fit(
+    *,
+    choosing: Floats,
+    scored: Floats,
+    is_first: Bools,
+    weights: Floats,
+    is_share: Sequence[bool],
+    least: bool = False,
+) -> tuple[list[Estimate], tuple[int, int]]:
+    """Return what the best of K rivals achieves, and which one each half of the clusters chose.
+
+    On either half the rival is chosen whose ratio of sums has the highest mean over the
+    levels of `choosing` (with `least` the lowest; of equals the first). All J numbers
+    of `scored` then join the sums of either half under the choice of the other one.
+    Intervals are those of `isac_track.intervals.ratio_estimates`, but every replicate,
+    and every deletion of the jackknife, chooses anew (`interval_of_choice`).
+
+    Parameters
+    ----------
+    choosing : (K, L, 2, C)
+        Numerator and denominator within each cluster, of each rival at each level.
+    scored : (K, J, 2, C)
+        The same of what is scored.
+    is_first : (C,)
+        Which clusters are in the first half.
+    weights : (B, C)
+        How often each cluster is drawn in each bootstrap replicate.
+    is_share : (J,)
+        Whether a number is a share of trials.
+    least : bool
+        Whether the lowest is the best.
+    """
+    contest = _Contest(choosing, scored, is_first, least)
+    sums, best = contest.joined(np.concatenate([np.ones((1, is_first.size)), weights]))
+    values = ratio_of_sums(sums.transpose(1, 0, 2))
+    choice = np.where(is_first, best[1, 0], best[0, 0])
+    # Of every cluster what the choice of the other half leaves it, (J, 2, C).
+    joined = scored[choice, :, :, np.arange(choice.size)].transpose(1, 2, 0)
+    plain = ratio_estimates(
+        numerator=joined[:, 0],
+        denominator=joined[:, 1],
+        weights=weights[:1],
+        is_share=is_share,
+    )
+    fixed = ratio_of_sums(joined.transpose(1, 0, 2) @ weights.T)
+    few = [is_few(effective_clusters(trials)) for trials in joined[:, 1]]
+    deleted = (
+        contest.joined(1.0 - np.eye(is_first.size))[0] if any(few) else sums[..., :0]
+    )
+    estimates = [
+        interval_of_choice(
+            estimate,
+            drawn=values[place],
+            fixed=fixed[place],
+            without=(
+                ratio_of_sums(deleted[place])[joined[place, 1] > 0.0]
+                if few[place]
+                else _NONE
+            ),
+            is_share=is_share[place],
+            may_be_negative=bool(joined[place, 0].min() < 0.0),
+        )
+        for place, estimate in enumerate(plain)
+    ]
+    return estimates, (int(best[0, 0]), int(best[1, 0]))
+
+
+def best_rival(over: Floats, under: Floats, *, least: bool, otherwise: int) -> Ints:
+    """Return the rival with the best mean over the levels in each row, (R,).
+
+    `over` and `under`, (K, L, R), are numerators and denominators of K rivals at L
+    levels; a level counts where all rivals have trials. `otherwise` stands where no
+    level counts.
+    """
+    is_known = (under > 0.0).all(axis=0)
+    ratio = np.divide(over, under, out=np.zeros_like(over), where=is_known)
+    mean = ratio.sum(axis=1)
+    place = mean.argmin(axis=0) if least else mean.argmax(axis=0)
+    return np.where(is_known.any(axis=0), place, otherwise)
+
+
+def is_few(effective: float) -> bool:
+    """Whether so many effective clusters take a jackknife's interval."""
+    return LEAST_CLUSTERS <= effective < FEW_CLUSTERS
+
+
+def interval_of_choice(
+    plain: Estimate,
+    *,
+    drawn: Floats,
+    fixed: Floats,
+    without: Floats,
+    is_share: bool,
+    may_be_negative: bool = False,
+) -> Estimate:
+    """Return an estimate with an interval that repeats the choice of the best rival.
+
+    `drawn`, (1 + B,), are the number and its replicates, each with a choice of its own;
+    `fixed`, (B,), the replicates under the choice of all clusters; `without`, (D,), the
+    number without each cluster that counts. A replicate, which has noise on top of
+    noise, chooses worse than the people themselves: by as much as that moves the mean
+    of all replicates they are moved back. Few clusters take the jackknife's interval
+    (`is_few`); fewer keep what `plain` has, which also tells how many there are.
+    """
+    replicates = drawn[1:] - (_mean(drawn[1:]) - _mean(fixed))
+    ends = plain.ci_low, plain.ci_high
+    is_extreme = is_share and plain.value in {0.0, 1.0}
+    if is_few(plain.effective):
+        low, high = jackknife_interval(
+            np.append(drawn[0], without), effective=plain.effective, is_share=is_share
+        )
+        ends = (low if may_be_negative else max(0.0, low)), high
+    elif plain.effective >= FEW_CLUSTERS and is_extreme:
+        ends = wilson(hits=plain.value * plain.n, n=plain.n)
+    elif plain.effective >= FEW_CLUSTERS:
+        low, high = percentile_interval(replicates)
+        ends = (max(0.0, low), min(high, 1.0)) if is_share else (low, high)
+    return replace(plain, ci_low=ends[0], ci_high=ends[1], replicates=replicates)
+
+
+def ratio_of_sums(sums: Floats) -> Floats:
+    """Return numerators, the first of (2, ...), over denominators; NaN where these are 0."""
+    over, under = sums
+    return np.asarray(
+        np.divide(over, under, out=np.full(over.shape, np.nan), where=under > 0.0)
+    )
+
+
+def _mean(replicates: Floats) -> float:
+    """Return the mean of the replicates that are known; 0 without any."""
+    known = replicates[np.isfinite(replicates)]
+    return float(known.mean()) if known.size else 0.0

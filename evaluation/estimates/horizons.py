@@ -1,0 +1,115 @@
+"""How soon conflicts come, `conflict_times.csv`, and which robots lose to standing still."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from evaluation.estimates.keys import Found, Measure, horizons_in
+from evaluation.estimates.metrics import MISSED_RATE
+from evaluation.estimates.summary import clusters, weights_of
+from evaluation.plan.constants import horizon_world
+from evaluation.plan.presets import BASELINE
+from evaluation.store.cell_files import read_rows
+from isac_track.intervals import (
+    FEWEST_EFFECTIVE,
+    Estimate,
+    cluster_sums,
+    difference,
+    ratio_estimates,
+)
+
+N_TIMES: Final = 25  # Of a distribution, from now to its last conflict.
+TIME_COLUMNS: Final = ["dataset", "by_s", "value", "ci_low", "ci_high", "n"]
+_COLUMNS: Final = ["group", "conflict", "time_to_conflict_s"]
+
+
+def conflict_times(out: Path, manifest: Mapping[str, Any]) -> pd.DataFrame:
+    """Return the share of conflicts in which somebody is inside by a time, at every horizon.
+
+    `TIME_COLUMNS`: `by_s` is the time from now in s, 0 tells who is inside already;
+    `value` is the share. The scenes are one for all predictors and levels: the first
+    ones are read. Raises DataError as `read_rows`.
+    """
+    frames = [pd.DataFrame(columns=TIME_COLUMNS, dtype=float)]
+    name, robots = manifest["dataset"]["name"], dict[str, Mapping[str, Any]]()
+    for entry in manifest["cells"]:
+        if entry["kind"] == "predictor":
+            robots.setdefault(entry.get("world") or "", entry)
+    for world in ("", *map(horizon_world, horizons_in(manifest["cells"]))):
+        if world in robots:
+            frame = _distribution(out, robots[world], manifest)
+            frames.append(frame.assign(dataset=f"{name}:{world}" if world else name))
+    return pd.concat(frames[1:] or frames, ignore_index=True)[TIME_COLUMNS]
+
+
+def _distribution(
+    out: Path, entry: Mapping[str, Any], manifest: Mapping[str, Any]
+) -> pd.DataFrame:
+    table, weights = read_rows(out, entry, columns=_COLUMNS), weights_of(manifest)
+    conflict, time_s = (table[column].to_numpy() for column in _COLUMNS[1:])
+    by_s = np.linspace(0.0, np.nanmax(time_s, initial=0.0), N_TIMES)
+    # The last time is the largest there is: rounding must not leave it out.
+    inside = conflict & (time_s <= by_s[:, None] + 1e-9)
+    cluster = clusters(table, manifest)
+    conflicts, *sums = (
+        cluster_sums(values=values * 1.0, cluster=cluster, n_clusters=weights.shape[1])
+        for values in (conflict, *inside)
+    )
+    shares = ratio_estimates(
+        numerator=np.array(sums),
+        denominator=np.tile(conflicts, (N_TIMES, 1)),
+        weights=weights,
+        is_share=[True] * N_TIMES,
+    )
+    rows = [
+        [time, share.value, share.ci_low, share.ci_high, share.n]
+        for time, share in zip(by_s, shares, strict=True)
+    ]
+    rows[-1][2:4] = [np.nan, np.nan]  # by then all have come, by construction
+    return pd.DataFrame(rows, columns=TIME_COLUMNS[1:])
+
+
+def beaten_by_standing_still(
+    own: Found, later: Mapping[float, Found]
+) -> list[dict[str, Any]]:
+    """Return a record for each robot and horizon: where it surely misses more than `BASELINE`.
+
+    `own` is of the run's own horizon, `later` of further ones, s. The comparison is
+    paired, same scenes and draws, at the same level; fewer than `FEWEST_EFFECTIVE`
+    effective clusters say nothing. `levels` counts the levels compared, `loses` names
+    those where it loses.
+    """
+    records = []
+    for horizon_s, at_horizon in ((None, own), *later.items()):
+        robots: dict[str, list[dict[str, Any]]] = {}
+        for key, missed in at_horizon.items():
+            still = at_horizon.get(Measure(BASELINE, MISSED_RATE).at(*key.where))
+            if (
+                key.metric == MISSED_RATE
+                and key.consumer != BASELINE
+                and still is not None
+            ):
+                compared = _compared(missed, still)
+                about = {"mechanism": key.mechanism, "level": key.level}
+                robots.setdefault(key.consumer, []).append(about | compared)
+        for robot, levels in robots.items():
+            loses = [level for level in levels if level["ci_low"] > 0]
+            about = {"robot": robot, "horizon_s": horizon_s, "levels": len(levels)}
+            records.append(about | {"loses": loses})
+    return records
+
+
+def _compared(missed: Estimate, still: Estimate) -> dict[str, float]:
+    more = difference(missed, still)
+    is_known = missed.n_effective >= FEWEST_EFFECTIVE
+    return {
+        "missed": missed.value,
+        "standing_still": still.value,
+        "difference": more.value,
+        "ci_low": more.ci_low if is_known else np.nan,
+        "ci_high": more.ci_high if is_known else np.nan,
+        "n": missed.n,
+    }

@@ -1,0 +1,140 @@
+"""The strongest attack against each mechanism, by task and group of adversaries: `strongest.csv`.
+
+Each is chosen against the mechanism alone, over all of its levels, and cross-fitted:
+its numbers are not raised by the choice.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from evaluation.estimates.families import Family
+from evaluation.estimates.keys import Found, Key, Source, Where
+from evaluation.estimates.linkability import dataset_of
+from evaluation.estimates.metrics import (
+    ASSIGNED,
+    DESCRIPTORS,
+    EXPOSURE,
+    SUCCESS,
+    SUCCESS_OF_100,
+)
+from evaluation.estimates.strongest import (
+    GROUPS,
+    HEADLINE,
+    CrossFitted,
+    against_each,
+    by_task,
+    cross_fitted,
+)
+from evaluation.store.cell_files import Summed
+from isac_track.intervals import Estimate
+
+# Group of the headline's adversaries: blind and informed.
+ONE_RELEASE: Final = "one release"
+COLUMNS: Final = [
+    "dataset",
+    "mechanism",
+    "level",
+    "task",
+    "adversary",
+    "consumer",
+    "knowledge",
+    "metric",
+    "value",
+    "ci_low",
+    "ci_high",
+    "n",
+    "first_choice",
+    "second_choice",
+]
+_OF_LINKERS: Final = (SUCCESS, SUCCESS_OF_100)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Strongest:
+    """The strongest attack of a group of adversaries against one mechanism."""
+
+    mechanism: str
+    among: tuple[str, ...]  # One of `GROUPS`.
+    source: Source  # Whom all people together choose.
+    wheres: tuple[Where, ...]  # The mechanism's levels.
+    crossed: CrossFitted  # Without estimates where sums over people are not known.
+
+    def at(self, where: Where, metric: str, found: Found) -> Estimate | None:
+        """Return a number at a level, cross-fitted where it can be; None where it is not known."""
+        key = self.source.measure(metric).at(*where)
+        if key in self.crossed.estimates:
+            return self.crossed.estimates[key]
+        rules = [key, key._replace(metric=ASSIGNED)] if metric == SUCCESS else [key]
+        known = [
+            found[rule]
+            for rule in rules
+            if rule in found and np.isfinite(found[rule].value)
+        ]
+        return max(known, key=lambda estimate: estimate.value, default=None)
+
+
+def strongest_on_each(
+    found: Found, sums: Mapping[Key, Summed], known: Mapping[str, Family]
+) -> tuple[Strongest, ...]:
+    """Return the strongest attacks against every mechanism of a run.
+
+    `found` is every estimate of the run, `sums` those of attacks by cluster, `known`
+    the mechanisms.
+    """
+    own: dict[tuple[str, str], dict[Key, Summed]] = {}
+    for key, summed in sums.items():
+        own.setdefault((key.mechanism, key.measure.source.task), {})[key] = summed
+    strongest = []
+    for by in (EXPOSURE, SUCCESS):
+        for task, levels in by_task(found, metric=by).items():
+            for among in GROUPS:
+                for mechanism, source in against_each(levels, among=among).items():
+                    wheres = tuple(where for where in levels if where[0] == mechanism)
+                    crossed = cross_fitted(
+                        own.get((mechanism, task), {}), known, source, by=by
+                    )
+                    strongest.append(
+                        Strongest(mechanism, among, source, wheres, crossed)
+                    )
+    return tuple(strongest)
+
+
+def strongest_table(
+    strongest: Sequence[Strongest], found: Found, *, dataset: str
+) -> pd.DataFrame:
+    """Return a row for each number of the strongest attacks: `COLUMNS`."""
+    rows = [row for attack in strongest for row in _rows(attack, found, dataset)]
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def _rows(attack: Strongest, found: Found, dataset: str) -> Iterable[dict[str, Any]]:
+    source, task = attack.source, attack.source.task
+    for where in attack.wheres:
+        for metric in _OF_LINKERS if task else DESCRIPTORS:
+            estimate = attack.at(where, metric, found)
+            if estimate is None or not np.isfinite(estimate.value):
+                continue
+            ranked = EXPOSURE if not task else metric
+            first, second = attack.crossed.choices.get(ranked) or (source, source)
+            yield {
+                "dataset": dataset_of(source.consumer, dataset=dataset),
+                "mechanism": where[0],
+                "level": np.nan if where[1] is None else where[1],
+                "task": task,
+                "adversary": (
+                    ONE_RELEASE if attack.among == HEADLINE else attack.among[0]
+                ),
+                "consumer": source.consumer,
+                "knowledge": source.knowledge,
+                "metric": metric,
+                "value": estimate.value,
+                "ci_low": estimate.ci_low,
+                "ci_high": estimate.ci_high,
+                "n": estimate.n,
+                "first_choice": first.label.removeprefix(f"{task}/"),
+                "second_choice": second.label.removeprefix(f"{task}/"),
+            }

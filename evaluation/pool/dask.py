@@ -1,0 +1,325 @@
+"""The same cells on a Dask cluster, to the bit: the user's scheduler, the user's workers.
+
+A worker that is killed costs what it was at, which Dask gives to another. Work that has
+killed several is tried once more with nothing beside it, so that no innocent work is
+blamed.
+"""
+
+import contextlib
+import logging
+import platform
+import threading
+import time
+import uuid
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from importlib import import_module
+from importlib.metadata import version
+from typing import Any, Final, Generic, TypeAlias, TypeVar
+
+from cloudpickle import dumps, loads
+from threadpoolctl import threadpool_limits
+
+from evaluation.compute.where import Failed, note
+from evaluation.plan.fingerprint import OURS, code_hash, source_digest
+from evaluation.pool.workers import given_back
+from isac_track.command_line import check_interrupt
+from isac_track.errors import SettingsError, told
+
+W = TypeVar("W")
+R = TypeVar("R")
+Client: TypeAlias = Any
+Task: TypeAlias = Any  # A future. Neither has types, and both are an extra.
+
+_CONNECT_S: Final = 5.0
+_FIRST_WORKER_S: Final = 10.0
+# Longest time without any worker: those that died may be started again.
+_NO_WORKER_S: Final = 60.0
+# Longest time that a scheduler may take to say how many threads there are.
+_ANSWER_S: Final = 8.0
+_ASK_S: Final = 2.0
+_LOOK_S: Final = 0.02
+_FETCH_S: Final = 10.0
+# Works handed out per thread: no worker waits, and nobody holds many.
+_AHEAD: Final = 2
+_LARGE: Final = {
+    "distributed.admin.large-graph-warning-threshold": "1GiB"
+}  # Ours holds tracks.
+_LIBRARIES: Final = ("numpy", "scipy", "numba")
+_LOADING: Final = threading.Lock()
+_FIRST_SEEN: Final[
+    dict[str, str]
+] = {}  # Digests of the source as loaded: files may change later.
+
+
+def spread_on_cluster(
+    function: Callable[[W], Iterable[R]],
+    works: deque[W],
+    *,
+    scheduler: str,
+    modules: Iterable[str],
+) -> Generator[tuple[W, list[R | Failed]]]:
+    """Yield each work with what the function makes of it, as it is finished: `spread` on a cluster.
+
+    A work whose workers died again and again yields a `Failed` of unknown place.
+    `scheduler` is an address, such as ``tcp://host:8786``; workers must have the same
+    of all `modules`.
+
+    Raises SettingsError if the scheduler cannot be reached or is gone, no worker is
+    there, or a worker would not compute the same.
+    """
+    strange = tuple(one for one in modules if one.partition(".")[0] not in OURS)
+    with _connected(scheduler) as client:
+        cluster = _Cluster(function, client, scheduler, strange)
+        suspects: deque[W] = deque()
+        try:
+            while works or suspects or cluster.under_way:
+                check_interrupt()
+                while works and len(cluster.under_way) < _AHEAD * cluster.n_threads:
+                    cluster.start(works.popleft())
+                if suspects and not cluster.under_way:
+                    cluster.start(suspects.popleft())
+                for work, items in cluster.ended():
+                    known = len(works)
+                    yield work, items
+                    # A death may be a neighbour's fault: what is added after one waits
+                    # until nothing else is left, and is tried one at a time.
+                    if any(isinstance(one, Failed) and one.died for one in items):
+                        again = [works.pop() for _ in range(len(works) - known)]
+                        suspects.extend(reversed(again))
+        finally:
+            if cluster.under_way and client.status == "running":
+                with contextlib.suppress(Exception):
+                    client.cancel([*cluster.under_way])
+
+
+class _Cluster(Generic[W, R]):
+    """The workers of a scheduler."""
+
+    def __init__(
+        self,
+        function: Callable[[W], Iterable[R]],
+        client: Client,
+        scheduler: str,
+        modules: tuple[str, ...],
+    ) -> None:
+        self._client, self._scheduler, self._modules = client, scheduler, modules
+        self._expected = _about(modules, seen={})
+        self.n_threads = 1
+        self.under_way: dict[Task, W] = {}
+        self._asked_s = self._worked_s = time.monotonic()
+        self._check_workers()
+        # Packed for the workers alone: the scheduler has no use for a user's plug-in.
+        self._function = self._submitted(_loaded, dumps(function))
+
+    def _check_workers(self) -> None:
+        """Raise SettingsError unless workers are there that compute the same."""
+        until = time.monotonic() + _FIRST_WORKER_S
+        while not self._ask_threads():
+            if time.monotonic() > until:
+                raise SettingsError(
+                    f"the scheduler at {self._scheduler} has no workers; start some"
+                    f" with `dask worker {self._scheduler}`"
+                )
+            time.sleep(_LOOK_S)
+        try:
+            answers = self._client.run(_about, self._modules, on_error="return")
+        except (OSError, TimeoutError):
+            raise self._gone() from None
+        for worker, answer in answers.items():
+            if isinstance(answer, SettingsError):
+                raise SettingsError(f"worker {worker}: {answer}")
+            if isinstance(answer, Exception):
+                raise SettingsError(
+                    f"worker {worker} lacks this isac-track ({type(answer).__name__}:"
+                    f" {answer}); install it there"
+                )
+            _check_alike(answer, self._expected, worker=worker)
+
+    def start(self, work: W) -> None:
+        arguments = (self._function, dumps(work), self._modules, self._expected)
+        self.under_way[self._submitted(_computed, *arguments)] = work
+
+    def _submitted(self, function: Callable[..., Any], *arguments: object) -> Task:
+        return self._client.submit(
+            function, *arguments, key=f"isac-track-{uuid.uuid4().hex}"
+        )
+
+    def ended(self) -> Iterator[tuple[W, list[R | Failed]]]:
+        """Yield what has ended; SettingsError if scheduler or workers are gone for long."""
+        if self._client.status != "running":
+            raise self._gone()
+        if time.monotonic() >= self._asked_s + _ASK_S:
+            if self._ask_threads():
+                self._worked_s = time.monotonic()
+            elif self._asked_s > self._worked_s + _NO_WORKER_S:
+                start = f"some (`dask worker {self._scheduler}`)"
+                raise self._gone(f"has had no worker for {_NO_WORKER_S:g} s", start)
+        time.sleep(_LOOK_S)
+        for task in [
+            one for one in self.under_way if one.status not in ("pending", "lost")
+        ]:
+            if (items := self._items(task)) is not None:
+                work = self.under_way.pop(task)
+                task.release()
+                yield work, items
+
+    def _items(self, task: Task) -> list[R | Failed] | None:
+        """Return what came of a task; None if it is not there (any more)."""
+        from distributed import CancelledError  # noqa: PLC0415 - an extra
+        from distributed.scheduler import KilledWorker  # noqa: PLC0415 - an extra
+
+        # whoever had it is gone, or it takes long
+        found: list[R | Failed] | None = None
+        try:
+            found = task.result(timeout=_FETCH_S)
+        except KilledWorker:
+            why = (
+                "its worker died (killed, crashed or out of memory), and others"
+                " before it"
+            )
+            found = [Failed((), why, died=True)]
+        except CancelledError:
+            raise self._gone() from None
+        except (OSError, TimeoutError):
+            if task.status == "error":  # its own
+                raise
+        except RuntimeError as error:
+            if "deserialization of the task graph" not in str(error):
+                raise
+            what = f"the scheduler at {self._scheduler} lacks this isac-track"
+            raise SettingsError(f"{what}; install it there, too") from None
+        return found
+
+    def _ask_threads(self) -> int:
+        """Ask for the threads of all workers; 0 without workers."""
+        try:
+            threads = self._client.sync(
+                self._client.scheduler.ncores, callback_timeout=_ANSWER_S
+            )
+        except (
+            OSError,
+            TimeoutError,
+            AttributeError,
+        ):  # without a connection it is None
+            raise self._gone() from None
+        self._asked_s = time.monotonic()
+        n_threads: int = sum(threads.values())
+        self.n_threads = n_threads or self.n_threads
+        return n_threads
+
+    def _gone(self, what: str = "is gone", start: str = "it") -> SettingsError:
+        return SettingsError(
+            f"the scheduler at {self._scheduler} {what}; finished cells are kept; start"
+            f" {start} and run the same command again"
+        )
+
+
+@contextlib.contextmanager
+def _connected(scheduler: str) -> Iterator[Client]:
+    """Connect, and leave the cluster as it was; Dask's loggers are quiet meanwhile."""
+    try:
+        import dask  # noqa: PLC0415 - an extra
+        import distributed  # noqa: PLC0415 - an extra
+    except ImportError:
+        raise SettingsError("--executor dask: pip install 'isac-track[dask]'") from None
+    noisy = ("distributed", "tornado", "asyncio")
+    names = [
+        name
+        for name in logging.root.manager.loggerDict
+        if name.partition(".")[0] in noisy
+    ]
+    with contextlib.ExitStack() as ends:
+        for logger in map(logging.getLogger, {*names, "distributed", "asyncio"}):
+            ends.callback(logger.setLevel, logger.level)
+            logger.setLevel(logging.CRITICAL)  # what matters is told in one line
+        ends.enter_context(dask.config.set(_LARGE))
+        try:
+            # Some versions of distributed have no types here, others do.
+            client: Client = distributed.Client(  # type: ignore[no-untyped-call,unused-ignore]
+                scheduler, timeout=_CONNECT_S, set_as_default=False
+            )
+        except (OSError, ValueError, TypeError, RuntimeError) as error:
+            why = " ".join(str(error).split()) or type(error).__name__
+            raise SettingsError(
+                f"no Dask scheduler answers at {scheduler!r} ({why}); start one with "
+                "`dask scheduler`, and workers with `dask worker ADDRESS`"
+            ) from None
+        try:
+            yield client
+        finally:
+            with contextlib.suppress(Exception):  # it may be gone
+                client.close(timeout=_CONNECT_S)
+
+
+# From here on: in a worker, several threads at a time.
+
+
+def _loaded(packed: bytes) -> Any:  # noqa: ANN401 - what was packed
+    with _LOADING:
+        return loads(packed)
+
+
+def _computed(
+    function: Callable[[W], Iterable[R]],
+    packed: bytes,
+    modules: tuple[str, ...],
+    expected: Mapping[str, str],
+) -> list[R]:
+    """Return what a worker makes of a work; it may have joined after the others were checked."""
+    from distributed import get_worker  # noqa: PLC0415 - an extra
+
+    _check_alike(_about(modules), expected, worker=get_worker().address)
+    work: W = _loaded(packed)
+    threadpool_limits(
+        limits=1
+    )  # not lifted: of the whole process, where others may be computing
+    note()
+    with given_back():
+        return list(function(work))
+
+
+def _about(
+    modules: tuple[str, ...], *, seen: dict[str, str] = _FIRST_SEEN
+) -> dict[str, str]:
+    """Return all that the bits of a result depend on in a process; `seen` is filled at sight."""
+    with _LOADING:
+        if "code" not in seen:
+            seen["code"] = code_hash()
+        for name in modules:
+            if f"module {name}" not in seen:
+                try:
+                    import_module(name)
+                    seen[f"module {name}"] = source_digest(name)[:16]
+                except (
+                    Exception,  # noqa: BLE001 - it may do anything at all
+                    SystemExit,
+                ) as error:
+                    raise SettingsError(
+                        f"cannot import {name!r} ({told(error)}), which a plug-in of"
+                        " the run needs; it must be importable on every worker, as by"
+                        " PYTHONPATH"
+                    ) from None
+    return {
+        "code": seen["code"],
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+        **{name: version(name) for name in _LIBRARIES},
+        **{f"module {name}": seen[f"module {name}"] for name in modules},
+    }
+
+
+def _check_alike(
+    answer: Mapping[str, str], expected: Mapping[str, str], *, worker: str
+) -> None:
+    """Raise SettingsError if a worker's results might not be the same to the bit."""
+    different = [
+        f"{key} {answer.get(key)} instead of {value}"
+        for key, value in expected.items()
+        if answer.get(key) != value
+    ]
+    if different:
+        raise SettingsError(
+            f"worker {worker} would not compute the same: {', '.join(different)}; "
+            "bring it to the same version and start it again"
+        )

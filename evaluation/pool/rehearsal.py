@@ -1,0 +1,43 @@
+"""A dry run: everything that would end a run before its first cell, without leaving a trace."""
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+from evaluation.plan.plan import Plan
+from evaluation.pool.trials import try_plugins
+from evaluation.store.files import MANIFEST
+from evaluation.store.folder import check_folder, refuse_other_run, usable
+from evaluation.store.manifest import parsed, undamaged
+from isac_track.errors import SettingsError
+
+
+def rehearse(ready: Plan) -> list[str]:
+    """Try what a run does before it computes; return notices.
+
+    The folder must be writable, and hold no other run. Every plug-in of a user's own is
+    called once on a few made-up people. Raises SettingsError, DataError or PluginError
+    as the run would.
+    """
+    check_folder(ready.out)
+    with usable(ready.out):
+        _check_writable(ready.out)
+        if (ready.out / MANIFEST).exists() and not ready.settings.fresh:
+            manifest = undamaged(parsed(ready.out), out=ready.out)
+            refuse_other_run(manifest["identity"], ready.identity, out=ready.out)
+    with tempfile.TemporaryDirectory() as folder:
+        given_up = try_plugins(replace(ready, out=Path(folder)), keeps_traceback=False)
+    return [
+        f"{spec} took more than a minute for a few made-up people" for spec in given_up
+    ]
+
+
+def _check_writable(out: Path) -> None:
+    """Raise SettingsError if nothing can be written where a run folder is, or would be made."""
+    there = next(path for path in (out, *out.absolute().parents) if path.is_dir())
+    try:
+        with tempfile.TemporaryDirectory(dir=there, prefix=".isac-track-"):
+            pass
+    except OSError as error:
+        what = f"cannot write {there}: {error.strerror}"
+        raise SettingsError(f"{what}; choose another --out") from None

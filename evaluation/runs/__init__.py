@@ -1,1 +1,0 @@
-"""The run folder, and who computes what is missing in it."""

@@ -1,0 +1,13 @@
+"""Patrols: robots that walk through a whole recording and ask where people are."""
+
+from isac_track.patrols.patrol import (
+    Patrol,
+    Presences,
+    horizon_scans,
+    make_patrol,
+    query_scans,
+    sense_people,
+)
+
+__all__ = ["Patrol", "Presences"]
+__all__ += ["horizon_scans", "make_patrol", "query_scans", "sense_people"]

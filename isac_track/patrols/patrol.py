@@ -1,0 +1,248 @@
+"""Patrols: robots walk through a whole recording and ask where people are.
+
+Everybody is present at true times and places, in long tracks and short. One scan clock
+serves all people; every `query_s` each robot asks. People do not give way to robots.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from isac_track.config import PatrolSettings, StageSettings
+from isac_track.errors import DataError
+from isac_track.patrols.routes import draw_waypoints, places_along, walked_cells
+from isac_track.resample import Walk, walk
+from isac_track.rng import stream
+from isac_track.sensing import draw_walk_channel, recorded_walk, sense, walked_within
+from isac_track.types import Floats, Ints, Sensed, Tracks
+
+_ROUNDING: Final = 1e-6  # In steps of a clock: a recorded instant carries rounding.
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Presences:
+    """E pairs of a query and a person who is present then, in the order of queries."""
+
+    query: Ints  # (E,) number of the query.
+    person: Ints  # (E,) row of the person's track.
+    sample: Ints  # (E,) her sample at the instant of the query.
+
+    def __len__(self) -> int:
+        """Return their number."""
+        return self.query.size
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Patrol:
+    """N people with M samples on one clock of K scans, and R robots that ask Q times.
+
+    Robots ``fleet * robots_per_fleet`` and the next ones are the robots of a fleet. The
+    scans go on after the last sample, as far as any forecast reaches.
+    """
+
+    people: Tracks  # The truth at the scans.
+    scan: Ints  # (M,) number of the scan of each sample.
+    scan_s: Floats  # (K,) s, times of the scans.
+    grid: Tracks  # The truth of the same people on the grid of instants.
+    robot_xy: Floats  # (R, K, 2) m, places of the robots at the scans.
+    query_scan: Ints  # (Q,) scans at which the robots ask.
+    query_s: float  # Time between two queries.
+    # (H,) s, instants of a forecast after now, one a scan; the first is 0.
+    ahead_s: Floats
+    presences: Presences
+    robots_per_fleet: int
+    # Recorded people who are present at no scan or at no instant of the grid.
+    n_unseen: int
+
+    @property
+    def n_robots(self) -> int:
+        """Number of robots."""
+        return len(self.robot_xy)
+
+    @property
+    def n_fleets(self) -> int:
+        """Number of fleets."""
+        return self.n_robots // self.robots_per_fleet
+
+    @property
+    def duration_s(self) -> float:
+        """Time that a robot walks and asks, s."""
+        return self.query_s * self.query_scan.size
+
+    def t_ahead(self, presence: Ints) -> Floats:
+        """Return the instants of the forecasts of some presences, (..., H) s."""
+        now = self.query_scan[self.presences.query[presence]]
+        return np.asarray(self.scan_s[now[:, None] + np.arange(self.ahead_s.size)])
+
+    def robot_ahead(self, robot: int, presence: Ints) -> Floats:
+        """Return where a robot is at these instants, (..., H, 2) m."""
+        now = self.query_scan[self.presences.query[presence]]
+        return np.asarray(
+            self.robot_xy[robot, now[:, None] + np.arange(self.ahead_s.size)]
+        )
+
+
+def horizon_scans(settings: StageSettings) -> tuple[int, ...]:
+    """Return the horizons of conflicts in scans: the paper's steps, then the further ones."""
+    further_s = settings.conflict.horizons_s
+    scan_s = settings.patrol.scan_s
+    steps = (
+        settings.conflict.horizon_steps - 1,
+        *(round(s / scan_s) for s in further_s),
+    )
+    return tuple(max(1, step) for step in steps)
+
+
+def make_patrol(recorded: Tracks, *, settings: StageSettings, seed: int) -> Patrol:
+    """Return the patrol through a recording, whose people stand where they are sensed.
+
+    `recorded` are tracks as `isac_track.place.placed` returns them. Each robot draws
+    its route from a stream of its own. DataError if nobody is present at a scan, or at
+    a query.
+    """
+    rules = settings.patrol
+    start_s = float(recorded.t.min())
+    end_s = min(float(recorded.t.max()), start_s + rules.segment_s)
+    walks = _present_walks(recorded, settings=settings, start_s=start_s, end_s=end_s)
+    people = _on_clock(
+        recorded, walks, start_s=start_s, end_s=end_s, step_s=rules.scan_s
+    )
+    grid = _on_clock(recorded, walks, start_s=start_s, end_s=end_s, step_s=rules.grid_s)
+    scan = np.rint((people.t - start_s) / rules.scan_s).astype(np.int64)
+    n_scans = int(scan.max()) + 1
+    n_ahead = 1 + max(horizon_scans(settings)) + query_scans(rules)
+    query_scan = _query_scans(n_scans, rules)
+    clock_s = start_s + rules.scan_s * np.arange(float(n_scans + n_ahead))
+    return Patrol(
+        people=people,
+        scan=scan,
+        scan_s=clock_s,
+        grid=grid,
+        robot_xy=_walk_robots(
+            people.xy, clock_s - start_s, settings=settings, seed=seed
+        ),
+        query_scan=query_scan,
+        query_s=rules.query_s,
+        ahead_s=rules.scan_s * np.arange(float(n_ahead)),
+        presences=_presences(scan, people.offsets, query_scan),
+        robots_per_fleet=rules.robots,
+        n_unseen=len(recorded) - len(people),
+    )
+
+
+def query_scans(rules: PatrolSettings) -> int:
+    """Return the largest number of scans between two queries."""
+    return int(np.ceil(rules.query_s / rules.scan_s - _ROUNDING))
+
+
+def sense_people(patrol: Patrol, *, settings: StageSettings, seed: int) -> Sensed:
+    """Return what the network senses of everybody: one error for each person and sample.
+
+    What lasts of a link is that of the recorded walk; beam and error are the patrol's
+    own.
+    """
+    people = patrol.people
+    channel = draw_walk_channel(
+        walked_m=walked_within(people.xy, people.offsets),
+        offsets=people.offsets,
+        walks=[recorded_walk(source) for source in people.source],
+        keys=[("patrol", source) for source in people.source],
+        settings=settings.sensing,
+        seed=seed,
+    )
+    return sense(
+        t=people.t,
+        xy=people.xy,
+        offsets=people.offsets,
+        channel=channel,
+        settings=settings.sensing,
+    )
+
+
+def _instants(track: Tracks, *, start_s: float, end_s: float, step_s: float) -> Ints:
+    """Return the ticks of a clock at which a recorded person is present, (K,)."""
+    first_s, last_s = max(float(track.t[0]), start_s), min(float(track.t[-1]), end_s)
+    first = int(np.ceil((first_s - start_s) / step_s - _ROUNDING))
+    last = int(np.floor((last_s - start_s) / step_s + _ROUNDING))
+    return np.arange(first, last + 1)
+
+
+def _present_walks(
+    recorded: Tracks, *, settings: StageSettings, start_s: float, end_s: float
+) -> dict[int, Walk]:
+    """Return the continuous walks of those present on both clocks, by row."""
+    rules, walks = settings.patrol, {}
+    for row, track in enumerate(recorded):
+        present = [
+            _instants(track, start_s=start_s, end_s=end_s, step_s=step_s).size > 0
+            for step_s in (rules.scan_s, rules.grid_s)
+        ]
+        if track.t.size > 1 and all(present):
+            overshoot_m = settings.resample.max_overshoot_m
+            walks[row] = walk(track, max_overshoot_m=overshoot_m)
+    if not walks:
+        raise DataError(
+            f"nobody of {len(recorded)} people is present at a scan, every "
+            f"{rules.scan_s:g} s; record longer, or set patrol.scan_s lower"
+        )
+    return walks
+
+
+def _on_clock(
+    recorded: Tracks,
+    walks: dict[int, Walk],
+    *,
+    start_s: float,
+    end_s: float,
+    step_s: float,
+) -> Tracks:
+    """Return the walks at the ticks of a clock."""
+    times, places = [], []
+    for row, continuous in walks.items():
+        track = recorded[row]
+        ticks = _instants(track, start_s=start_s, end_s=end_s, step_s=step_s)
+        t = start_s + step_s * ticks
+        times.append(t)
+        places.append(continuous(np.clip(t, track.t[0], track.t[-1])))
+    return Tracks(
+        t=np.concatenate(times),
+        xy=np.concatenate(places),
+        offsets=np.cumsum([0, *map(len, times)]),
+        source=tuple(recorded.source[row] for row in walks),
+        group=tuple(recorded.group[row] for row in walks),
+    )
+
+
+def _query_scans(n_scans: int, rules: PatrolSettings) -> Ints:
+    """Return the scans of the queries: the last scan at or before each query's time."""
+    n_queries = int((n_scans - 1) * rules.scan_s / rules.query_s + _ROUNDING) + 1
+    asked_s = rules.query_s * np.arange(float(n_queries))
+    scan: Ints = np.floor(asked_s / rules.scan_s + _ROUNDING).astype(np.int64)
+    return scan
+
+
+def _presences(scan: Ints, offsets: Ints, query_scan: Ints) -> Presences:
+    number = np.full(int(scan.max()) + 1, -1)
+    number[query_scan] = np.arange(query_scan.size)
+    sample = np.flatnonzero(number[scan] >= 0)
+    sample = sample[np.argsort(number[scan[sample]], kind="stable")]
+    if not sample.size:
+        raise DataError("nobody is present when a robot asks; set patrol.query_s lower")
+    person = np.searchsorted(offsets, sample, side="right") - 1
+    return Presences(query=number[scan[sample]], person=person, sample=sample)
+
+
+def _walk_robots(
+    people_xy: Floats, elapsed_s: Floats, *, settings: StageSettings, seed: int
+) -> Floats:
+    """Return the places of all robots at times since the start, (R, K, 2) m."""
+    rules, speed_mps = settings.patrol, settings.conflict.robot_speed_mps
+    cells, distance_m = walked_cells(people_xy), speed_mps * elapsed_s
+    routes = []
+    for fleet in range(rules.fleets):
+        for robot in range(rules.robots):
+            rng = stream(seed, "patrols", "route", fleet, robot)
+            waypoints = draw_waypoints(cells, length_m=float(distance_m[-1]), rng=rng)
+            routes.append(places_along(waypoints, distance_m))
+    return np.stack(routes)

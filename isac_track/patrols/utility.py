@@ -1,0 +1,274 @@
+"""What a robot on patrol foresees, misses, and is alarmed by in vain.
+
+Scans count time. Truth and forecast are held against each other up to a person's
+leaving.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from isac_track.patrols.answers import Disclosure, Network, forecast_runs
+from isac_track.patrols.patrol import Patrol
+from isac_track.protocols import Predictor, knowing
+from isac_track.types import Bools, Floats, Ints, squared_lengths, stretches
+
+NEVER: Final = np.iinfo(np.int64).max // 2  # Scans until an event that does not happen.
+_LEAST_HISTORY: Final = 2  # Samples without which nobody can be forecast.
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Counts:
+    """Hits and trials of a share; the last axis is that of the R robots."""
+
+    hits: Bools
+    trials: Bools
+
+    @property
+    def rate(self) -> float:
+        """Share of hits among all trials; NaN without a trial."""
+        n_trials = int(self.trials.sum())
+        n_hits = int((self.hits & self.trials).sum())
+        return n_hits / n_trials if n_trials else float("nan")
+
+
+def true_conflicts(patrol: Patrol, *, safety_radius_m: float) -> Ints:
+    """Return after how many scans a person truly comes inside the safety radius, (E, R).
+
+    0: she is inside at the query. `NEVER`: not before she leaves, or beyond the reach
+    of all forecasts.
+    """
+    sample, reach = patrol.presences.sample, patrol.ahead_s.size - 1
+    stay = np.minimum(scans_left(patrol), reach)
+    conflicts = np.full((sample.size, patrol.n_robots), NEVER)
+    for robot in range(patrol.n_robots):
+        inside = _is_inside(patrol, robot=robot, safety_radius_m=safety_radius_m)
+        following = np.where(inside, np.arange(inside.size), NEVER)
+        wait = np.minimum.accumulate(following[::-1])[::-1][sample] - sample
+        conflicts[:, robot] = np.where(wait <= stay, wait, NEVER)
+    return conflicts
+
+
+def first_entries(patrol: Patrol, *, safety_radius_m: float) -> Ints:
+    """Return the scan at which a person is first inside, (N, R); `NEVER` if she never is."""
+    entries = np.full((len(patrol.people), patrol.n_robots), NEVER)
+    for robot in range(patrol.n_robots):
+        inside = _is_inside(patrol, robot=robot, safety_radius_m=safety_radius_m)
+        scan = np.where(inside, patrol.scan, NEVER)
+        entries[:, robot] = np.minimum.reduceat(scan, patrol.people.offsets[:-1])
+    return entries
+
+
+def scans_left(patrol: Patrol) -> Ints:
+    """Return how many scans a person stays after each presence, (E,)."""
+    pairs = patrol.presences
+    return np.asarray(patrol.people.offsets[pairs.person + 1] - 1 - pairs.sample)
+
+
+def _is_inside(patrol: Patrol, *, robot: int, safety_radius_m: float) -> Bools:
+    """Return at which samples a person is truly inside the safety radius, (M,)."""
+    gap = patrol.people.xy - patrol.robot_xy[robot, patrol.scan]
+    return np.asarray(squared_lengths(gap) < safety_radius_m**2)
+
+
+def foreseen_conflicts(
+    network: Network,
+    disclosure: Disclosure,
+    *,
+    predictor: Predictor,
+    safety_radius_m: float,
+) -> Ints:
+    """Return after how many scans a robot foresees a person inside, (E, R).
+
+    `NEVER` for people who are not in the answer, and after a person's leaving. The form
+    of the answer says who forecasts: the robot's `predictor` from samples, or the
+    network, whose state or flag the robot takes as it is. A flag is scored for each
+    person by the forecasts that it sums up.
+    """
+    answers = answer_forecasts(network, disclosure, predictor)
+    return conflicts_in(network.patrol, answers, safety_radius_m=safety_radius_m)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class AnswerForecasts:
+    """U forecasts, and which of them belongs to each of B answers about a person."""
+
+    mean: Floats  # (U, H, 2) m
+    row: Ints  # (B,) forecast of the answer.
+    robot: Ints  # (B,)
+    presence: Ints  # (B,)
+
+
+def conflicts_in(
+    patrol: Patrol, answers: AnswerForecasts, *, safety_radius_m: float
+) -> Ints:
+    """Return after how many scans forecasts come inside the radius, (E, R), or `NEVER`."""
+    stay = scans_left(patrol)
+    conflicts = np.full((stay.size, patrol.n_robots), NEVER)
+    for robot in range(patrol.n_robots):
+        ours = answers.robot == robot
+        presence = answers.presence[ours]
+        gap = answers.mean[answers.row[ours]] - patrol.robot_ahead(robot, presence)
+        inside = squared_lengths(gap) < safety_radius_m**2
+        wait = np.where(inside.any(axis=1), inside.argmax(axis=1), NEVER)
+        conflicts[presence, robot] = np.where(wait <= stay[presence], wait, NEVER)
+    return conflicts
+
+
+def least_gaps(patrol: Patrol, answers: AnswerForecasts, *, horizon: int) -> Floats:
+    """Return how near to the robot each person is forecast within a horizon, (E, R) m.
+
+    The horizon is in scans; a person counts up to her leaving. Infinite without an
+    answer.
+    """
+    stay = np.minimum(scans_left(patrol), horizon)
+    least = np.full((stay.size, patrol.n_robots), np.inf)
+    for robot in range(patrol.n_robots):
+        ours = answers.robot == robot
+        presence = answers.presence[ours]
+        mean, route = (
+            answers.mean[answers.row[ours]],
+            patrol.robot_ahead(robot, presence),
+        )
+        square = squared_lengths(mean[:, : horizon + 1] - route[:, : horizon + 1])
+        square[np.arange(horizon + 1) > stay[presence][:, None]] = np.inf
+        least[presence, robot] = np.sqrt(square.min(axis=1))
+    return least
+
+
+def answer_forecasts(
+    network: Network, disclosure: Disclosure, predictor: Predictor
+) -> AnswerForecasts:
+    """Return what a robot, or the network for it, forecasts from each answer.
+
+    The form of the answer says who forecasts, as in `foreseen_conflicts`.
+    """
+    if disclosure.form == "samples":
+        robot_knows = knowing(predictor, network.mechanism)
+        return _forecast_samples(network, disclosure, robot_knows)
+    if disclosure.form == "state":
+        mean, presence = network.shared_forecast.mean, disclosure.presence
+        return AnswerForecasts(mean, presence, disclosure.robot, presence)
+    n_pairs, n_robots = len(network.patrol.presences), network.patrol.n_robots
+    robot = np.repeat(np.arange(n_robots), n_pairs)
+    presence = np.tile(np.arange(n_pairs), n_robots)
+    mean = network.forecast(disclosure.select_on).mean
+    return AnswerForecasts(mean, presence, robot, presence)
+
+
+def _forecast_samples(
+    network: Network, disclosure: Disclosure, predictor: Predictor
+) -> AnswerForecasts:
+    """Return a robot's forecasts; robots that were sent the same samples share them."""
+    robot, presence = disclosure.robot, disclosure.presence
+    is_new = np.ones(robot.size, dtype=bool)
+    is_new[1:] = (np.diff(robot) != 0) | (np.diff(presence) != 0)
+    begin = np.flatnonzero(is_new)
+    n_runs = np.diff(np.append(begin, robot.size))
+    # Answers of one run are equal if their samples are; those with gaps stand for
+    # themselves.
+    alone = np.where(n_runs == 1, -1, np.arange(begin.size))
+    last = begin + n_runs - 1
+    keys = np.stack(
+        [presence[begin], disclosure.first[begin], disclosure.end[last], alone]
+    )
+    _, chosen, row = np.unique(keys, axis=1, return_index=True, return_inverse=True)
+    runs, starts = stretches(begin[chosen], n_runs[chosen])
+    forecast = forecast_runs(
+        network.release,
+        first=disclosure.first[runs],
+        end=disclosure.end[runs],
+        track=np.repeat(np.arange(chosen.size), np.diff(starts)),
+        t_future=network.patrol.t_ahead(presence[begin[chosen]]),
+        predictor=predictor,
+    )
+    return AnswerForecasts(
+        forecast.mean, row.reshape(-1), robot[begin], presence[begin]
+    )
+
+
+def missed_conflicts(actual: Ints, foreseen: Ints, *, horizon: int) -> Counts:
+    """Count the conflicts within a horizon, in scans, that a robot did not foresee."""
+    return Counts(hits=foreseen > horizon, trials=actual <= horizon)
+
+
+def missed_futures(actual: Ints, foreseen: Ints, *, horizon: int) -> Counts:
+    """Count as `missed_conflicts`, without people who are inside at the query already."""
+    return Counts(hits=foreseen > horizon, trials=(actual > 0) & (actual <= horizon))
+
+
+def withheld_conflicts(
+    actual: Ints, foreseen: Ints, everything: Ints, *, horizon: int
+) -> Counts:
+    """Count the future conflicts that a policy withheld from a robot.
+
+    Trials are those that the robot foresees under `everything`, with the same mechanism
+    and draws; hits those that it does not foresee under the policy.
+    """
+    is_future = (actual > 0) & (actual <= horizon)
+    return Counts(hits=foreseen > horizon, trials=is_future & (everything <= horizon))
+
+
+def missed_encounters(
+    patrol: Patrol, entries: Ints, foreseen: Ints, *, lead: int, query_scans: int
+) -> Counts:
+    """Count encounters of which a robot was not warned `lead` scans ahead, (N, R).
+
+    An encounter is the first time that a person is inside. The warning is the answer to
+    the last query at least `lead` scans before: a forecast over ``lead + query_scans``
+    scans that foresees her inside. She is not eligible if the network had too few
+    samples of her by then to forecast her.
+    """
+    pairs = patrol.presences
+    wait = entries[pairs.person] - patrol.query_scan[pairs.query][:, None]
+    next_query = np.append(patrol.query_scan[1:], patrol.query_scan[-1] + query_scans)
+    gap = (next_query - patrol.query_scan)[pairs.query][:, None]
+    is_last = (wait >= lead) & (wait - gap < lead)
+    is_known = pairs.sample + 1 - patrol.people.offsets[pairs.person] >= _LEAST_HISTORY
+    rows, robots = np.nonzero(is_last & is_known[:, None])
+    trials = np.zeros(entries.shape, dtype=bool)
+    hits = np.zeros(entries.shape, dtype=bool)
+    trials[pairs.person[rows], robots] = True
+    hits[pairs.person[rows], robots] = foreseen[rows, robots] > lead + query_scans
+    return Counts(hits=hits, trials=trials)
+
+
+def false_alarms(patrol: Patrol, actual: Ints, foreseen: Ints, *, horizon: int) -> Ints:
+    """Return the number of false alarms of each robot, (R,).
+
+    An alarm is a run of queries at which the robot foresees anybody inside within the
+    horizon, in scans. It is false if at none of them anybody truly comes inside.
+    """
+    query, n_queries = patrol.presences.query, patrol.query_scan.size
+    is_alarm = _any_person(foreseen <= horizon, query, n_queries)
+    is_conflict = _any_person(actual <= horizon, query, n_queries)
+    numbers = np.zeros(patrol.n_robots, dtype=np.int64)
+    for robot in range(patrol.n_robots):
+        alarm = is_alarm[:, robot]
+        begins = alarm & ~np.append(False, alarm[:-1])
+        run = np.cumsum(begins)[alarm]
+        justified = np.unique(run[is_conflict[alarm, robot]])
+        numbers[robot] = int(begins.sum()) - justified.size
+    return numbers
+
+
+def false_alarm_queries(
+    patrol: Patrol, actual: Ints, foreseen: Ints, *, horizon: int
+) -> Ints:
+    """Return at how many queries each robot is alarmed although nobody comes inside, (R,).
+
+    Both within the horizon, in scans. A longer alarm distance never lowers this number,
+    which it may do to that of `false_alarms`.
+    """
+    query, n_queries = patrol.presences.query, patrol.query_scan.size
+    is_alarm = _any_person(foreseen <= horizon, query, n_queries)
+    is_conflict = _any_person(actual <= horizon, query, n_queries)
+    return np.asarray((is_alarm & ~is_conflict).sum(axis=0))
+
+
+def _any_person(flags: Bools, query: Ints, n_queries: int) -> Bools:
+    """Return whether a flag holds for anybody present at each query, (E, R) -> (Q, R)."""
+    total = np.zeros((n_queries, flags.shape[1]), dtype=bool)
+    np.logical_or.at(total, query, flags)
+    return total

@@ -1,0 +1,52 @@
+"""The adversary without a log: a map of where other people stand, and one guess for all.
+
+A map says where people are most often, not who is where. The best single guess from it
+is the place around which others spend most time.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from scipy.ndimage import convolve
+
+from isac_track.patrols.intervals import cluster_numbers
+from isac_track.types import Floats, Ints
+
+_CELLS_PER_RADIUS: Final = 4  # Of the map.
+
+
+def map_guesses(
+    xy: Floats, offsets: Ints, *, group: Sequence[str], epsilon_m: float
+) -> Floats:
+    """Return the guess from the map of all other people for each of N people, (N, 2) m.
+
+    It is the centre of the cell within `epsilon_m` of which others spend the largest
+    share of their time, each person's share weighing the same. `xy` are (M, 2) m, one
+    an instant, `offsets` (N + 1,). People of one group are not others of each other.
+    Without others it is the middle of the map.
+    """
+    side_m = epsilon_m / _CELLS_PER_RADIUS
+    low = xy.min(axis=0)
+    cell = np.floor((xy - low) / side_m).astype(np.int64)
+    shape = tuple((cell.max(axis=0) + 1).tolist())
+    sizes, cluster = np.diff(offsets), cluster_numbers(tuple(group))
+    weight, owner = np.repeat(1.0 / sizes, sizes), np.repeat(cluster, sizes)
+    everybody = _time_around(cell, weight, shape)
+    guesses = np.empty((int(cluster.max()) + 1, 2))
+    for number in range(len(guesses)):
+        ours = owner == number
+        others = everybody - _time_around(cell[ours], weight[ours], shape)
+        best = np.unravel_index(others.argmax(), shape)
+        guesses[number] = shape if ours.all() else best
+        guesses[number] *= 0.5 if ours.all() else 1.0
+    return np.asarray(low + side_m * (guesses[cluster] + 0.5))
+
+
+def _time_around(cell: Ints, weight: Floats, shape: tuple[int, ...]) -> Floats:
+    """Return the weight of the instants that lie in a disc around each cell of the map."""
+    time = np.zeros(shape)
+    np.add.at(time, (cell[:, 0], cell[:, 1]), weight)
+    reach = np.arange(-_CELLS_PER_RADIUS, _CELLS_PER_RADIUS + 1)
+    disc = reach[:, None] ** 2 + reach**2 <= _CELLS_PER_RADIUS**2
+    return np.asarray(convolve(time, disc.astype(np.float64), mode="constant"))

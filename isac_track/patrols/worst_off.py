@@ -1,0 +1,68 @@
+"""The worst-off tenth of people: whom the logs of some fleets expose most, scored on others.
+
+The highest of many noisy shares are high by chance as well. So the tenth is chosen by
+the logs of one half of the fleets, and its mean is taken over the other half, and the
+reverse.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from isac_track.intervals import (
+    LEAST_CLUSTERS,
+    Estimate,
+    effective_clusters,
+    estimate_of,
+)
+from isac_track.patrols.intervals import FEWEST_ROUTES, two_way_weights
+from isac_track.types import Floats, Ints
+
+_TENTH: Final = 0.1
+LEAST_FLEETS: Final = 16  # Eight logs a person for the choice, and eight for the score.
+
+
+def worst_tenth(*, known: Ints, instants: Ints, cluster: Ints, seed: int) -> Estimate:
+    """Return the mean known share of the worst-off tenth of people, with its interval.
+
+    `known`, (N, F), counts the known instants of N people in the logs of F fleets, of
+    `instants`, (N,); `cluster`, (N,), numbers who walk together. Every replicate of the
+    two-way interval repeats the choice. NaN with fewer than `LEAST_FLEETS` fleets.
+    """
+    n_fleets = known.shape[1]
+    n_clusters = int(cluster.max(initial=-1)) + 1
+    if n_fleets < LEAST_FLEETS:
+        return Estimate(np.nan, n=n_clusters)
+    people, routes = two_way_weights(
+        n_clusters=n_clusters, n_routes=n_fleets, seed=seed
+    )
+    weights = people[:, cluster].T  # (N, 1 + B)
+    is_even = np.arange(n_fleets) % 2 == 0
+    even = _mean_shares(known[:, is_even], instants, routes[:, is_even])
+    odd = _mean_shares(known[:, ~is_even], instants, routes[:, ~is_even])
+    values = (_top_mean(even, odd, weights) + _top_mean(odd, even, weights)) / 2.0
+    effective = effective_clusters(np.bincount(cluster).astype(np.float64))
+    if n_fleets < FEWEST_ROUTES or effective < LEAST_CLUSTERS:
+        value = float(values[0])
+        return Estimate(value, n=n_clusters, replicates=values[1:], effective=effective)
+    return estimate_of(values, n=n_clusters, effective=effective)
+
+
+def _mean_shares(known: Ints, instants: Ints, routes: Floats) -> Floats:
+    """Return each person's known share over weighted fleets, (N, 1 + B)."""
+    drawn = routes.sum(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray((known @ routes.T) / (instants[:, None] * drawn))
+
+
+def _top_mean(chosen_by: Floats, scored: Floats, weights: Floats) -> Floats:
+    """Return the mean score of the tenth of largest `chosen_by`, (1 + B,); all (N, 1 + B).
+
+    A person at the edge of the tenth counts with the part of her weight that is inside.
+    """
+    order = np.argsort(-chosen_by, axis=0, kind="stable")
+    weight = np.take_along_axis(weights, order, axis=0)
+    before = np.cumsum(weight, axis=0) - weight
+    inside = np.clip(_TENTH * weight.sum(axis=0) - before, 0.0, weight)
+    score = np.take_along_axis(scored, order, axis=0)
+    return np.asarray((inside * score).sum(axis=0) / inside.sum(axis=0))

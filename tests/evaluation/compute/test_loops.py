@@ -1,0 +1,76 @@
+"""The loops that are compiled ahead of the cells are those that the cells call."""
+
+import pytest
+
+from evaluation.api import run
+from evaluation.compute import loops
+from evaluation.compute.loops import COMPILED, COMPILING, LOADED, loops_of, prepare_loop
+from evaluation.plan.axes import axes
+from evaluation.plan.settings import Settings
+from isac_track import compiling
+
+
+def cells_of(crossed):
+    """Every level of some axes with each of its consumers, those of tasks included."""
+    linked = [one for task in crossed.tasks for one in crossed.readers(task)]
+    return [
+        (level, one)
+        for level in crossed.mechanisms
+        for one in (*crossed.consumers, *linked)
+    ]
+
+
+def test_a_quick_run_calls_no_loop_that_is_not_compiled_ahead(
+    csv_recording, tmp_path, monkeypatch
+):
+    called, call = set(), compiling.Loop.__call__
+
+    def noted(loop, *arguments):
+        called.add(f"{loop.function.__module__}:{loop.function.__name__}")
+        return call(loop, *arguments)
+
+    monkeypatch.setattr(compiling.Loop, "__call__", noted)
+    levels = ("raw", "fid:1", "ou:0.4")
+    settings = Settings(
+        dataset=str(csv_recording), scenes=8, mechanisms=levels, tasks=(), jobs=1
+    )
+    run(settings, out=tmp_path / "run", progress=False, pictures=False)
+    assert called <= {*loops_of(cells_of(axes(settings)))}
+
+
+def test_the_slowest_to_compile_begin():
+    names = [name.partition(":")[2] for name in loops_of(cells_of(axes(Settings())))]
+    assert names[:3] == ["read_scores", "ratios", "described"]
+    assert len(set(names)) == len(names)
+
+
+def test_every_listed_loop_is_there():
+    listed = {loops.GAIN, *loops._DESCRIPTORS, *loops._SCORECARD}
+    for some in (*loops._OF_PLUGIN.values(), *loops._BEHIND_SLOW_ERROR.values()):
+        listed.update(some)
+    for name in listed:
+        module, _, loop = name.partition(":")
+        found = compiling.loops_in(compiling.import_module(module))
+        assert loop in {one.function.__name__ for one in found}, name
+
+
+@pytest.mark.parametrize(
+    ("is_cached", "fills_cache", "states"),
+    [
+        (True, False, [LOADED]),
+        (False, True, [COMPILING, COMPILED]),
+        (False, False, [COMPILING, LOADED]),
+    ],
+)
+def test_a_loop_says_whether_it_is_compiled(
+    is_cached, fills_cache, states, monkeypatch
+):
+    monkeypatch.setattr(compiling, "is_cached", lambda _: is_cached)
+    monkeypatch.setattr(
+        compiling, "prepared", lambda _, *, quietly: fills_cache and quietly
+    )
+    assert [*prepare_loop(loops.GAIN)] == states
+
+
+def test_a_loop_that_cannot_be_compiled_is_left_to_the_cell_that_calls_it():
+    assert [*prepare_loop("isac_track._gain_loop:nothing")] == [LOADED]

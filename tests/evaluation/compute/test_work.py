@@ -1,0 +1,68 @@
+"""What levels have in common is computed once, and is what computing each would give."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from helpers.cells import STAGES, Spy, World, parsed, plugin, sessions_of
+
+from attacks.tasks.controls import CONTROLS
+from attacks.tasks.task_list import TASKS
+from evaluation.compute import work as work_module
+from evaluation.compute.sharing import guarded, handed
+from evaluation.compute.work import LinkWork, cells
+from evaluation.plan.axes import axes
+from evaluation.plan.settings import Settings
+from isac_track.scenes import cut
+
+
+@pytest.fixture
+def piece(tracks):
+    known, task = cut(tracks, settings=STAGES, seed=0), TASKS["rerelease"]
+    attacks = ("shape", "histogram", "histogram@kalman_rts")
+    consumers = axes(Settings(attacks=attacks, tasks=(task.name,))).readers(task)
+    levels = tuple(
+        (parsed("mechanisms", spec), consumers) for spec in ("fid:1", "fixed:0.3")
+    )
+    return LinkWork(sessions_of(task.name), (), levels), known
+
+
+def test_controls_of_times_alone_are_computed_once_and_the_same(piece, monkeypatch):
+    work, tracks = piece
+    once = list(cells(work, tracks=tracks, stages=STAGES, seed=0))
+    monkeypatch.setattr(work_module.linkage, "sees_times_alone", lambda *_: False)
+    each = list(cells(work, tracks=tracks, stages=STAGES, seed=0))
+    first = {one.label: tables for _, by, one, tables in once if by.spec == "fid:1"}
+    n_shared = 0
+    for (*_, by, one, tables), (*_, apart) in zip(once, each, strict=True):
+        assert tables.keys() == apart.keys()
+        for name, table in tables.items():
+            assert table.to_pandas().equals(apart[name].to_pandas())
+        same = tables is first[one.label] and by.spec != "fid:1"
+        times_only = one.kind == "control" and CONTROLS[one.control].sees_times_only
+        assert same == (times_only and by.spec != "fid:1")
+        n_shared += same
+    assert n_shared > 1
+
+
+def test_a_plug_in_of_somebody_else_is_handed_a_copy_and_ours_the_very_object(tracks):
+    batch = World(tracks, n_scenes=1).sensed
+    for origin in (
+        "isac_track.sharing:Raw",
+        "attacks.linkage:Shape",
+        "predictors.kalman:Kalman",
+    ):
+        assert handed(batch, replace(plugin(Spy()), origin=origin)) is batch
+    for origin in ("mine:Raw", "attackers.shape:Shape", "isac_tracks:Raw"):
+        theirs = handed(batch, replace(plugin(Spy()), origin=origin))
+        for item in fields(batch):
+            ours, value = getattr(batch, item.name), getattr(theirs, item.name)
+            assert np.array_equal(value, ours)
+            if isinstance(ours, np.ndarray):
+                assert not np.shares_memory(value, ours)
+                assert not value.flags.writeable
+
+
+def test_what_a_plug_in_sets_of_numpy_ends_with_its_call():
+    guarded("it", lambda: np.seterr(all="raise"))
+    assert np.geterr()["under"] == "ignore"

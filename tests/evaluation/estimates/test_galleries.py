@@ -1,0 +1,88 @@
+"""`gallery.csv`: measured as brute force has it, predicted with an error that is honest."""
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+from evaluation.estimates.galleries import COLUMNS, galleries
+from evaluation.estimates.keys import Source
+from evaluation.estimates.linked_people import LinkedProbes
+from isac_track.intervals import Estimate
+
+LINKER = Source("rerelease/histogram", "informed")
+
+
+def probes_of(above, candidates):
+    n = above.size
+    counts = np.stack([above, np.ones(n, dtype=int), np.full(n, candidates)])
+    nothing = np.zeros(n)
+    return LinkedProbes(
+        "raw",
+        None,
+        LINKER,
+        nothing,
+        nothing,
+        nothing,
+        np.arange(n),
+        tuple(map(str, range(n))),
+        {},
+        np.zeros((n, 1)),
+        counts,
+    )
+
+
+def table_of(above, candidates):
+    tpr = {LINKER.measure("tpr_at_fpr_1pct").at("raw", None): Estimate(0.5, 0.4, 0.6)}
+    probes = {"rerelease": [probes_of(above, candidates)], "split": []}
+    return galleries(probes, tpr, dataset="hall", seed=0)
+
+
+def world(rng, *, n, centre, spread):
+    """Candidates above each mate among n, and rank 1 of any gallery: the truth."""
+    p = ndtr(-(centre + spread * rng.normal(size=n)))
+    many = ndtr(-(centre + spread * rng.normal(size=100_000)))
+    return rng.binomial(n - 1, p), lambda size: ((1.0 - many) ** (size - 1)).mean()
+
+
+def test_measured_is_what_drawn_galleries_give():
+    rng = np.random.default_rng(0)
+    above = rng.integers(0, 40, size=60)
+    found = table_of(above, 60)
+    assert list(found.columns) == COLUMNS
+    assert {*found["gallery"]} == {10, 30, 60, 100}  # as far as the step could be tried
+    assert found[found["predicted"]]["gallery"].unique().tolist() == [100]
+    rank1 = found[found["metric"] == "rank1"].set_index("gallery")["value"]
+    ahead = [
+        rng.permuted(np.tile(np.arange(59) < m, (4000, 1)), axis=1)[:, :9]
+        for m in above
+    ]
+    brute = np.mean([~one.any(axis=1) for one in ahead])
+    assert rank1[10] == pytest.approx(brute, abs=0.01)
+    assert rank1[60] == pytest.approx((above == 0).mean())
+    rank = found[found["metric"] == "expected_rank"].set_index("gallery")["value"]
+    assert rank[60] == pytest.approx(1.0 + above.mean())
+    tpr = found[found["metric"] == "tpr_at_fpr_1pct"]
+    assert (tpr[["value", "ci_low", "ci_high"]] == [0.5, 0.4, 0.6]).all(axis=None)
+
+
+@pytest.mark.slow
+def test_the_interval_of_what_is_predicted_holds_the_truth_as_often_as_it_says():
+    rng = np.random.default_rng(1)
+    held = []
+    for centre, spread in ((2.0, 1.0), (3.0, 0.5), (2.5, 2.0), (1.5, 1.5)):
+        for _ in range(25):
+            above, truth = world(rng, n=1000, centre=centre, spread=spread)
+            found = table_of(above, 1000)
+            rank1 = found[(found["metric"] == "rank1") & found["predicted"]].set_index(
+                "gallery"
+            )
+            assert rank1.index.tolist() == [3000, 7545]
+            row = rank1.loc[7545]
+            held.append(row["ci_low"] <= truth(7545) <= row["ci_high"])
+    assert np.mean(held) >= 0.93
+
+
+def test_nothing_is_said_of_galleries_out_of_reach():
+    found = table_of(np.zeros(20, dtype=int), 20)
+    assert found["gallery"].max() == 20
+    assert not found["predicted"].any()

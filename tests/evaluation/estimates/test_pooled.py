@@ -1,0 +1,147 @@
+"""Several recordings as one: seeds, signs, and what is pooled."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.stats import norm, t
+
+from evaluation.estimates.pooled import (
+    COLUMNS,
+    FURTHER,
+    POOLED,
+    answered,
+    pool,
+    settings_text,
+    to_frame,
+)
+from isac_track.config import StageSettings
+
+VALUES, ERRORS = [0.10, 0.30, 0.35, 0.65, 0.45], [0.05, 0.06, 0.04, 0.07, 0.05]
+
+
+def row(recording, value, *, seed="0", half=0.02):
+    ends = {"value": value, "ci_low": value - half, "ci_high": value + half}
+    about = {
+        "question": "robot_loses",
+        "adding": "linear",
+        "law": "radial",
+        "tau2": np.nan,
+    }
+    about |= {"settings": "", "distance_m": 29.8}
+    return {**about, "recording": recording, "seed": seed, **ends, "n": 100}
+
+
+def test_pooled_as_paule_and_mandel_and_hartung_and_knapp_wrote_it():
+    y, v = np.array(VALUES), np.array(ERRORS) ** 2
+
+    def excess(tau2):
+        w = 1 / (v + tau2)
+        return float(w @ (y - w @ y / w.sum()) ** 2) - (y.size - 1)
+
+    tau2 = brentq(excess, 0, 1)
+    w = 1 / (v + tau2)
+    mean = w @ y / w.sum()
+    error = np.sqrt(w @ (y - mean) ** 2 / ((y.size - 1) * w.sum()))
+    found = pool(VALUES, ERRORS)
+    assert found.tau2 == pytest.approx(tau2, rel=1e-3)
+    assert found.value == pytest.approx(mean, rel=1e-4)
+    assert found.ci_high - found.value == pytest.approx(
+        t.ppf(0.975, 4) * error, rel=1e-3
+    )
+    assert found.predicted_low < found.ci_low
+    assert found.predicted_high > found.ci_high
+
+
+def test_never_narrower_than_a_fixed_effect():
+    found = pool([0.2, 0.2001, 0.1999], [0.1, 0.1, 0.1])
+    assert found.tau2 == pytest.approx(0.0, abs=1e-9)
+    assert found.ci_high - found.value == pytest.approx(
+        norm.ppf(0.975) * 0.1 / np.sqrt(3)
+    )
+
+
+@pytest.mark.parametrize("errors", [[0.1, 0.1], [0.1, 0.1, 0.0]])
+def test_too_few_or_without_an_error_are_not_pooled(errors):
+    with pytest.raises(ValueError, match="pooling takes three"):
+        pool([0.1] * len(errors), errors)
+
+
+def test_seeds_are_averaged_and_their_intervals_do_not_shrink():
+    rows = [row("a", 0.1, seed="0"), row("a", 0.2, seed="1"), row("plaza", -0.9)]
+    (one,) = answered(rows, simulated=frozenset({"plaza"}))
+    assert [r["recording"] for r in one.rows] == ["a", "plaza"]
+    mean = one.rows[0]
+    assert (mean["value"], mean["seed"]) == (pytest.approx(0.15), "mean")
+    # People 0.02 / 1.96 and, of two seeds, a variance of 0.005 over 2: Student's t of
+    # few degrees.
+    people, between = (0.02 / norm.ppf(0.975)) ** 2, 0.005 / 2
+    freedom = ((people + between) / between) ** 2
+    half = t.ppf(0.975, freedom) * np.sqrt(people + between)
+    assert mean["ci_high"] - mean["value"] == pytest.approx(half)
+    assert mean["value"] - mean["ci_low"] == pytest.approx(half)
+    assert one.sentence.startswith("One real recording, a: +15.0 points")
+    assert one.pooled is None
+
+
+def test_seeds_that_agree_have_the_interval_of_any_of_them():
+    rows = [row("a", 0.1, seed=seed) for seed in "012"]
+    (one,) = answered(rows, simulated=frozenset())
+    ends = one.rows[0]["ci_low"], one.rows[0]["ci_high"]
+    assert ends == pytest.approx((0.08, 0.12))
+    assert one.sentence == "One real recording, a: +10.0 points; significant at 5 %."
+
+
+def test_seeds_that_differ_weigh_less_in_the_pool():
+    """A recording whose seeds disagree has a larger error; the pool leans to the others."""
+    steady = [
+        row(name, value)
+        for name, value in zip("abcd", (0.1, 0.1, 0.11, 0.09), strict=True)
+    ]
+    alike = [*steady, *(row("e", 0.5, seed=seed, half=0.3) for seed in "01")]
+    apart = [
+        *steady,
+        row("e", 0.2, seed="0", half=0.3),
+        row("e", 0.8, seed="1", half=0.3),
+    ]
+    (first,), (second,) = (
+        answered(rows, simulated=frozenset()) for rows in (alike, apart)
+    )
+    assert first.pooled.value > second.pooled.value > 0.09
+
+
+def test_settings_are_told_as_they_are_typed_without_the_law():
+    stages = (
+        StageSettings()
+        .changed({"sensing.bs_y_m": 53.0, "sensing.law": "isotropic"})
+        .flat()
+    )
+    assert settings_text(stages) == "sensing.bs_y_m=53.0"
+    assert settings_text(StageSettings().flat()) == ""
+
+
+def test_five_real_recordings_are_pooled_and_a_crowd_is_none():
+    rows = [row(name, value) for name, value in zip("abcde", VALUES, strict=True)]
+    crowd = row("plaza", -5.0)
+    (four,) = answered([*rows[:4], crowd], simulated=frozenset({"plaza"}))
+    assert four.pooled is None
+    (five,) = answered([*rows, crowd], simulated=frozenset({"plaza"}))
+    frame = to_frame([*rows, crowd], [five])
+    assert list(frame.columns) == COLUMNS
+    pooled = frame[frame["recording"] == POOLED].iloc[0]
+    assert 0.1 < pooled["value"] < 0.65
+    assert pooled["n"] == 5
+    assert pooled["tau2"] > 0
+    further = frame[frame["recording"] == FURTHER].iloc[0]
+    assert further["value"] == pooled["value"]
+    assert further["ci_low"] < pooled["ci_low"] < pooled["ci_high"] < further["ci_high"]
+    assert f", of a further recording [{100 * further['ci_low']:.1f}, " in five.sentence
+    assert "Same sign in 5 of 5" in five.sentence
+    assert "least +10.0 points (a), largest +65.0 (d); pooled +3" in five.sentence
+
+
+def test_signs_that_differ_are_counted():
+    rows = [row("a", 0.1), row("b", -0.1), row("c", 0.01)]
+    (one,) = answered(rows, simulated=frozenset())
+    assert one.sentence.startswith(
+        "Same sign in 2 of 3 real recordings; least -10.0 points (b)"
+    )

@@ -1,0 +1,144 @@
+"""The strongest attack: one definition."""
+
+import numpy as np
+import pytest
+from helpers.mechanisms import families_of
+
+from evaluation.estimates.keys import Source
+from evaluation.estimates.strongest import (
+    cross_fitted,
+    first_half,
+    rules_of,
+    strongest,
+    strongest_of,
+)
+from evaluation.store.cell_files import Summed
+from isac_track.intervals import Estimate, cluster_weights
+
+SHAPE, DTW = Source("rerelease/shape", "blind"), Source("rerelease/dtw", "informed")
+LEVELS = (("raw", None), ("fixed", 1.0), ("fid", 1.0))
+
+
+def values(by, *, metric="rank1", levels=LEVELS):
+    """Return what each attack achieves at each level: a number for all, or one for each."""
+    return {
+        source.measure(metric).at(*where): Estimate(achieved)
+        for source, found in by.items()
+        for where, achieved in zip(
+            levels, np.broadcast_to(found, len(levels)), strict=True
+        )
+        if np.isfinite(achieved) or metric == "plr"
+    }
+
+
+OTHERS = (("raw", None), ("clean", None), ("mine:Ou", 1.0))
+ALONE = values({SHAPE: (0.5, 0.9, 0.1), DTW: (0.4, 0.1, 0.3)}, levels=OTHERS)
+ORACLE, CONTROL = (
+    Source("rerelease/dtw", "oracle"),
+    Source("rerelease/control-times", ""),
+)
+SMOOTHER = Source("kalman_rts", "informed")
+AS_THEY_ARE = {Source("shared"): 0.9, Source("identity", "blind"): 0.8}
+
+
+@pytest.mark.parametrize(
+    ("found", "expected"),
+    [
+        # The highest mean over raw, fixed noise and FID; of equals the first of the
+        # run.
+        (values({SHAPE: (0.9, 0.1, 0.1), DTW: 0.4}), {"rerelease": DTW}),
+        (values({DTW: 0.4, SHAPE: 0.4}), {"rerelease": DTW}),
+        # Neither the oracle nor a control is one, nor who takes positions as they are.
+        *(
+            (values({SHAPE: 0.1, other: 0.9}), {"rerelease": SHAPE})
+            for other in (ORACLE, CONTROL)
+        ),
+        *((values({other: 0.9}), {}) for other in (ORACLE, CONTROL)),
+        (values(AS_THEY_ARE | {SMOOTHER: 0.3}, metric="plr"), {"": SMOOTHER}),
+        # It ran at all levels that any did.
+        (values({SHAPE: 0.3, DTW: (0.9, np.nan, 0.9)}), {"rerelease": SHAPE}),
+        # Other mechanisms do not move it unless there is nothing else.
+        (ALONE, {"rerelease": DTW}),
+        (ALONE | values({SHAPE: 0.5, DTW: 0.4}), {"rerelease": SHAPE}),
+    ],
+)
+def test_which_it_is(found, expected):
+    assert strongest(found, families_of(found)) == expected
+
+
+def test_its_mean_is_a_number():
+    assert strongest_of([{SHAPE: 0.3, DTW: np.nan}]) == SHAPE
+    assert strongest_of([]) is None
+
+
+def test_what_one_half_chose_is_scored_on_the_other():
+    """Against sums by hand: who is good on one half of the people is not that good on the other."""
+    rng = np.random.default_rng(0)
+    n, first, second = 60, Source("kalman_rts", "blind"), Source("radial_rts", "blind")
+    weights = cluster_weights(n_clusters=n, n_replicates=50, seed=0)
+    tracks = rng.integers(0, 5, n).astype(float)
+    used = np.flatnonzero(tracks)  # the others are in no scene, and are not kept
+    assert used.size < n
+    is_first = first_half(tuple(map(str, range(n))))
+    own = {first: np.where(is_first, 0.9, 0.1), second: np.where(is_first, 0.2, 0.8)}
+    shares = {source: share * tracks for source, share in own.items()}
+    every = {
+        source.measure(metric).at(*where): np.stack([share * rng.random(n), tracks])
+        for where in LEVELS
+        for source, share in shares.items()
+        for metric in ("plr", "mel")
+    }
+    sums = {key: Summed(one[:, used], weights, used) for key, one in every.items()}
+    crossed = cross_fitted(sums, known := families_of(sums), first)
+    found = crossed.estimates
+    assert crossed.choices == {"plr": [first.measure("plr"), second.measure("plr")]}
+    for key in (
+        first.measure(metric).at(*where)
+        for where in LEVELS
+        for metric in ("plr", "mel")
+    ):
+        theirs = every[second.measure(key.metric).at(*key.where)][0]
+        scored = np.where(is_first, theirs, every[key][0])
+        assert found[key].value == pytest.approx(scored.sum() / tracks.sum())
+        assert found[key].replicates == pytest.approx(
+            weights @ scored / (weights @ tracks), abs=1e-6
+        )
+    assert found[first.measure("plr").at("raw", None)].value < 0.2
+    # Where both halves choose the headline its own numbers stand.
+    alone = {key: one for key, one in sums.items() if key.consumer == "kalman_rts"}
+    crossed = cross_fitted(alone, known, first)
+    assert crossed.choices == {"plr": [first.measure("plr")] * 2}
+    for key in alone:
+        own = every[key][0]
+        assert crossed.estimates[key].value == pytest.approx(own.sum() / tracks.sum())
+
+
+def test_a_linker_counts_by_the_better_way_to_name_mates():
+    """Per probe or all at once; rank 1 of a hundred has a choice of its own."""
+    n = 90
+    weights = cluster_weights(n_clusters=n, n_replicates=30, seed=0)
+    rates = {
+        SHAPE.measure("rank1"): 0.5,
+        SHAPE.measure("rank1_assigned"): 0.6,
+        SHAPE.measure("rank1_g100"): 0.3,
+        DTW.measure("rank1"): 0.7,
+        DTW.measure("rank1_assigned"): 0.8,
+        DTW.measure("rank1_g100"): 0.2,
+    }
+    sums = {
+        measure.at(*where): Summed(np.stack([np.full(n, rate), np.ones(n)]), weights)
+        for measure, rate in rates.items()
+        for where in LEVELS
+    }
+    known = families_of(sums)
+    crossed = cross_fitted(sums, known, SHAPE, by="rank1")
+    joint, per_probe = DTW.measure("rank1_assigned"), SHAPE.measure("rank1_g100")
+    assert crossed.choices == {"rank1": [joint] * 2, "rank1_g100": [per_probe] * 2}
+    assert joint.label == "rerelease/dtw (informed), joint"
+    for where in LEVELS:
+        of_all = crossed.estimates[SHAPE.measure("rank1").at(*where)]
+        of_100 = crossed.estimates[SHAPE.measure("rank1_g100").at(*where)]
+        assert (of_all.value, of_100.value) == pytest.approx((0.8, 0.3))
+    found = {key: Estimate(one.sums[0].mean()) for key, one in sums.items()}
+    assert strongest(found, known) == {"rerelease": DTW}
+    assert rules_of(found)[DTW] == "rank1_assigned"

@@ -1,0 +1,166 @@
+"""A + on an axis adds to the preset's values, on the command line, in a file and in a notebook."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import pytest
+from helpers.commands import MATRIX, assert_refused, run
+
+from evaluation.matrix import parser, settings_from
+from evaluation.plan.axes import axes
+from evaluation.plan.presets import PRESETS
+from evaluation.plan.settings import AXES, Settings
+from isac_track.errors import SettingsError
+from isac_track.types import Knowledge, Reconstruction
+
+
+@dataclass(frozen=True)
+class Mine:
+    """Return the positions as they were shared."""
+
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = frozenset()
+
+    def fit(self, context):  # noqa: ARG002 - it learns nothing
+        return lambda release: Reconstruction(release.xy)
+
+
+def specs(settings):
+    """SPECs of a run by axis, in order."""
+    crossed = axes(settings)
+    return {
+        "mechanisms": [plugin.spec for plugin in crossed.mechanisms],
+        "predictors": [plugin.spec for plugin in crossed.predictors],
+        "attacks": [plugin.spec for plugin in crossed.attacks],
+        "links": [(task.name, link.spec) for task, link in crossed.links],
+    }
+
+
+def typed(*words):
+    return settings_from(parser().parse_args(words))
+
+
+@pytest.mark.parametrize(
+    ("axis", "spec", "of"),
+    [
+        ("mechanism", "laplace:0.3", "mechanisms"),
+        ("predictor", "kalman_cv:0.5", "predictors"),
+        ("attack", "savgol:0.4", "attacks"),
+    ],
+)
+@pytest.mark.parametrize("preset", ["smoke", "paper"])
+def test_what_is_added_comes_after_the_preset(preset, axis, spec, of, tmp_path):
+    usual, path = specs(Settings(preset=preset)), tmp_path / "run.toml"
+    path.write_text(f"preset = '{preset}'\n{axis} = ['+{spec}']\n")
+    for settings in (
+        typed("--preset", preset, f"--{axis}", f"+{spec}"),
+        typed("--config", str(path)),
+        Settings(preset=preset, **{f"{axis}s": [f"+{spec}"]}),
+    ):
+        found = specs(settings)
+        new = [one for one in found[of] if one not in usual[of]]
+        assert len(new) == 1
+        assert [one for one in found[of] if one not in new] == usual[of]
+        assert {name: found[name] for name in found if name != of} == {
+            name: usual[name] for name in usual if name != of
+        }
+
+
+def test_a_linker_that_is_added_links_and_the_others_still_do():
+    usual, found = (
+        specs(Settings(preset="smoke", attacks=attacks))
+        for attacks in (None, ["+shape@kalman_rts"])
+    )
+    new = {*found["links"]} - {*usual["links"]}
+    assert ("rerelease", "shape@kalman_rts") in new
+    assert {spec for _, spec in new} == {"shape@kalman_rts"}
+    assert {*usual["links"]} < {*found["links"]}
+
+
+def test_a_task_that_is_added_is_linked():
+    found = axes(typed("--preset", "frontier", "--task", "+split"))
+    assert [task.name for task in found.tasks] == ["rerelease", "split"]
+
+
+def test_all_that_a_preset_does_besides_its_axes_stays():
+    usual = axes(Settings())
+    added = axes(
+        Settings(
+            attacks=["+savgol:0.4"],
+            mechanisms=["+laplace:0.3"],
+            predictors=["+kalman_cv:2"],
+        )
+    )
+    assert added.against_slow == usual.against_slow
+    assert added.worlds == usual.worlds
+    assert added.linked_in == usual.linked_in
+    assert added.adversaries == usual.adversaries
+    # A robot that is named is read in all scenes and at every horizon.
+    assert len(added.utility) == len(usual.utility) + 1
+
+
+def test_without_the_attacks_of_a_preset_its_further_adversaries_go():
+    assert axes(Settings()).adversaries
+    assert axes(Settings(attacks=["savgol"])).adversaries == ()
+
+
+def test_an_attack_of_slow_errors_that_is_named_runs_against_every_mechanism():
+    (spec,) = axes(Settings()).against_slow
+    assert axes(Settings(attacks=[f"+{spec}"])).against_slow == frozenset()
+
+
+def test_twice_is_once():
+    for name in PRESETS["smoke"].attacks:
+        once = axes(Settings(preset="smoke"))
+        assert axes(Settings(preset="smoke", attacks=[f"+{name}"])).links == once.links
+
+
+def test_an_object_follows_a_plus_of_its_own():
+    found = axes(Settings(preset="smoke", attacks=["+", Mine(), "savgol:0.4"]))
+    assert found.attacks[-2].instance == Mine()
+    assert len(found.attacks) == len(axes(Settings(preset="smoke")).attacks) + 2
+
+
+@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        (["+a", "b"], "'+a' adds to the preset's and 'b' replaces them"),
+        (["b", "+a"], "'+a' adds to the preset's and 'b' replaces them"),
+        (["+none"], "a + is followed by what it adds, as +NAME"),
+        (["+"], "a + is followed by what it adds, as +NAME"),
+        (["+a", "+"], "a + is followed by what it adds, as +NAME"),
+    ],
+)
+def test_both_at_once_is_refused(axis, values, says):
+    with pytest.raises(SettingsError) as caught:
+        Settings(**{axis: values})
+    assert str(caught.value).startswith(f"{axis}: {says}")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--attack", "+kalman_rts", "--attack", "savgol"),
+        ("--attack", "+none"),
+        ("--task", "+"),
+    ],
+)
+def test_the_command_says_it_in_one_line(tmp_path, words):
+    assert_refused(
+        run(tmp_path, *MATRIX, *words), "a +" if len(words) == 2 else "write + before"
+    )
+
+
+def test_none_beside_a_plus_is_refused():
+    with pytest.raises(SettingsError, match="none empties the axis"):
+        typed("--attack", "none", "--attack", "+savgol")
+
+
+def test_what_is_added_must_be_able_to_run():
+    with pytest.raises(SettingsError, match="has no task to run in"):
+        axes(
+            Settings(
+                preset="smoke", tasks=["split"], attacks=["+kinematic:0.3@kalman_rts"]
+            )
+        )

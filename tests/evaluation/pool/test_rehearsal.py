@@ -1,0 +1,164 @@
+"""A dry run fails where the run would, and says how long that will take."""
+
+import json
+import re
+from dataclasses import replace
+
+import pytest
+from helpers.commands import FEW, assert_refused
+from helpers.processes import ROOT
+from helpers.small_runs import write_walks
+
+from evaluation import matrix
+from evaluation.plan.plan import plan
+from evaluation.plan.settings import Settings
+from evaluation.pool import duration
+from evaluation.pool.duration import expected_s, in_words, measured_rates, name_of
+
+pytestmark = pytest.mark.usefixtures("cut_once")
+
+BROKEN = """
+from dataclasses import dataclass
+from typing import ClassVar
+
+
+@dataclass(frozen=True)
+class Broken:
+    requires: ClassVar[frozenset] = frozenset()
+    uses: ClassVar[frozenset] = frozenset()
+
+    def fit(self, context):
+        raise RuntimeError("it never worked")
+"""
+
+
+@pytest.fixture(scope="module")
+def usual():
+    return plan(Settings(preset="smoke", dataset="plaza", jobs=2))
+
+
+@pytest.fixture(scope="module")
+def walks(tmp_path_factory):
+    """A recording that is laid out sooner than the simulated plaza."""
+    return write_walks(tmp_path_factory.mktemp("walks") / "walks.csv")
+
+
+@pytest.fixture
+def dry(walks):
+    """The words of a dry run."""
+    return (*FEW, "--dataset", walks, "--dry-run")
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def everything_in(folder):
+    return sorted(path.name for path in folder.rglob("*"))
+
+
+def test_it_leaves_no_trace_and_says_how_long(here, dry, ran):
+    ended = ran(matrix, *dry)
+    assert ended.code == 0
+    assert re.search(r"about \d+ s on 1 core", ended.err)
+    assert everything_in(here) == []
+
+
+def test_a_folder_of_another_run_is_refused(here, dry, ran):
+    words = [word for word in dry if word != "--dry-run"]
+    done = ran(matrix, *words, "--scenes", "8", "--no-pictures", "--out", "run")
+    assert done.code == 0
+    before = everything_in(here)
+    assert_refused(
+        ran(matrix, *dry, "--out", "run"), "holds another run (scenes 8 -> 40)"
+    )
+    assert ran(matrix, *dry, "--out", "run", "--fresh").code == 0
+    assert everything_in(here) == before
+
+
+@pytest.mark.usefixtures("here")
+def test_a_place_where_nothing_can_be_written_is_refused(dry, ran):
+    assert_refused(ran(matrix, *dry, "--out", "/proc/run"), "choose another --out")
+
+
+def test_a_plugin_that_fails_is_refused(here, walks, ran, monkeypatch):
+    monkeypatch.syspath_prepend(here)
+    (here / "broken_in_fit.py").write_text(BROKEN, encoding="utf-8")
+    words = [
+        "--preset",
+        "smoke",
+        "--dataset",
+        walks,
+        "--task",
+        "none",
+        "--mechanism",
+        "raw",
+    ]
+    words += ["--attack", "broken_in_fit:Broken", "--dry-run"]
+    ended = ran(matrix, *words)
+    assert_refused(ended, "it never worked", "found by a call on a few made-up people")
+    names = everything_in(here)
+    assert [
+        name
+        for name in names
+        if "__pycache__" not in name and not name.endswith(".pyc")
+    ] == ["broken_in_fit.py"]
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--set", "resample.min_duration_s=500"), "track"),
+        (("--task", "cross_session", "--attack", "profile"), "session"),
+        (("--mechanism", "rw"), "did you mean 'raw'?"),
+    ],
+)
+def test_what_the_recording_cannot_do_is_refused(walks, ran, words, says):
+    command = ("--preset", "smoke", "--dataset", walks, "--dry-run", *words)
+    assert_refused(ran(matrix, *command), says)
+
+
+class TestHowLong:
+    def test_every_built_in_consumer_of_a_small_run_has_a_rate(self, usual):
+        names = {
+            name_of(consumer)
+            for unit in usual.units
+            for consumer in unit.consumers.values()
+        }
+        assert names <= measured_rates().keys()
+        assert all(rate > 0 for rate in measured_rates().values())
+
+    def test_more_work_takes_longer_and_more_workers_less(self, usual):
+        one = replace(usual, jobs=1)
+        many = plan(Settings(preset="smoke", dataset="plaza", jobs=2, scenes=1000))
+        assert expected_s(usual) < expected_s(one)
+        assert expected_s(usual) < expected_s(many)
+
+    def test_it_is_the_sum_of_rates_times_sizes(self, usual, monkeypatch):
+        few = replace(usual, units=(usual.units[0],), jobs=1)
+        rates = dict.fromkeys(measured_rates(), 0.0)
+        monkeypatch.setattr(duration, "measured_rates", lambda: rates)
+        idle_s = expected_s(few)
+        rates["shared"] = 1e6  # A second for each sample.
+        n_samples = usual.tracks.offsets[-1] / len(usual.tracks) * 40 * 4
+        assert expected_s(few) - idle_s == pytest.approx(1.12 * n_samples, rel=1e-9)
+
+    @pytest.mark.parametrize(
+        ("seconds", "jobs", "text"),
+        [
+            (1.0, 1, "about 5 s on 1 core"),
+            (26.4, 2, "about 25 s on 2 cores"),
+            (119.0, 4, "about 120 s on 4 cores"),
+            (600.0, 2, "about 10 min on 2 cores"),
+            (3 * 3600.0, 2, "about 3.0 h on 2 cores"),
+        ],
+    )
+    def test_in_words(self, seconds, jobs, text):
+        assert in_words(seconds, jobs=jobs) == text
+
+    def test_rates_are_read_where_they_are_written(self):
+        path = duration.rates_path(ROOT)
+        assert json.loads(path.read_text("utf-8")) == measured_rates()

@@ -1,0 +1,124 @@
+"""Adversaries who know more try the levels that would be proposed, after all else is computed."""
+
+from dataclasses import replace
+
+import pandas as pd
+import pytest
+from helpers.small_runs import one_process, smoke, write_walks
+
+import evaluation
+from evaluation.plan.presets import BREAKERS, PRESETS
+from evaluation.store.files import FOLDER
+from evaluation.store.manifest import read_manifest
+
+LEVELS = ("raw", "ou:0.4", "ou:0.8", "offset:0.3")
+HORIZON = {"conflict.horizons_s": (3.0,)}
+KEYS = ["dataset", "mechanism", "level", "consumer", "knowledge", "metric"]
+
+
+def asked(walks, out, **changes):
+    usual = {
+        "mechanisms": LEVELS,
+        "predictors": ("kalman_cv",),
+        "attacks": None,
+        "tasks": None,
+    }
+    return smoke(walks, out, stages=HORIZON, **usual | changes)
+
+
+def plainly(frame, *, without=()):
+    """Rows in an order of their own; those of some adversaries left out."""
+    rows = frame[~frame["knowledge"].isin(without)]
+    return rows.sort_values(KEYS, ignore_index=True)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """The folder, walks, and what three runs say: with the trial, without, and continued with."""
+    folder = tmp_path_factory.mktemp("candidates")
+    walks = write_walks(folder / "walks.csv", n_people=40)
+    few = {"attacks": ("radial_rts", "kinematic"), "tasks": ("handover-1s",)}
+    without, tried = (
+        replace(PRESETS["smoke"], breakers=some, **few) for some in ((), BREAKERS)
+    )
+    found = {}
+    with one_process(), pytest.MonkeyPatch.context() as patch:
+        for name, preset, out in (
+            ("tried", tried, "tried"),
+            ("plain", without, "plain"),
+            ("continued", tried, "plain"),
+        ):
+            patch.setitem(PRESETS, "smoke", preset)
+            found[name] = evaluation.run(asked(walks, folder / out), pictures=False)
+        files = {
+            path.name: path.read_bytes()
+            for path in (folder / "tried" / FOLDER).iterdir()
+        }
+        found["again"] = evaluation.run(asked(walks, folder / "tried"), pictures=False)
+        after = {
+            path.name: path.read_bytes()
+            for path in (folder / "tried" / FOLDER).iterdir()
+        }
+        named = {"attacks": ("ou_rts",), "tasks": (), "adversaries": BREAKERS}
+        found["named"] = evaluation.run(
+            asked(walks, folder / "named", **named), pictures=False
+        )
+    return folder, found, (files, after)
+
+
+def test_only_candidates_are_tried_and_only_by_those_who_know_more(made):
+    _, found, _ = made
+    summary = found["tried"].summary
+    tried = summary[summary["consumer"] == "ou_rts"]
+    assert set(tried["knowledge"]) == set(BREAKERS)
+    answer = found["plain"].recommendation()
+    expected = {offer.where for offer in answer.candidates}
+    assert 1 <= len(expected) <= 5
+    assert set(zip(tried["mechanism"], tried["level"], strict=True)) == expected
+    assert "offset" not in {name for name, _ in expected}
+
+
+def test_no_other_number_changes(made):
+    _, found, _ = made
+    with_trial = plainly(found["tried"].summary, without=BREAKERS)
+    pd.testing.assert_frame_equal(with_trial, plainly(found["plain"].summary))
+
+
+def test_it_is_the_same_whether_at_once_or_later_or_again(made):
+    folder, found, (files, after) = made
+    for other in ("continued", "again"):
+        pd.testing.assert_frame_equal(found[other].summary, found["tried"].summary)
+        pd.testing.assert_frame_equal(found[other].levels, found["tried"].levels)
+    assert files == after  # Nothing was computed twice.
+    manifests = [read_manifest(folder / name) for name in ("tried", "plain")]
+    assert manifests[0]["cells"] == manifests[1]["cells"]
+    assert {one["state"] for one in manifests} == {"finished"}
+
+
+def test_it_is_what_naming_the_adversaries_computes(made):
+    _, found, _ = made
+    tried, named = (
+        found[name]
+        .summary[found[name].summary["knowledge"].isin(BREAKERS)]
+        .set_index(KEYS)
+        for name in ("tried", "named")
+    )
+    pd.testing.assert_frame_equal(tried, named.loc[tried.index])
+
+
+def test_what_a_run_is_said_to_be_stays(made):
+    folder, _, _ = made
+    tried, plain = (read_manifest(folder / name) for name in ("tried", "plain"))
+    assert tried["settings"] == plain["settings"]
+    assert tried["settings"]["mechanisms"] == list(LEVELS)
+    assert "adversaries" not in tried["settings"]
+
+
+def test_each_says_who_breaks_it(made):
+    _, found, _ = made
+    for offer in found["tried"].recommendation().candidates:
+        sides = {side.adversary: side.breaks(0.5) for side in offer.beyond}
+        assert {name for name, breaks in sides.items() if breaks is None} == {
+            "companions",
+            "insider",
+        }
