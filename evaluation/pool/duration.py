@@ -107,4 +107,4 @@ def _rate(consumer: Consumer, rates: Mapping[str, float]) -> float:
 
 def rates_path(root: Path) -> Path:
     """Return where a checkout keeps the measured rates."""
-    return root / "evaluation" / "runs" / RATES
+    return root / "evaluation" / "pool" / RATES

@@ -13,7 +13,7 @@ from helpers.processes import ROOT, TESTS
 
 MATRIX = ("-m", "evaluation.matrix")
 _UNDRAWN = "import sys; from evaluation import api, matrix; "
-_UNDRAWN += "results._draw = lambda *_, **__: None; sys.exit(matrix.main())"
+_UNDRAWN += "api._draw = lambda *_, **__: None; sys.exit(matrix.main())"
 UNDRAWN = ("-c", _UNDRAWN)
 """The matrix, but for pictures: they take most of the time of a small run."""
 FEW = (

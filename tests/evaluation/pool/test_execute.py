@@ -250,7 +250,7 @@ def test_further_scenes_are_for_utility_and_change_none_of_the_attacked(
     axes |= {"other_law": (), "model": (), "protections": (), "breakers": ()}
     few = replace(PRESETS["paper"], scenes=4, utility_scenes=10, **axes)
     monkeypatch.setitem(PRESETS, DEFAULT, few)
-    for name in ("experiment.plan", "runs.pieces"):
+    for name in ("plan.plan", "pool.pieces"):
         monkeypatch.setattr(f"evaluation.{name}.BLOCK_SCENES", 4)
     one_horizon = {"conflict.horizons_s": ()}
     usual = Settings(
